@@ -156,13 +156,13 @@ def test_failed_run_without_output(folder, capsys):
         (["systems", "rigidbody"], "coadjoint: unknown system 'rigidbody'; did you mean 'rigid_body'?"),
         (["gallery", "lagrangetop"], "coadjoint: unknown system 'lagrangetop'; did you mean 'lagrange_top'?"),
         (["systems", "--json", "x.json"], "coadjoint: --json writes the description of one system; give its name"),
-        (["systems", "toda", "--json", "x.txt"], "x.txt: the suffix says the format; it must be .json"),
+        (["systems", "toda", "--json", "x.txt"], "x.txt: the suffix sets the format; it must be .json"),
         (["run", "none.toml"], "none.toml: cannot be read (No such file or directory)"),
         (["run", "."], ".: cannot be read (Is a directory)"),
-        (["run", "body.toml", "--out", "run.csv"], "run.csv: the suffix says the format; it must be .nc or .zarr"),
+        (["run", "body.toml", "--out", "run.csv"], "run.csv: the suffix sets the format; it must be .nc or .zarr"),
         (
             ["run", "body.toml", "--figure", "run.bmp"],
-            "run.bmp: the suffix says the format; it must be .png, .pdf or .svg",
+            "run.bmp: the suffix sets the format; it must be .png, .pdf or .svg",
         ),
         (["run", "body.toml", "--out", "no/run.nc"], "no/run.nc: the folder no does not exist; make it first"),
         (
@@ -238,8 +238,8 @@ def test_certify_cannot_decide_at_rest(folder, capsys):
     ("arguments", "said"),
     [
         (["none.toml"], "none.toml: cannot be read (No such file or directory)"),
-        (["body.toml", "--json", "found.txt"], "found.txt: the suffix says the format; it must be .json"),
-        (["body.toml", "--plot", "found.gif"], "found.gif: the suffix says the format; it must be .png, .pdf or .svg"),
+        (["body.toml", "--json", "found.txt"], "found.txt: the suffix sets the format; it must be .json"),
+        (["body.toml", "--plot", "found.gif"], "found.gif: the suffix sets the format; it must be .png, .pdf or .svg"),
         (["body.toml", "--steps", "0"], "steps must be a whole number from 1 to 10000000, not 0"),
     ],
 )

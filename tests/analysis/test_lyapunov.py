@@ -226,7 +226,7 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
         (co.RadauEnergy(1), "RadauEnergy", ("formula",)),
         (Euler(), "Euler", ("complex step", "differences")),
     ):
-        with pytest.warns(RuntimeWarning, match=f"tangents of {name} are calls of Python"):
+        with pytest.warns(RuntimeWarning, match=f"tangents of {name} are computed in Python"):
             found = co.lyapunov(heavy_top(), UPRIGHT, **given, method=method)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

@@ -189,7 +189,7 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
         (b'{"attributes": {}, "consolidated_metadata": {"metadata": {}}}', "is no archive of a run"),
         (
             b'{"attributes": {"archive_format": 2}, "consolidated_metadata": {"metadata": {}}}',
-            "of format 2, and this version of coadjoint reads formats up to 1; take a later version",
+            "of format 2, and this version of coadjoint reads formats up to 1; install a later version",
         ),
         (
             b'{"attributes": {"archive_format": "1"}, "consolidated_metadata": {"metadata": {}}}',
@@ -217,7 +217,7 @@ def test_what_was_damaged_is_noticed(store):
         content = bytearray(file.read_bytes())
         content[len(content) // 2] ^= 1
         file.write_bytes(content)
-        with pytest.raises(ArchiveError, match="its check sum is another one"):
+        with pytest.raises(ArchiveError, match="its check sum does not match"):
             read()
 
 

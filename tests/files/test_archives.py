@@ -159,7 +159,7 @@ def test_a_first_step_with_other_bits_is_noticed(tmp_path, monkeypatch):
     cut(tmp_path / "run.zarr")
     monkeypatch.setattr("coadjoint.files.archives.first_step", lambda *_: "other")
     with pytest.raises(
-        ArchiveError, match="the first step, computed again, has other bits than when the archive was begun"
+        ArchiveError, match="the first step, recomputed, has other bits than when the archive was begun"
     ):
         co.resume(tmp_path / "run.zarr")
 
@@ -258,7 +258,7 @@ def test_a_last_point_of_its_own_behind_whole_chunks(tmp_path, monkeypatch, rows
 def test_an_archive_is_never_replaced(tmp_path):
     co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
     with pytest.raises(
-        ArchiveError, match=r"exists; co\.resume goes on with an archive, and a new one needs another name"
+        ArchiveError, match=r"exists; co\.resume continues an archive, and a new one needs another name"
     ):
         co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
     assert os.listdir(tmp_path) == ["run.zarr"]

@@ -86,9 +86,9 @@ CASES = {
     "long names": (OWN + f'[observe]\n"{"a" * 10**5}" = "x9"', "observe.aaaaa"),
     "long value": (own('x = [1.0, 0.1, 0.5]', f'x = "{"a" * 10**5}"'), "initial.x: must be a list of numbers"),
     "key in two lines": (OWN + '"a\\nb\\u001b[31m" = 1', "run.a b?[31m: unknown key"),
-    "name with NUL": (own('"mine"', '"a\\u0000"'), "name: must be printable letters in one line, not 'a\\x00'"),
-    "Casimir with NUL": (own('"|x|^2"', '"a\\u0000"'), "casimirs.a?: must be printable letters"),
-    "basis with NUL": (own("dim = 3", 'basis = ["a\\u0000", "b", "c"]'), "algebra.basis[0]: must be printable letters"),
+    "name with NUL": (own('"mine"', '"a\\u0000"'), "name: must be printable characters in one line, not 'a\\x00'"),
+    "Casimir with NUL": (own('"|x|^2"', '"a\\u0000"'), "casimirs.a?: must be printable characters"),
+    "basis with NUL": (own("dim = 3", 'basis = ["a\\u0000", "b", "c"]'), "algebra.basis[0]: must be printable"),
     "schemes in schemes": (
         scheme("name = 'Composition'\ncoefficients = [0.5, 0.25, 0.25]\nbase = "
         + "{name = 'Composition', coefficients = [0.5, 0.25, 0.25], base = " * 60 + "{name = 'Splitting'}" + "}" * 60),
@@ -111,7 +111,7 @@ CASES = {
         READY_MADE + f'[sweep]\nsamples = 2\nseed = 1\n[sweep.over]\n"initial.x" = {{sphere = {HEXADECIMAL}}}',
         "sweep.over.initial.x.sphere: must be a positive number",
     ),
-    "suffix": (OWN + '[output]\nfile = "a.csv"', "output.file: a.csv: the suffix says the format"),
+    "suffix": (OWN + '[output]\nfile = "a.csv"', "output.file: a.csv: the suffix sets the format"),
     "long line": ("a" * 10**5, "line 1, column 100001: expected '=' after a key"),
     "text that does not end": ('a = """' + "b" * 10**5, "line 1, column 100008: unterminated string"),
 }  # fmt: skip

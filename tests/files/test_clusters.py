@@ -270,7 +270,7 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
             scheduler.send_signal(signal.SIGKILL)
 
         Thread(target=kill).start()
-        with pytest.raises(ArchiveUnwritten, match="the next call with this archive goes on"):
+        with pytest.raises(ArchiveUnwritten, match="the next call with this archive continues"):
             run(file)
     finally:
         for process in (scheduler, worker):

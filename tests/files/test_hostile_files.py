@@ -65,7 +65,7 @@ def test_what_was_changed_after_it_was_written_is_refused(tmp_path, sol, name):
         dataset = change(sol.to_xarray())
         WRITERS[name](dataset, tmp_path / f"{k}{name}")
         with pytest.raises(
-            LoadError, match=f"its content is not that of its check sum.*remove its attribute {CHECKSUM}"
+            LoadError, match=f"its content does not match its check sum.*remove its attribute {CHECKSUM}"
         ):
             co.load(tmp_path / f"{k}{name}")
         del dataset.attrs[CHECKSUM]
@@ -118,10 +118,10 @@ HOSTILE = {
     "soft link": (lambda file, path: linked(file, h5py.SoftLink("/x")), "is a link"),
     "external data": (lambda file, path: outside(file, path), "in other files"),
     "virtual data": (virtual, "in other files"),
-    "bomb": (bomb, "has a chunk of another length than it says"),
+    "bomb": (bomb, "has a chunk of another length than declared"),
     "filter": (lambda file, path: replaced(file, compression="lzf"), "has the filters"),
     "group": (lambda file, path: file.create_group("more"), "is no variable"),
-    "objects": (lambda file, path: file.create_dataset("o", data=np.zeros(2, "f8,i4")), "something else than numbers"),
+    "objects": (lambda file, path: file.create_dataset("o", data=np.zeros(2, "f8,i4")), "neither numbers nor text"),
 }  # fmt: skip
 
 

@@ -102,7 +102,7 @@ def test_a_later_version_is_refused_in_one_sentence(kept, capsys, name):
     (path / "zarr.json").write_text(json.dumps(root))
     before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
     said = f"{path}: is an archive of format {FORMAT + 1}, and this version of coadjoint reads formats up to {FORMAT}; "
-    said += "take a later version"
+    said += "install a later version"
     for ask in (co.open_archive, co.resume):
         with pytest.raises(ArchiveError) as refused:
             ask(path)

@@ -199,7 +199,7 @@ def test_states_of_configuration_files(tmp_path, monkeypatch):
         ("[[1.0, 0.0], [0.0, 1.0]]", "", "initial.x: x0 has the shape"),
         ('"ones.npy"', "", r"initial.x: x0 is not a matrix of su\(4\)"),
         ('"objects.npy"', "", "initial.x"),
-        ('"w.npy"', 'observe = {a = "x1"}', "observe.a: a polynomial is one of coordinates"),
+        ('"w.npy"', 'observe = {a = "x1"}', "observe.a: a polynomial needs coordinates"),
         ('"w.npy"', 'method = {name = "Splitting"}', "method: sphere_euler moves matrices"),
     ],
 )

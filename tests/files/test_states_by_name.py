@@ -101,11 +101,11 @@ def test_what_is_wrong_is_said_with_its_key(read, initial, said):
 def test_other_systems_have_no_states_by_name(read, tmp_path):
     body = '[system]\nname = "rigid_body"\n[initial]\nkind = "random"\nseed = 1\n[run]\nt_span = [0, 1]\nstep = 0.1\n'
     (tmp_path / "body.toml").write_text(body)
-    with pytest.raises(ConfigurationError, match="rigid_body has no initial states by name; give x"):
+    with pytest.raises(ConfigurationError, match="rigid_body has no named initial states; give x"):
         load(tmp_path / "body.toml")
     own = body.replace('[system]\nname = "rigid_body"', "[algebra]\ndim = 3\nbrackets = []\n[hamiltonian]\nM = 1")
     (tmp_path / "body.toml").write_text(own)
-    with pytest.raises(ConfigurationError, match="only ready-made systems have states by name"):
+    with pytest.raises(ConfigurationError, match="only ready-made systems have named states"):
         load(tmp_path / "body.toml")
 
 

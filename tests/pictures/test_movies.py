@@ -159,7 +159,7 @@ def test_what_is_wrong_is_refused_and_nothing_is_left(fluid, tmp_path):
         (fluid, {"frames": 1}, "frames"),
         (fluid, {"frames": 10**6}, "5000"),
         (fluid, {"fps": 0}, "fps"),
-        (fluid, {"fps": 100}, "no more than 50"),
+        (fluid, {"fps": 100}, "at most 50"),
         (fluid, {"size": (101, 64)}, "even"),
         (fluid, {"size": (100, 10**6)}, "4096"),
         (single, {}, "only one saved state"),

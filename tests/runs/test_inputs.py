@@ -316,9 +316,9 @@ def test_refusals():
         (ValueError, "run from 0 to 2", (0, 3)),
         (TypeError, "whole numbers from 0 to 2", (0.5,)),
         (TypeError, "whole numbers from 0 to 2", ()),
-        (ValueError, "names none", {}),
-        (ValueError, "'attitude', which a run has for something else", {"attitude": (0,)}),
-        (TypeError, "a keyword may have", {"two words": (0,)}),
+        (ValueError, "inputs is empty", {}),
+        (ValueError, "'attitude', which is reserved", {"attitude": (0,)}),
+        (TypeError, "valid Python identifier", {"two words": (0,)}),
     ]
     for kind, said, inputs in given:
         with pytest.raises(kind, match=said):

@@ -98,7 +98,7 @@ def test_initial_group_element_of_each_run():
     for wrong in (True, "coadjoint"):
         with pytest.raises(ValueError, match="an initial group element, an array"):
             ready.run(X, (0, 1), attitude=wrong)
-    with pytest.raises(ValueError, match="is said when it is prepared"):
+    with pytest.raises(ValueError, match="must be given to `prepare`"):
         co.prepare(BODY, None, 0.1).run(X, (0, 1), attitude=quarter)
     with pytest.raises(ValueError, match=r"attitude has the shape \(2, 2\)"):
         ready.run(X, (0, 1), attitude=np.eye(2))

@@ -149,7 +149,7 @@ def test_neighbouring_times_are_different_numbers():
     for start in (2.0**52, -(2.0**52)):
         for end in (start + 64.0, start - 64.0):
             assert len(set(times_of((start, end), 4.0, 1).at(np.arange(17)).tolist())) == 17
-            with pytest.raises(ValueError, match="neighbouring ones would be the same number"):
+            with pytest.raises(ValueError, match="neighbouring times would be the same number"):
                 times_of((start, end), 2.0 if abs(end) > abs(start) else 1.0, 1)
 
 
@@ -157,5 +157,5 @@ def test_times_far_from_zero_at_either_end():
     """The larger end decides whether times can be told apart: 2^54 has neighbours 4 away."""
     for ends in ((0.0, 2.0**54), (2.0**54, 0.0), (0.0, -(2.0**54)), (-(2.0**54), 0.0)):
         assert times_of(ends, 16.0, 1).steps == 2**50
-        with pytest.raises(ValueError, match="neighbouring ones would be the same number"):
+        with pytest.raises(ValueError, match="neighbouring times would be the same number"):
             times_of(ends, 8.0, 1)

@@ -185,7 +185,7 @@ def test_refusals():
         (TypeError, "'LinearDamping' for N, which is 'LinearDamping", pushed, {"N": "LinearDamping"}),
         (TypeError, "give each torque a name, such as {'torque': 'Torque'}", pushed, "Torque"),
         (ValueError, "'Torque' for N, and rigid_body has no forces", body, {"N": "Torque"}),
-        (ValueError, "'t', which a run has for something else", pushed, {"t": "Torque"}),
+        (ValueError, "'t', which is reserved", pushed, {"t": "Torque"}),
     ]
     for kind, said, system, inputs in given:
         with pytest.raises(kind, match=said):

@@ -229,7 +229,7 @@ def test_an_unfinished_run_gets_another_end(tmp_path):
     assert_same(found, co.integrate(system, x0, (0.0, 60 * STEP), STEP, method, save_every=3))
     assert co.resume(path, 60 * STEP).finished
     for end in (0.0, 41 * STEP, 59 * STEP, -100 * STEP):
-        with pytest.raises(ValueError, match=r"the run has come to t = 3 on its way to 3; give a later end"):
+        with pytest.raises(ValueError, match=r"the run has reached t = 3 on its way to 3; give a later end"):
             co.resume(path, end)
     with pytest.raises(ValueError, match="does not divide"):
         co.resume(path, 61.5 * STEP)

@@ -170,7 +170,7 @@ def changed(**parts):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"version": limit("STATE_VERSION") + 1}, r"of version 2, and this library goes on from version 1"),
+        ({"version": limit("STATE_VERSION") + 1}, r"of version 2, and this library resumes from version 1"),
         ({"version": None}, "the state of a run has no version"),
         ({"number": 2.5}, "number of the state is 2.5; it must be a whole number"),
         ({"number": -1}, "number of the state is -1"),
@@ -199,5 +199,5 @@ def test_a_state_of_another_run_is_refused():
         begun(BODY, co.GaussLegendre(2), SYSTEMS["body"][1], False, state=state)
     with pytest.raises(ValueError, match=r"has memory of shape \(1, 14\), and this run needs \(1, 0\)"):
         begun(TOP, co.ExplicitRungeKutta("rk4"), SYSTEMS["top"][1], False, state=state)
-    with pytest.raises(ValueError, match="after step 5; a run of 3 steps cannot go on from it"):
+    with pytest.raises(ValueError, match="after step 5; a run of 3 steps cannot resume there"):
         begun(TOP, co.GaussLegendre(2), SYSTEMS["top"][1], False, state=state, steps=3)

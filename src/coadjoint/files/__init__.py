@@ -1,1 +1,1 @@
-"""Saved where, read from what? Configuration files, records of runs, and the files that hold them."""
+"""Configuration files, records of runs, archives, and their file formats."""

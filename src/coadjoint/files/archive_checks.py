@@ -1,4 +1,4 @@
-"""Checks of the metadata of an archive before they are used: an archive may be damaged, or come from a stranger."""
+"""Validation of archive metadata before use: an archive may be damaged or untrusted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from coadjoint.runs.times import Times, times_of
 
 TEXTS = ("system_repr", "method_repr", "coadjoint_version", "platform", "attitude_carried", FIRST_STEP)
 SUMMARIES = ({"drift"}, {"change", "balance", "work"})
-"""The arrays over the invariants, of a run without forces and with them."""
+"""Arrays over the invariants, of a run without forces and with them."""
 KINDS = {"invariant": "string", "failed": "bool", STATUS: "int64", "tenth": "int64"}
 FLOATS = (TIME, "x", "x0", "attitude", "attitude0", "energy", "drift", "change", "balance", "work")
 OWN_LENGTH = ("row", "column", "layer")
@@ -32,7 +32,7 @@ OWN_LENGTH = ("row", "column", "layer")
 
 @contextmanager
 def reading(path: str | Path) -> Iterator[None]:
-    """Raise `ArchiveError` where the content of an archive is not what this library writes."""
+    """Convert errors caused by invalid content of an archive to `ArchiveError`."""
     try:
         yield
     except (OneLineError, IntegrationError):
@@ -43,13 +43,7 @@ def reading(path: str | Path) -> Iterator[None]:
 
 
 def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
-    """Refuse attributes and arrays that do not describe one run, or one ensemble.
-
-    Raises
-    ------
-    ArchiveError
-        Naming the entry that is wrong.
-    """
+    """Raise `ArchiveError` unless attributes and arrays describe one run, or one ensemble."""
     with reading(path):
         given = Entry(attributes, "attributes")
         for name in TEXTS:
@@ -99,7 +93,7 @@ def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Map
 
 
 def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -> dict[str, int]:
-    """Refuse arrays that are not those of a run; return the lengths of the dimensions."""
+    """Validate the arrays of a run; return the lengths of the dimensions."""
     missing = {TIME, "x", "x0", "energy", "invariant", "tenth", *SUMMARIES[bool(accounts)]} - arrays.keys()
     if missing:
         raise ValueError(f"the array {min(missing)} is missing")
@@ -121,12 +115,12 @@ def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) 
     if arrays["x"].shape[1:] != arrays["x0"].shape or not all(arrays["x0"].shape):
         raise ValueError("the arrays x and x0 have states of other shapes")
     if sizes.get("part", 2) != 2 or (accounts and sizes.get("account") != len(accounts)):
-        raise ValueError("a dimension has another length than its meaning asks for")
+        raise ValueError("a dimension has a length that contradicts its meaning")
     return sizes
 
 
 def _check_states(given: Entry, attributes: Mapping[str, Any], times: Times, rows: int) -> int:
-    """Refuse states that cannot be those of a run; return how many points it has saved."""
+    """Validate the stored states; return the expected number of saved points."""
     for kept in parsed(attributes[STATES], STATES).entries():
         file, digest, about = kept.entries(3)
         file.text(), digest.text(), about["block"].flag()
@@ -137,21 +131,15 @@ def _check_states(given: Entry, attributes: Mapping[str, Any], times: Times, row
     if not states or numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
         raise given[STATES].wrong("a list of states, of which the last one is that of the last commit")
     expected = times.after(attributes[STEPS]).passed
-    # A run that has failed has saved the points before its failure.
+    # A failed run has saved the points before its failure.
     return min(rows, expected) if attributes.get("run_failed") else expected
 
 
 def check_reported(stored: Mapping[str, NDArray[Any]], arrays: Mapping[str, StoredArray]) -> None:
-    """Refuse the numbers of a state that are not those of the invariants of a run.
-
-    Raises
-    ------
-    ValueError
-        They have another shape.
-    """
+    """Raise ValueError unless the numbers of a state match the invariants of the run."""
     members = arrays["x0"].shape[0] if arrays["x0"].dims[0] == MEMBER else 1
     tenths, invariants = (arrays[name].shape[0] for name in ("tenth", "invariant"))
-    # Behind the invariants there are the balances of those that forces change.
+    # The balances of invariants that forces change follow the invariants.
     columns = max(invariants, stored["initial"].shape[-1] if stored["initial"].ndim else 0)
     wanted: dict[str, tuple[int, ...]] = {"initial": (members, columns)}
     wanted |= dict.fromkeys(("earlier", f"{STATE}worst"), (members, tenths, columns))

@@ -1,4 +1,4 @@
-"""The folder of an archive: its files are reached by plain names, and never through symbolic links."""
+"""File access within the folder of an archive, by plain names and never through symbolic links."""
 
 from __future__ import annotations
 
@@ -14,25 +14,17 @@ from coadjoint.files.whole_files import WRITING, settle, write_whole
 from coadjoint.memory import check_room
 
 ANCHORED = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
-"""Whether files are reached from the descriptor of their folder. Windows has none, and locks folders in use."""
+"""Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
 NO_LINK = "a symbolic link, which an archive never contains"
 NO_FILE = "no regular file"
 BYTES_PER_BYTE = 2
-"""Memory that reading a file takes, for each of its bytes."""
+"""Memory needed to read a file, per byte."""
 
 
 class ArchiveFolder:
-    """The open folder of an archive. It stays the same folder where its name is given to another one.
+    """The open folder of an archive; it stays the same folder if its path is renamed.
 
-    Parameters
-    ----------
-    path : Path
-        The folder; this name, which a user has given, may lead through links.
-
-    Raises
-    ------
-    OSError
-        There is no such folder.
+    `path` itself, given by a user, may lead through links.
     """
 
     def __init__(self, path: Path) -> None:
@@ -41,7 +33,7 @@ class ArchiveFolder:
         if ANCHORED:
             self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
         elif not path.is_dir():
-            os.scandir(path).close()  # raises what is wrong with it
+            os.scandir(path).close()  # raises the specific OSError
 
     def __enter__(self) -> ArchiveFolder:
         return self
@@ -57,7 +49,7 @@ class ArchiveFolder:
 
     @contextmanager
     def _at(self, folder: str) -> Iterator[int | None]:
-        """Give the descriptor of a folder in this one, or of this one for ''; None where there are no descriptors."""
+        """Yield the descriptor of a subfolder, or of this folder for ''; None on platforms without descriptors."""
         if not ANCHORED:
             _refuse_link(self.path / folder, None)
             yield None
@@ -80,14 +72,9 @@ class ArchiveFolder:
         return Path(file) if ANCHORED else self.path / folder / file
 
     def read(self, folder: str, file: str, most: int | None = None, head: int | None = None) -> bytes:
-        """Return the content of a file that has at most `most` bytes, or the first `head` bytes of it.
+        """Return a file of at most `most` bytes, or its first `head` bytes.
 
-        Raises
-        ------
-        OSError
-            It is missing, cannot be read, or is no regular file.
-        ValueError
-            It is longer than it may be, or does not fit into memory.
+        OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
         """
         with self._at(folder) as inside:
             place = self._place(folder, file)
@@ -113,22 +100,22 @@ class ArchiveFolder:
                 return content.read(length)
 
     def write(self, folder: str, file: str, content: bytes) -> None:
-        """Replace a file whole."""
+        """Replace a file atomically."""
         with self._at(folder) as inside:
             write_whole(self._place(folder, file), content, inside)
 
     def make(self, folder: str) -> None:
-        """Make a folder in this one."""
+        """Create a subfolder."""
         with self._at("") as inside:
             os.mkdir(self._place("", folder), dir_fd=inside)
 
     def names(self, folder: str) -> set[str]:
-        """Return the names in a folder."""
+        """Return the names in a subfolder."""
         with self._at(folder) as inside:
             return set(os.listdir(self.path / folder if inside is None else inside))
 
     def has(self, folder: str, file: str) -> bool:
-        """Return whether there is a regular file."""
+        """Whether a regular file of this name exists."""
         try:
             return stat.S_ISREG(self.status(folder, file).st_mode)
         except OSError:
@@ -140,25 +127,25 @@ class ArchiveFolder:
             return os.stat(self._place(folder, file), dir_fd=inside, follow_symlinks=False)
 
     def remove(self, folder: str, file: str) -> None:
-        """Remove a file, if it is there, or a link itself."""
+        """Remove a file or a link itself, if present."""
         with self._at(folder) as inside, suppress(FileNotFoundError):
             os.unlink(self._place(folder, file), dir_fd=inside)
 
     def remove_unfinished(self, folder: str) -> None:
-        """Remove the files that a killed process was writing."""
+        """Remove temporary files left by killed processes."""
         for name in self.names(folder):
             if name.startswith(".") and name.endswith(WRITING):
                 self.remove(folder, name)
 
     def settle(self, folders: Iterable[str]) -> None:
-        """Sync the names in some folders to disk."""
+        """Sync the directory entries of some subfolders to disk."""
         for folder in folders:
             with self._at(folder) as inside:
                 if inside is not None:
                     settle(inside)
 
     def lock(self, folder: str, file: str) -> int | None:
-        """Return the descriptor of a locked file, made where it is missing; None where another process has it."""
+        """Lock a file, created if missing; return its descriptor, or None if another process holds the lock."""
         with self._at(folder) as inside:
             place = self._place(folder, file)
             try:
@@ -169,7 +156,7 @@ class ArchiveFolder:
 
 
 def _refuse_link(place: Path, folder: int | None) -> None:
-    """Raise that a place is a symbolic link, if it is one."""
+    """Raise OSError if the path is a symbolic link."""
     try:
         linked = stat.S_ISLNK(os.stat(place, dir_fd=folder, follow_symlinks=False).st_mode)
     except OSError:

@@ -1,22 +1,21 @@
-"""The store of an archive: a Zarr store that a run writes while it runs, and that any reader may open at any time.
+"""The store of an archive: a Zarr store that is written during a run and can be opened by readers at any time.
 
 Content of the folder::
 
     zarr.json              the root: attributes, and the shapes of all arrays (consolidated metadata)
     x/c.0.0, energy/c.0    chunks of arrays; those over ``time`` and ``crossing`` grow
     x/zarr.json            the array alone, for readers without consolidated metadata
-    .coadjoint/lock        locked as long as somebody writes
-    .coadjoint/state-...   numbers and arrays from which the run goes on, `ArchiveStore.keep`
+    .coadjoint/lock        locked while a process writes
+    .coadjoint/state-...   numbers and arrays from which the run resumes, `ArchiveStore.keep`
 
-**The root is the one point of commitment**: chunks are written first, then the state, and then the root is replaced. It
-says how many rows of every array count, and which state belongs to them. Whatever else is in the folder does not count:
-rows that are written before the root is are not seen, and are written again by who goes on. Every file is replaced
-whole. So a process may be killed at any moment, and at any moment a reader finds arrays of one length, without a hole.
+**Replacing the root is the commit**: chunks are written first, then the state, then the root. The root holds the number
+of rows of every array, and the state that belongs to them. Anything else in the folder is ignored: uncommitted rows are
+invisible, and are overwritten on resume. Every file is replaced atomically. So the process may be killed at any moment,
+and a reader always finds arrays of one length without gaps. Several processes may write an archive at once if each
+writes its own chunks and one of them commits.
 
-An archive may be written by several processes at once where each writes chunks of its own, and one of them commits.
-
-An archive may come from a stranger. Its metadata must be what the library writes: plain names, and the codecs, types
-and chunks of `StoredArray`. Files are reached through `ArchiveFolder`, which follows no links. Nothing is unpickled.
+An archive may be untrusted. Its metadata must be what the library writes: plain names, and the codecs, types and chunks
+of `StoredArray`. Files are reached through `ArchiveFolder`, which follows no links. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from coadjoint.memory import check_room
 from coadjoint.wording import short
 
 FORMAT = 1
-"""The version of the format; a later version of the library reads earlier ones."""
+"""Version of the format; later versions of the library read earlier ones."""
 ROOT = "zarr.json"
 HIDDEN = ".coadjoint"
 VERSION = "archive_format"
@@ -50,37 +49,37 @@ STATE = "state-"
 LONGEST_NAME = 255
 GROUP = {"zarr_format": 3, "node_type": "group"}
 BYTES_OF_JSON = 32
-"""Memory that JSON takes when it is parsed, for each of its bytes."""
+"""Memory needed to parse JSON, per byte."""
 MOST_ARRAYS = 10**5
 
 
 class ArchiveError(OneLineError):
-    """There is no archive, it is damaged or in use, or one cannot be made; found before anything runs."""
+    """An archive is missing, damaged, in use, or cannot be created; raised before anything runs."""
 
 
 class ArchiveMoved(ArchiveError):
-    """A file is missing that the root has named: somebody has committed since it was read, or the file was removed."""
+    """A file named by the root is missing: another process has committed since it was read, or the file was removed."""
 
 
 class ArchiveUnwritten(OSError):
-    """An archive could not be written during its run; it contains what was committed before, and can be resumed.
+    """An archive could not be written during its run; it contains the last commit, and can be resumed.
 
     Attributes
     ----------
     partial : Solution or None
-        The saved points that were computed since the last commit, which the archive does not contain. None if there
-        are none, or if another process has computed them.
+        Saved points computed since the last commit, which the archive does not contain. None if there are none, or if
+        another process computed them.
     """
 
     partial: Any = None
 
 
 class ArchiveReplaced(OSError):
-    """The folder of an archive, or its lock file, is no longer the one that the run has begun to write."""
+    """The folder of an archive, or its lock file, was replaced while the run was writing to it."""
 
 
 def path_of(given: Any) -> Path:
-    """Return the path of an archive, or refuse what is none.
+    """Validate the path of an archive.
 
     Examples
     --------
@@ -99,17 +98,7 @@ def path_of(given: Any) -> Path:
 
 
 class Kept(NamedTuple):
-    """A state that is kept in an archive.
-
-    Parameters
-    ----------
-    file : str
-        Its file in the hidden folder.
-    digest : str
-        SHA-256 of the file.
-    about : dict
-        What else is known of it: plain numbers.
-    """
+    """Entry of a stored state: its file in the hidden folder, the SHA-256 of the file, and further plain numbers."""
 
     file: str
     digest: str
@@ -117,17 +106,7 @@ class Kept(NamedTuple):
 
 
 class ArchiveStore:
-    """An archive that is being written; `begun` and `opened` return one.
-
-    Attributes
-    ----------
-    path : Path
-        Its folder.
-    arrays : dict of str to StoredArray
-        What it holds, as committed.
-    attributes : dict
-        Those of the root, as committed.
-    """
+    """An archive open for writing, from `begun` or `opened`; `arrays` and `attributes` are those of the last commit."""
 
     def __init__(
         self,
@@ -144,15 +123,7 @@ class ArchiveStore:
 
     @classmethod
     def begun(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
-        """Return a new archive, in a folder that is made; nothing is in it before the first `commit`.
-
-        Parameters
-        ----------
-        path : Path
-            A new folder.
-        arrays : mapping
-            What it will hold; of those that grow no rows yet.
-        """
+        """Create an archive in a new folder; it is empty until the first `commit`."""
         path.mkdir()
         folder = ArchiveFolder(path)
         try:
@@ -168,13 +139,7 @@ class ArchiveStore:
 
     @classmethod
     def opened(cls, path: Path) -> ArchiveStore:
-        """Return an archive that is there, to go on with it; what a killed process has left is removed.
-
-        Raises
-        ------
-        ArchiveError
-            Somebody else is writing to it; or as `read_root`.
-        """
+        """Open an archive to resume it, and remove what a killed process has left; ArchiveError if it is locked."""
         read_root(path)
         folder, lock = open_folder(path), None
         try:
@@ -184,7 +149,7 @@ class ArchiveStore:
                 raise unwritable(path, reason) from None
             if lock is None:
                 raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
-            # Once more: what it was before the lock may have changed.
+            # Read again: it may have changed before it was locked.
             found = cls(path, *read_root_in(path, folder), lock, folder=folder)
             try:
                 for name in ("", HIDDEN, *found.arrays):
@@ -200,13 +165,7 @@ class ArchiveStore:
         return found
 
     def moved(self, path: Path) -> None:
-        """Rename the folder; nothing must be where it goes.
-
-        Raises
-        ------
-        OSError
-            There is something. The archive is closed.
-        """
+        """Rename the folder; if the target exists, close the archive and raise OSError."""
         try:
             os.rename(self.path, path)
         except OSError:
@@ -216,22 +175,14 @@ class ArchiveStore:
         self.folder.path = path.absolute()
 
     def close(self) -> None:
-        """Let others write."""
+        """Release the lock and close the folder."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
         self.folder.close()
 
     def check_lock(self) -> None:
-        """Refuse to write where the lock file is another one: somebody else may be writing.
-
-        Raises
-        ------
-        ArchiveReplaced
-            The lock file was replaced.
-        OSError
-            It is gone.
-        """
+        """Raise ArchiveReplaced if the lock file was replaced (another process may write); OSError if it is gone."""
         if self._lock is None:
             return
         try:
@@ -242,13 +193,7 @@ class ArchiveStore:
             raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
 
     def check_place(self) -> None:
-        """Refuse to go on where the name of the archive leads to another folder than the one that is written.
-
-        Raises
-        ------
-        ArchiveReplaced
-            The folder was renamed, and may have been replaced.
-        """
+        """Raise ArchiveReplaced if the path of the archive leads to another folder than the one that is written."""
         if self._lock is None:
             return
         try:
@@ -259,17 +204,10 @@ class ArchiveStore:
             raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; what was computed is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
-        """Write a part of an array; it does not count before it is committed.
+        """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later.
 
-        Parameters
-        ----------
-        name : str
-            Of the array.
-        values : array_like
-            A region of it. Along the dimension that grows it may begin within a chunk whose first rows are there.
-            Along the others it is made of whole chunks.
-        first : tuple of int
-            Where the region begins; at the start of the dimensions that are not given.
+        Along the dimension that grows, the region may begin within a chunk whose first rows are written. Along the
+        others it consists of whole chunks.
         """
         self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
@@ -284,27 +222,16 @@ class ArchiveStore:
         self._touched.add(name)
 
     def chunk(self, name: str, place: tuple[int, ...]) -> NDArray[Any]:
-        """Return a chunk that is there.
-
-        Raises
-        ------
-        ArchiveError
-            It is missing or damaged.
-        """
+        """Return a chunk; ArchiveError if it is missing or damaged."""
         found = _chunk(self.path, self.folder, name, self.arrays[name], place)
         if found is None:
             raise missing_chunk(self.path, name, place)
         return found
 
     def keep(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> Kept:
-        """Write numbers and arrays from which a run goes on, and return what `commit` should say of them.
+        """Write the numbers and arrays from which a run resumes; return the entry for `commit`.
 
-        Parameters
-        ----------
-        numbers : mapping
-            Name -> number or array.
-        about : mapping
-            Plain numbers that are to be known without reading them.
+        `about` holds plain numbers that can be read without the file.
         """
         self.check_lock()
         raw, file = numbers_to(numbers), f"{STATE}{secrets.token_hex(6)}.npz"
@@ -315,23 +242,11 @@ class ArchiveStore:
     def commit(
         self, attributes: Mapping[str, Any], lengths: Mapping[str, int], kept: Iterable[Kept | None] = ()
     ) -> None:
-        """Let everything that was written count, at once.
+        """Commit everything written so far, atomically.
 
-        Parameters
-        ----------
-        attributes : mapping
-            Those of the root; others stay as they are, and those that are None go.
-        lengths : mapping
-            How many rows there are along the dimensions that grow.
-        kept : iterable of Kept
-            The states that stay; the files of all others are removed.
-
-        Raises
-        ------
-        ArchiveReplaced
-            The lock file is another one, and nothing is committed; or the folder was moved, and all is committed in it.
-        OSError
-            It cannot be written; the last commit stays.
+        `attributes` are merged into those of the root (None removes); `lengths` are the rows along dimensions that
+        grow; all states but `kept` are removed. ArchiveReplaced: the lock file was replaced, and nothing is committed;
+        or the folder was moved, and all is committed in it. OSError: the previous commit stays valid.
         """
         self.check_lock()
         arrays = {
@@ -359,12 +274,12 @@ class ArchiveStore:
 
 
 def unwritable(path: Path, reason: OSError) -> ArchiveError:
-    """Return the error for an archive that cannot be written, found before anything runs."""
+    """Return the error for an archive that cannot be written, raised before anything runs."""
     return ArchiveError(f"{path}: cannot be written ({reason.strerror or reason}); what it holds stays")
 
 
 def array_key(place: tuple[int, ...]) -> str:
-    """Return the name of the file of a chunk.
+    """Return the file name of a chunk.
 
     Examples
     --------
@@ -375,7 +290,7 @@ def array_key(place: tuple[int, ...]) -> str:
 
 
 def root_of(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the root of an archive says."""
+    """Return the content of the root."""
     metadata = {name: array.metadata() for name, array in arrays.items()}
     metadata[HIDDEN] = {**GROUP, "attributes": {}}
     return {
@@ -386,13 +301,7 @@ def root_of(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) ->
 
 
 def open_folder(path: Path) -> ArchiveFolder:
-    """Return the open folder of an archive.
-
-    Raises
-    ------
-    ArchiveError
-        There is none.
-    """
+    """Open the folder of an archive; ArchiveError if there is none."""
     try:
         return ArchiveFolder(path)
     except FileNotFoundError:
@@ -404,19 +313,16 @@ def open_folder(path: Path) -> ArchiveFolder:
 
 
 def read_root(path: Path) -> tuple[dict[str, StoredArray], dict[str, Any]]:
-    """Return the arrays and attributes of an archive, as they are at this moment.
+    """Return the arrays and attributes of an archive, as currently committed.
 
-    Raises
-    ------
-    ArchiveError
-        There is none, it is damaged, or a later version of the library has written it.
+    ArchiveError: missing, damaged, or of a later format.
     """
     with open_folder(path) as folder:
         return read_root_in(path, folder)
 
 
 def read_root_in(path: Path, folder: ArchiveFolder) -> tuple[dict[str, StoredArray], dict[str, Any]]:
-    """Return what `read_root` does, of a folder that is open."""
+    """Like `read_root`, for an open folder."""
     try:
         content = folder.read("", ROOT)
         check_room(BYTES_OF_JSON * len(content), ROOT)
@@ -435,7 +341,7 @@ def read_root_in(path: Path, folder: ArchiveFolder) -> tuple[dict[str, StoredArr
     if version > FORMAT:
         raise ArchiveError(
             f"{path}: is an archive of format {short(version)}, and this version of coadjoint reads formats up to "
-            f"{FORMAT}; take a later version"
+            f"{FORMAT}; install a later version"
         )
     try:
         return _arrays_of(metadata), attributes
@@ -452,20 +358,14 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
-    """Return the arrays that the metadata of an archive describe; refuse what the library does not write.
-
-    Raises
-    ------
-    ValueError
-        A name is no plain name, or the metadata of an array are not what `StoredArray.metadata` gives.
-    """
+    """Parse the metadata of all arrays; ValueError unless they are what `StoredArray.metadata` returns."""
     if len(metadata) > MOST_ARRAYS:
         raise ValueError(f"{len(metadata)} arrays")
     found, rows = {}, set()
     for name, each in metadata.items():
         if name == HIDDEN and each["node_type"] == "group":
             continue
-        # A file of this name is read and written: no path, and nothing that leads elsewhere.
+        # The name becomes a path: allow only identifiers.
         if not name.isidentifier() or len(name.encode()) > LONGEST_NAME:
             raise ValueError(f"an array is called {short(name)}, which is no plain name")
         array = StoredArray.of_metadata(each)
@@ -480,7 +380,7 @@ def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
 
 
 def missing_chunk(path: Path, name: str, place: tuple[int, ...]) -> ArchiveError:
-    """Return the error for a chunk that was committed and is not there."""
+    """Return the error for a chunk that was committed and is missing."""
     return ArchiveError(
         f"{path}: {name}/{array_key(place)} is missing, though the archive was committed with it; restore the file"
     )
@@ -489,7 +389,7 @@ def missing_chunk(path: Path, name: str, place: tuple[int, ...]) -> ArchiveError
 def _chunk(
     path: Path, folder: ArchiveFolder, name: str, array: StoredArray, place: tuple[int, ...]
 ) -> NDArray[Any] | None:
-    """Return a chunk, or None where it is missing."""
+    """Return a chunk, or None if it is missing."""
     file = array_key(place)
     try:
         return array.decoded(folder.read(name, file, array.most_bytes))
@@ -507,24 +407,10 @@ def read_array(
     part: Sequence[range] | None = None,
     may_be_missing: Callable[[tuple[int, ...]], bool] | None = None,
 ) -> NDArray[Any]:
-    """Return an array, as it was when the root was read.
+    """Return an array, as it was when the root was read, or the ascending ranges `part` along its axes.
 
-    Parameters
-    ----------
-    path : Path
-        The archive.
-    name, array
-        What is read.
-    part : sequence of range, optional
-        Along each axis the entries that are read, ascending; by default all.
-    may_be_missing : callable, optional
-        Whether a chunk, by its numbers along the axes, may not be written yet: it is empty (NaN) then. By default every
-        chunk must be there.
-
-    Raises
-    ------
-    ArchiveError
-        A chunk is missing or damaged, or cannot be read.
+    Chunks for which `may_be_missing` (of the chunk indices) is true are NaN if missing; any other missing or damaged
+    chunk raises ArchiveError.
     """
     chosen = tuple(map(range, array.shape)) if part is None else tuple(part)
     found = np.empty(tuple(map(len, chosen)), dtype=object if array.kind == "string" else array.kind)
@@ -540,13 +426,7 @@ def read_array(
 
 
 def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
-    """Return the numbers and arrays of a state that `ArchiveStore.keep` has written.
-
-    Raises
-    ------
-    ArchiveError
-        The file is missing, or is not the one that was written.
-    """
+    """Return the numbers and arrays of `ArchiveStore.keep`; ArchiveError if the file is missing or was changed."""
     if not (kept.file.startswith(STATE) and kept.file.replace("-", "_").replace(".", "_").isidentifier()):
         raise ArchiveError(f"{path}: a state is called {short(kept.file)}, which is no plain name")
     try:
@@ -557,7 +437,7 @@ def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
     except OSError as reason:
         raise ArchiveError(f"{path}: the state {kept.file} cannot be read ({reason.strerror})") from None
     if hashlib.sha256(raw).hexdigest() != kept.digest:
-        raise ArchiveError(f"{path}: the state {kept.file} is damaged: its check sum is another one")
+        raise ArchiveError(f"{path}: the state {kept.file} is damaged: its check sum does not match")
     try:
         return numbers_from(raw)
     except ValueError as reason:

@@ -1,4 +1,4 @@
-"""Ensembles in archives: as archives of one run, with members that may not be computed yet."""
+"""Ensembles in archives, possibly with members that are not computed yet."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from coadjoint.runs.solution import Statistics
 
 
 class ArchivedEnsemble(ArchivedSolution):
-    """An ensemble in an archive, as far as its blocks had come when it was opened.
+    """An ensemble in an archive, as of the time it was opened.
 
-    All times are there from the beginning. What was not computed yet is NaN, and `status` says which members are done.
+    All times are present from the beginning; what is not computed yet is NaN, and `status` has the progress.
 
     Attributes
     ----------
     finished : bool
         Whether every member has been computed to its end, or has failed.
     reached : int
-        How many steps every member has taken.
+        Number of steps that every member has taken.
     status : ndarray of int, shape (members,)
         0 for members that are not computed yet, 1 for those that are, 2 for those that have failed.
     """
@@ -52,12 +52,12 @@ class ArchivedEnsemble(ArchivedSolution):
 
     @cached_property
     def blocks(self) -> list[Block]:
-        """Which members go together."""
+        """Blocks of members that are run together."""
         return blocks_of(self._arrays["x0"].shape[0], int(self.attributes[SIZE]))
 
     @cached_property
     def _abouts(self) -> list[dict[str, Any]]:
-        """What the markers of the blocks say; nothing of those that have not begun."""
+        """Heads of the markers of the blocks; empty for blocks that have not begun."""
         with open_folder(self.path) as folder:
             return [read_about(folder, block.number) or {} for block in self.blocks]
 
@@ -75,28 +75,28 @@ class ArchivedEnsemble(ArchivedSolution):
 
     @cached_property
     def finished(self) -> bool:  # type: ignore[override]
-        """Whether every block is over."""
+        """Whether every block is finished."""
         return all(about.get(FINISHED, 0) for about in self._abouts)
 
     @cached_property
     def reached(self) -> int:  # type: ignore[override]
-        """How many steps every member has taken."""
+        """Number of steps that every member has taken."""
         return min(int(about.get(STEPS, 0)) for about in self._abouts)
 
     @cached_property
     def status(self) -> NDArray[np.int64]:
-        """How far the members are."""
+        """Status of the members."""
         return self._whole(STATUS)
 
     @cached_property
     def stats(self) -> Statistics:
-        """The work done; the seconds are those of all workers together."""
+        """Work of the run; the seconds are summed over all workers."""
         done = {name: sum(about.get(name, 0) for about in self._abouts) for name in ("evaluations", "iterations")}
         return Statistics(self.reached, **done, seconds=sum(float(about.get("seconds", 0.0)) for about in self._abouts))
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
-        """The invariants at the first time, which for members that have not begun are NaN."""
+        """Invariants at the first time; NaN for members that have not begun."""
         values = [self.energy, *self.casimirs.values()]
         return {name: series[0] for name, series in zip(self._names, values, strict=True)}
 
@@ -107,7 +107,7 @@ class ArchivedEnsemble(ArchivedSolution):
 
     @property
     def said(self) -> str:
-        """How far it is, in words."""
+        """Number of computed members, as text."""
         return f"{int(np.count_nonzero(self.status != NOT_YET))} of {len(self.status)} members"
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Runs that are written to an archive while they run: piece by piece, each of them committed at once."""
+"""Runs written to an archive piece by piece, each piece committed atomically."""
 
 from __future__ import annotations
 
@@ -28,24 +28,14 @@ if TYPE_CHECKING:
 FINISHED, STEPS, STATES, ACCOUNTS = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
 FIRST_STEP, SAVE_EVERY = "archive_first_step", "archive_save_every"
 BLOCKS, LEAST_ROOM = 64, 2**24
-"""A run has about so many blocks, as long as their states take no more than a quarter of the archive, or 16 MB."""
+"""A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
 SECONDS_OF_STRETCH, FIRST_STRETCH = 0.25, 64
 SECONDS_OF_PIECE, SHARE_OF_COMMITS = 10.0, 20
-"""A piece is committed after 10 s, or after 20 times as long as it took to commit the one before."""
+"""A piece is committed after 10 s, or after 20 times the duration of the last commit."""
 
 
 class ArchivedRun:
-    """A run and the archive that it writes.
-
-    Parameters
-    ----------
-    store : ArchiveStore
-        The archive.
-    ready, times, start
-        The run, as for `PiecewiseRun`.
-    stored : mapping, optional
-        Where to go on.
-    """
+    """A run and the archive that it writes; parameters as for `PiecewiseRun`."""
 
     def __init__(
         self,
@@ -63,12 +53,9 @@ class ArchivedRun:
         self._failure: IntegrationError | None = None
 
     def advance(self, until: int | None = None, progress: bool = False) -> IntegrationError | None:
-        """Take the steps up to number `until`, or all, and commit them; return the failure of the run, if it failed.
+        """Take and commit the steps up to number `until`, or all; return the failure of the run, if any.
 
-        Raises
-        ------
-        ArchiveUnwritten
-            The archive could not be written. It holds what was committed before.
+        ArchiveUnwritten: the archive could not be written, and holds the last commit.
         """
         run, stretch, last = self.run, FIRST_STRETCH, self.run.run.times.steps if until is None else until
         begun = time.perf_counter()
@@ -93,7 +80,7 @@ class ArchivedRun:
         return self._failure
 
     def commit(self) -> None:
-        """Let everything count that the run has done."""
+        """Commit the steps computed so far."""
         run, began = self.run, time.perf_counter()
         if run.number == self._committed:
             return
@@ -117,7 +104,7 @@ class ArchivedRun:
         self._took, self._committed = time.perf_counter() - began, run.number
 
     def _kept(self, lengths: Mapping[str, int]) -> list[Kept]:
-        """Keep the state, and return all that stay: those at which blocks begin, and the last of an unfinished run."""
+        """Store the state; return all states to retain: those at block starts, and the last of an unfinished run."""
         run, store = self.run, self.store
         blocks = [kept for kept in self._states if kept.about["block"]]
         bytes_of_state = 8 * run.run.state.arrays.numbers.size
@@ -142,17 +129,17 @@ class ArchivedRun:
 
 
 def states_of(attributes: Mapping[str, Any]) -> list[Kept]:
-    """Return the states that an archive contains: of its blocks, and the last one."""
+    """Return the states of an archive: of its blocks, and the last one."""
     return [Kept(*kept) for kept in json.loads(attributes[STATES])]
 
 
 def growing_of(piece: Solution) -> Variables:
-    """Return what a piece of a run adds to its archive."""
+    """Return the variables over time of a piece of a run."""
     return {**over_time(piece), **times_of_points(piece.t)}
 
 
 def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
-    """Return the arrays of the archive of a run, with what those that grow begin with, and the values of the others."""
+    """Return the arrays of a new archive, the first values of those that grow, and the values of the others."""
     growing = growing_of(piece)
     fixed: Variables = {**starts_of(piece), **summaries_of(piece), **others}
     fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
@@ -168,7 +155,7 @@ def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArra
 
 
 def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
-    """Return what tells the first step of a run from any other: a digest of all that it leaves."""
+    """Return a digest of the state after the first step, which identifies the computation of a run."""
     run = ready.begun(times._replace(most=2), start)
     run.advance(until=min(1, times.steps))
     return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()

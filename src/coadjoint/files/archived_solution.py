@@ -1,4 +1,4 @@
-"""Solutions in archives: arrays are read on first use."""
+"""Solutions in archives; arrays are read lazily."""
 
 from __future__ import annotations
 
@@ -39,26 +39,26 @@ if TYPE_CHECKING:
 
 
 REPORTED = (f"{STATE}worst", "earlier", "initial")
-"""What a solution needs of the state of its run."""
+"""Arrays of the run's state that a solution needs."""
 ATTEMPTS = 20
 
 
 class ArchivedSolution(ReadSolution):
-    """A run in an archive, as far as it had come when it was opened; `open_archive` returns it.
+    """A run in an archive, as of the time it was opened by `open_archive`.
 
-    It has all that a `Solution` has. Arrays are read when they are first asked for, and kept; of those that do not fit
-    into memory ``to_xarray()`` reads a part.
+    It has all attributes of a `Solution`. Arrays are read lazily and cached; ``to_xarray()`` reads parts of arrays that
+    do not fit in memory.
 
     Attributes
     ----------
     path : Path
         The archive.
     finished : bool
-        Whether the run has come to its end; otherwise `resume` goes on with it.
+        Whether the run has reached its end; otherwise `resume` continues it.
     reached : int
-        How many steps were taken.
+        Number of steps taken.
     attributes : dict
-        What the archive says of the run, as its dataset has it.
+        Attributes of the run, as in its dataset.
     """
 
     def __init__(self, path: Path, system: Any = None) -> None:
@@ -113,17 +113,11 @@ class ArchivedSolution(ReadSolution):
         return read_array(self.path, name, array, may_be_missing=self._may_be_missing(name))
 
     def _may_be_missing(self, name: str) -> Callable[[tuple[int, ...]], bool] | None:
-        """Return which chunks of an array may not be written yet; None if all of them are committed."""
+        """Return a predicate for chunks that may not be written yet; None if all chunks are committed."""
         return None
 
     def check_whole(self) -> None:
-        """Refuse an archive that lacks chunks that were committed, or whose last chunks, which grow, are damaged.
-
-        Raises
-        ------
-        ArchiveError
-            Naming the first array and chunk.
-        """
+        """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
         with open_folder(self.path) as folder:
             for name, array in self._arrays.items():
                 try:
@@ -187,17 +181,18 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     path : str or Path
         The folder that ``integrate(..., archive=path)`` writes.
     system : optional
-        The system of the run, where it has functions, which are not stored. Only what asks for the system needs it.
+        The system of the run, if it contains Python functions, which are not stored. It is needed only by attributes
+        that use the system.
 
     Returns
     -------
     ArchivedSolution
-        The run as far as it has come at this moment. It reads what it is asked for.
+        The run as currently committed. Arrays are read lazily.
 
     Raises
     ------
     ArchiveError
-        There is no archive, it is damaged, or a later version of the library has written it.
+        The archive is missing, damaged, or of a later format.
 
     Examples
     --------
@@ -214,7 +209,7 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     for attempt in range(ATTEMPTS):
         try:
             return _opened(place, system)
-        except ArchiveMoved as reason:  # it was committed to while it was opened
+        except ArchiveMoved as reason:  # a commit happened in between
             if attempt == ATTEMPTS - 1:
                 raise ArchiveError(str(reason)) from None
     raise AssertionError

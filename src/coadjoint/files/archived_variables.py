@@ -1,4 +1,4 @@
-"""Arrays of an archive as variables of xarray, which are read in part, with all checks of the archive."""
+"""Lazily read xarray variables for arrays of an archive, with all checks of the archive."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ from coadjoint.memory import check_room
 
 
 class ArchivedArray(BackendArray):
-    """An array of an archive, read where it is indexed.
-
-    Parameters
-    ----------
-    path, name, array, may_be_missing
-        As for `read_array`.
-    """
+    """An array of an archive that is read when indexed; parameters as for `read_array`."""
 
     def __init__(
         self, path: Path, name: str, array: StoredArray, may_be_missing: Callable[[tuple[int, ...]], bool] | None
@@ -37,7 +31,7 @@ class ArchivedArray(BackendArray):
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._part)
 
     def _part(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        """Return a part given by whole numbers and slices."""
+        """Read a part given by integers and slices."""
         chosen = [
             range(size)[one] if isinstance(one, slice) else range(one, one + 1)
             for one, size in zip(key, self.shape, strict=True)
@@ -53,7 +47,7 @@ class ArchivedArray(BackendArray):
 
 
 def variable(array: ArchivedArray) -> xarray.Variable:
-    """Return a variable whose values are read when they are first used; a change of them stays in memory."""
-    lazy: Any = indexing  # its annotations do not fit together
+    """Return a variable whose values are read lazily; modified values stay in memory."""
+    lazy: Any = indexing  # its annotations are inconsistent
     values = lazy.MemoryCachedArray(lazy.CopyOnWriteArray(lazy.LazilyIndexedArray(array)))
     return xarray.Variable(array.array.dims, values, dict(array.array.attributes))

@@ -1,4 +1,4 @@
-"""Runs that begin in an archive, and that are resumed from it."""
+"""Runs in new archives, and their resumption."""
 
 from __future__ import annotations
 
@@ -56,36 +56,14 @@ def archive_run(
     until: int | None = None,
     about: About = NOTHING,
 ) -> ArchivedSolution:
-    """Run into a new archive.
+    """Run into a new archive; parameters as for `coadjoint.integrate`.
 
-    Parameters
-    ----------
-    ready : PreparedRun
-        What runs.
-    x0, t_span, save_every, t_eval, progress, events
-        As for `coadjoint.integrate`.
-    archive : str or Path
-        A new folder.
-    until : int, optional
-        After how many steps the run is left, to be resumed.
-    about : About
-        What else is written.
-
-    Returns
-    -------
-    ArchivedSolution
-        The solution, which reads from disk only what you use.
-
-    Raises
-    ------
-    ArchiveError
-        The folder exists, or cannot be written.
-    IntegrationError
-        As in `coadjoint.integrate`; what there is of the run is in the archive.
+    `until` is the number of steps after which the run stops, to be resumed; `about` has further metadata to write.
+    ArchiveError: the folder exists or cannot be written. IntegrationError: its partial solution is the archive.
     """
     need("an archive of a run", "xarray", "zarr")
     if t_eval is not None or read_events(events):
-        raise ValueError("an archive keeps every save_every-th step, and looks for no events; give neither")
+        raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     target = check_new(archive)
     times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
     try:
@@ -98,7 +76,7 @@ def archive_run(
 
 
 def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int, about: About) -> ArchiveStore:
-    """Make an archive from which the run can be resumed, though no step was taken yet."""
+    """Create an archive from which the run can be resumed, before its first step."""
     run = PiecewiseRun(ready, times, start, 1)
     run.advance(0)
     piece = run.piece()
@@ -131,11 +109,11 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_ever
 
 
 def check_new(archive: str | Path) -> Path:
-    """Return the path of a new archive, or refuse one that exists, or cannot be made."""
+    """Validate the path of a new archive; ArchiveError if it exists or cannot be created."""
     target = path_of(archive)
     try:
         if os.path.lexists(target):
-            raise ArchiveError(f"{target}: exists; co.resume goes on with an archive, and a new one needs another name")
+            raise ArchiveError(f"{target}: exists; co.resume continues an archive, and a new one needs another name")
         if not target.parent.is_dir():
             raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
         remove_leftovers(target)
@@ -145,7 +123,7 @@ def check_new(archive: str | Path) -> Path:
 
 
 def unmade(target: Path, reason: OSError) -> ArchiveError:
-    """Return the error for a new archive that cannot be made."""
+    """Return the error for a new archive that cannot be created."""
     return ArchiveError(f"{target}: cannot be made ({reason.strerror}); give another name")
 
 
@@ -162,43 +140,43 @@ def resume(
     client: Any = None,
     workers: int | None = None,
 ) -> ArchivedSolution:
-    """Continue the run of an archive, with the same bits as an uninterrupted run.
+    """Continue the run of an archive; bitwise equal to an uninterrupted run.
 
-    A run that is finished is opened as it is, unless a later end is given.
+    A finished run is only opened, unless a later end is given.
 
     Parameters
     ----------
     path : str or Path
         The folder that ``integrate(..., archive=path)`` has written.
     t_end : float, optional
-        A new end, a whole number of steps from the start and later than what was computed. The bits are those of a run
-        that had this end from the beginning. Some steps are computed again, usually less than a sixth, to find the
+        A new end, a whole number of steps from the start and later than what was computed. The result is bitwise equal
+        to a run with this end from the beginning. Some steps, usually less than a sixth, are recomputed to find the
         drifts in each tenth of the new run.
     system, observe, events : optional
         Those of the run, if they contain Python functions, which are not stored. They are compared with those with
-        which the run began (`coadjoint.files.fingerprints` says what can be compared), and refused if they differ.
+        which the run began, as far as `coadjoint.files.fingerprints` can, and rejected if they differ.
     threads : int, optional
-        As for `integrate`; it changes no bit.
+        As for `integrate`; it does not affect the result.
     progress : bool
         Show a progress bar.
     until : int, optional
         Number of steps after which the run stops again.
     client, workers : optional
-        Where an ensemble in blocks is continued, as for `coadjoint.ensemble`; by default in this process.
+        Workers for an ensemble in blocks, as for `coadjoint.ensemble`; by default this process.
 
     Returns
     -------
     ArchivedSolution
-        The solution, which reads from disk only what you use.
+        The solution, which reads from disk lazily.
 
     Raises
     ------
     ArchiveError
-        There is no archive, somebody else writes to it, or it is damaged.
+        The archive is missing, damaged, or written by another process.
     ArchiveUnwritten
-        It could not be written while the run went on; it holds what was committed before.
+        The archive could not be written during the run; it holds the last commit.
     IntegrationError
-        The run fails, or has failed.
+        The run fails, or failed before.
 
     Examples
     --------
@@ -220,7 +198,7 @@ def resume(
         from coadjoint.files.run_in_blocks import resume_in_blocks, team_of
 
         if t_end is not None or events is not None or until is not None:
-            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; leave them out")
+            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; omit them")
         return resume_in_blocks(found, system, observe, team_of(client, workers, threads), progress)
     if client is not None or workers is not None:
         raise ValueError(f"{place}: is the archive of one run; client and workers are for ensembles in blocks")
@@ -246,7 +224,7 @@ def resume(
         times, _ = ready.times_of(inputs["t_span"], inputs["save_every"])
         if first_step(ready, times, start) != store.attributes[FIRST_STEP]:
             raise ArchiveError(
-                f"{place}: the first step, computed again, has other bits than when the archive was begun by coadjoint "
+                f"{place}: the first step, recomputed, has other bits than when the archive was begun by coadjoint "
                 f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; resume it there, and with "
                 "the same system"
             )
@@ -290,7 +268,7 @@ def _run_on(
 
 
 def _told(found: ArchivedSolution) -> ArchivedSolution:
-    """Return a finished run, or raise the failure that it has ended by."""
+    """Return a finished run, or raise the failure that ended it."""
     said = found.attributes
     if not said.get("run_failed"):
         return found

@@ -1,4 +1,4 @@
-"""The run of one block of an ensemble: from the archive, into its own chunks of it and its marker."""
+"""The run of one block of an ensemble, into its own chunks of the archive and its marker."""
 
 from __future__ import annotations
 
@@ -36,19 +36,7 @@ BUSY = {"busy": True}
 
 
 class BlockRun(ArchivedRun):
-    """The run of a block, which writes itself down as that of an archive does.
-
-    Parameters
-    ----------
-    store : ArchiveStore
-        The archive of the ensemble.
-    ready : PreparedRun
-        The members of the block, made ready.
-    times : Times
-        The steps.
-    block : Block
-        Which members.
-    """
+    """The run of a block of an ensemble, written like that of an archive."""
 
     def __init__(self, store: ArchiveStore, ready: PreparedRun, times: Times, block: Block) -> None:
         marker = read_marker(store.folder, block.number)
@@ -67,7 +55,7 @@ class BlockRun(ArchivedRun):
     _failure: IntegrationError | None
 
     def commit(self) -> None:
-        """Let everything count that the block has done."""
+        """Commit the steps of the block computed so far."""
         run, store, block, began = self.run, self.store, self.block, time.perf_counter()
         if run.number == self._committed:
             return
@@ -93,7 +81,7 @@ class BlockRun(ArchivedRun):
         }
         if self._failure is not None:
             self.about |= said_of(self._failure)
-            # The members of the block are numbered from its first; who failed is said of all of them.
+            # Members are numbered within the block here; the ensemble adds who failed.
             who = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
             self.about["failed_reason"] = str(self._failure).replace(who, "")
         write_marker(store.folder, block.number, self.about, run.stored())
@@ -103,33 +91,10 @@ class BlockRun(ArchivedRun):
 
 
 def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threads: int | None) -> dict[str, Any]:
-    """Run a block to its end, from where its marker says it is.
+    """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if it is locked.
 
-    Parameters
-    ----------
-    archive : str
-        The archive of the ensemble.
-    block : Block
-        Which members.
-    ready : PreparedRun
-        All members, or those of the block alone, made ready.
-    whole : bool
-        Whether it is that of all members.
-    threads : int or None
-        As for `integrate`.
-
-    Returns
-    -------
-    dict
-        What the marker says: some numbers, and text where the block failed. ``{"busy": True}`` where another process
-        runs it.
-
-    Raises
-    ------
-    ArchiveError
-        The archive is not there, or of another version of the library.
-    ArchiveUnwritten
-        It cannot be written.
+    `ready` is prepared for all members (`whole`) or for those of the block. ArchiveError: the archive is missing, or of
+    another version of the library. ArchiveUnwritten: it cannot be written.
     """
     path, here = Path(archive), platform.node()
     try:
@@ -164,7 +129,7 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
         said = reason.strerror or str(reason)
         raise ArchiveUnwritten(
             f"{path}: members {block.first} to {block.last - 1} could not be written on {here} ({said}); "
-            "the next call with this archive goes on"
+            "the next call with this archive continues"
         ) from reason
     finally:
         if store is not None:
@@ -182,7 +147,7 @@ def _span(attributes: dict[str, Any]) -> Any:
 
 
 def _of_block(store: ArchiveStore, name: str, block: Block) -> Any:
-    """Return the numbers of the members of a block at the start, or None where the archive has no such numbers."""
+    """Return the initial values of the members of a block, or None if the archive has no such array."""
     array: StoredArray | None = store.arrays.get(name)
     if array is None:
         return None

@@ -1,13 +1,13 @@
 """Blocks of an ensemble in an archive: members that are run together, by one writer.
 
-Members go in blocks of one size; along the members each chunk of an array is one block, so that no two blocks share a
-file. Beside the arrays each block has in the hidden folder of the archive::
+Blocks have one size, which is the chunk size of all arrays along the members, so that no two blocks share a file. In
+the hidden folder of the archive each block has::
 
-    block-000012           how far it is, and the numbers from which it goes on: its marker
-    block-000012.lock      locked as long as somebody runs it
+    block-000012           its marker: progress, and the numbers from which it resumes
+    block-000012.lock      locked while a process runs it
 
-A marker is replaced whole, after all chunks that it speaks of. A block is done when its marker says so. One that is
-damaged counts as none: the block is run again, to the same bits.
+A marker is replaced atomically, after all chunks that it refers to. A block is done when its marker records it as
+finished. A damaged marker is ignored: the block is run again, with the same bits.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from coadjoint.files.stored_arrays import StoredArray
 
 SIZE = "archive_block"
-"""The attribute of an archive that says how many members a block has."""
+"""Attribute of an archive: members per block."""
 MEMBER = "member"
 STARTS = ("x0", "attitude0")
 STATUS = "status"
@@ -41,16 +41,16 @@ ABOUT_STATUS = {
     "flag_meanings": "not_computed done failed",
 }
 BYTES = 2**22
-"""Of what the members of a block have at one time, at most, where the size of blocks is not given."""
+"""Limit on the state of a block at one time, for the default block size."""
 SIDE_BY_SIDE = 32
-"""Members that go side by side in the kernels."""
+"""Members that the kernels advance side by side."""
 BLOCKS_OF_A_WORKER = 4
 ABOUT: dict[str, Any] = {
     name: int for name in ("archive_steps", "archive_finished", "evaluations", "iterations", "failed", "rows")
 } | {"seconds": int | float}
 """Numbers that every marker has."""
 LONGEST_HEAD = 2**16
-"""Bytes of the first line of a marker."""
+"""Limit on the first line of a marker, in bytes."""
 
 
 class Block(NamedTuple):
@@ -73,9 +73,7 @@ def blocks_of(members: int, size: int) -> list[Block]:
 
 
 def size_of_blocks(members: int, numbers: int, workers: int) -> int:
-    """Return how many members a block has where that is not given.
-
-    There are some blocks for each worker, so that none waits long at the end; lanes are full, and chunks not large.
+    """Return the default block size: several blocks per worker for load balance, full lanes, and limited chunks.
 
     Examples
     --------
@@ -89,32 +87,24 @@ def size_of_blocks(members: int, numbers: int, workers: int) -> int:
 
 
 class Marker(NamedTuple):
-    """How far a block is.
-
-    Parameters
-    ----------
-    about : dict
-        Plain numbers and text: steps that were taken, whether it is over, the work of it, and its failure if it failed.
-    stored : dict
-        Numbers and arrays from which it goes on.
-    """
+    """Progress of a block: plain numbers and text `about` it, and the arrays `stored` from which it resumes."""
 
     about: dict[str, Any]
     stored: dict[str, NDArray[Any]]
 
 
 def marker_file(number: int) -> str:
-    """Return the file of the marker of a block, in the hidden folder."""
+    """Return the name of a block's marker in the hidden folder."""
     return f"block-{number:06d}"
 
 
 def lock_file(number: int) -> str:
-    """Return the file that is locked while a block is run, in the hidden folder."""
+    """Return the name of a block's lock file in the hidden folder."""
     return f"block-{number:06d}.lock"
 
 
 def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
-    """Write the marker of a block, whole; a first line of text, and the numbers after it."""
+    """Write the marker of a block atomically: a line of JSON with check sums, then the numbers."""
     raw = numbers_to(stored)
     head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
     line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
@@ -123,13 +113,13 @@ def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], s
 
 
 def read_about(folder: ArchiveFolder, number: int) -> dict[str, Any] | None:
-    """Return the head of the marker of a block, without its numbers; None where there is none, or a damaged one."""
+    """Return the head of a block's marker, without its numbers; None if it is missing or damaged."""
     marker = _marker(folder, number, LONGEST_HEAD)
     return None if marker is None else marker[0]["about"]
 
 
 def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
-    """Return the marker of a block; None where there is none, or a damaged one."""
+    """Return the marker of a block; None if it is missing or damaged."""
     marker = _marker(folder, number)
     if marker is None or hashlib.sha256(marker[1]).hexdigest() != marker[0].get("numbers"):
         return None
@@ -140,7 +130,7 @@ def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
 
 
 def _marker(folder: ArchiveFolder, number: int, head: int | None = None) -> tuple[dict[str, Any], bytes] | None:
-    """Return the head of a marker and its numbers; None where there is none, or a damaged one."""
+    """Return the head of a marker and its raw numbers; None if it is missing or damaged."""
     try:
         line, _, raw = folder.read(HIDDEN, marker_file(number), head=head).partition(b"\n")
         return _head(line), raw
@@ -163,12 +153,12 @@ def _head(line: bytes) -> dict[str, Any]:
 
 
 def is_computed(name: str, array: StoredArray) -> bool:
-    """Return whether an array is written by the blocks, and not when the archive is begun."""
+    """Whether an array is written by the blocks, rather than when the archive is begun."""
     return array.grows or name in COMPUTED
 
 
 def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Yield the chunks of a block of which so many rows are written: array, and numbers along the axes."""
+    """Yield the chunks of a block with this many rows: array name, and chunk indices."""
     for name, array in arrays.items():
         if MEMBER not in array.dims or name in STARTS:
             continue
@@ -181,7 +171,7 @@ def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Ite
 
 
 def is_whole(folder: ArchiveFolder, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
-    """Return whether all chunks are there of which a marker speaks: somebody may have removed some."""
+    """Whether all chunks that a marker refers to exist; some may have been removed."""
     wanted = dict[str, set[str]]()
     for name, place in chunks_of(arrays, block, rows):
         wanted.setdefault(name, set()).add(array_key(place))

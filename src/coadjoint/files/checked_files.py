@@ -1,7 +1,7 @@
-"""Checks of files of strangers before they are read: they refer to nothing outside, and are as long as they say.
+"""Validation of untrusted files before they are read: no external references, and no content longer than declared.
 
-NetCDF 4 is HDF5, which can refer to other files, and load plugins as filters; a Zarr store names its codecs, one of
-which unpickles. What this library and plain xarray write has none of that.
+NetCDF 4 is HDF5, which can refer to other files and load plugins as filters; a Zarr store names its codecs, one of
+which unpickles. Files written by this library and by plain xarray have none of these.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from coadjoint.memory import SMALL, check_room
 from coadjoint.wording import short
 
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3
-"""Filters of HDF5 that are known; none of them is a plugin."""
+"""Built-in filters of HDF5, as opposed to plugins."""
 SUM = 4
 """Bytes that Fletcher's check sum adds to a chunk."""
 MOST_FILES = 10**6
@@ -33,13 +33,7 @@ PACKERS, PLAIN = ("blosc", "zstd"), ("bytes", "crc32c", "vlen-utf8")
 
 
 def check_hdf5(path: Path) -> None:
-    """Refuse an HDF5 file with links, data in other files, other filters, or chunks that are not as long as they say.
-
-    Raises
-    ------
-    ValueError
-        Naming the variable.
-    """
+    """Raise ValueError for an HDF5 file with links, external data, other filters, or chunks longer than declared."""
     import h5py
 
     size = path.stat().st_size
@@ -61,7 +55,7 @@ def check_hdf5(path: Path) -> None:
 
 
 def _check_variable(variable: Any, name: str, size: int) -> int:
-    """Return the bytes of a variable of HDF5, or refuse it."""
+    """Validate a variable of HDF5; return its size in bytes."""
     import h5py
 
     plist = variable.id.get_create_plist()
@@ -71,12 +65,12 @@ def _check_variable(variable: Any, name: str, size: int) -> int:
     if not {DEFLATE, SHUFFLE, FLETCHER}.issuperset(filters) or len(set(filters)) < len(filters):
         raise ValueError(f"{short(name)} has the filters {short(filters)}, which the library does not write")
     if h5py.check_string_dtype(variable.dtype) is None and variable.dtype.kind not in "iuf":
-        raise ValueError(f"{short(name)} holds something else than numbers or text")
+        raise ValueError(f"{short(name)} contains neither numbers nor text")
     count = prod(variable.shape or ())
     if DEFLATE in filters:
         _check_deflated(variable, name, filters)
     if variable.dtype.kind == "O":
-        # Many texts may be the same bytes of the file.
+        # Many texts may share the same bytes of the file.
         check_room(100 * count, short(name))
         length = 0
         for first in range(0, count, step := max(1, SMALL // max(1, size))) if variable.ndim == 1 else ():
@@ -89,7 +83,7 @@ def _check_variable(variable: Any, name: str, size: int) -> int:
 
 
 def _check_deflated(variable: Any, name: str, filters: list[int]) -> None:
-    """Refuse chunks that become longer than a chunk is."""
+    """Reject chunks that do not decompress to the chunk size."""
     length = prod(variable.chunks) * variable.dtype.itemsize
     check_room(2 * length, f"a chunk of {short(name)}")
     for k in range(variable.id.get_num_chunks()):
@@ -98,21 +92,15 @@ def _check_deflated(variable: Any, name: str, filters: list[int]) -> None:
         skipped, packed = variable.id.read_direct_chunk(found.chunk_offset)
         if skipped:
             raise ValueError(f"{short(name)} has a chunk without all of its filters")
-        # A check sum before the compression is part of what is compressed.
+        # A check sum applied before the compression is part of the compressed data.
         after = FLETCHER in filters and filters.index(FLETCHER) > filters.index(DEFLATE)
         unpacked = zlib.decompressobj().decompress(packed[:-SUM] if after else packed, length + SUM + 1)
         if len(unpacked) != length + (SUM if FLETCHER in filters and not after else 0):
-            raise ValueError(f"{short(name)} has a chunk of another length than it says")
+            raise ValueError(f"{short(name)} has a chunk of another length than declared")
 
 
 def check_zarr(folder: Path) -> None:
-    """Refuse a Zarr store with links, unknown codecs, or chunks that are not as long as they say.
-
-    Raises
-    ------
-    ValueError, OSError
-        Naming the array or the file.
-    """
+    """Raise ValueError or OSError for a Zarr store with links, unknown codecs, or chunks longer than declared."""
     arrays = dict[str, dict[str, Any]]()
     files = []
     for count, name in enumerate(_files(folder)):
@@ -136,7 +124,7 @@ def check_zarr(folder: Path) -> None:
 
 
 def _files(folder: Path, before: str = "") -> Iterator[str]:
-    """Yield all files below a folder; refuse links and whatever is no file."""
+    """Yield all files below a folder; reject links and special files."""
     with os.scandir(folder) as entries:
         for entry in entries:
             status = entry.stat(follow_symlinks=False)
@@ -149,7 +137,7 @@ def _files(folder: Path, before: str = "") -> Iterator[str]:
 
 
 def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]) -> None:
-    """Note an array of a Zarr store by its metadata, of format 2 or 3; refuse what plain xarray does not write."""
+    """Register an array of a Zarr store (format 2 or 3) from its metadata; reject what plain xarray does not write."""
     if "shape" not in found:
         return
     if not name.isidentifier():
@@ -192,7 +180,7 @@ def _item(kind: Any) -> int:
 
 
 def _check_chunk(file: Path, name: str, array: Mapping[str, Any]) -> None:
-    """Refuse a chunk that becomes longer than a chunk is."""
+    """Reject a chunk that decompresses to more than the chunk size."""
     with open(file, "rb") as content:
         held = _length(content.read(32), array["packer"])
         if array["text"]:
@@ -204,11 +192,11 @@ def _check_chunk(file: Path, name: str, array: Mapping[str, Any]) -> None:
                 return
         elif held is None or held == array["length"]:
             return
-    raise ValueError(f"the chunk {short(name)} has another length than its array says")
+    raise ValueError(f"the chunk {short(name)} has another length than its array declares")
 
 
 def _length(head: bytes, packer: str) -> int | None:
-    """Return the length that a chunk will have by its header; None if it is not packed, -1 if it does not say."""
+    """Return the decompressed length from the header of a chunk; None if it is not compressed, -1 if not declared."""
     if not packer:
         return None
     if packer == "blosc":

@@ -1,4 +1,4 @@
-"""Configuration files: read, checked and turned into a run; nothing in them is executed."""
+"""Configuration files: parsed, validated and converted to runs; nothing in them is executed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 CONFIGURATION = "configuration"
-"""The attribute that has the text of the file."""
+"""Attribute with the text of the file."""
 
 __all__ = ["Configuration", "ConfigurationError", "load"]
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Configuration:
-    """A run as a configuration file describes it, checked.
+    """A validated run described by a configuration file.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ class Configuration:
     system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads, workers
         As for `coadjoint.integrate`.
     output, archive, figure, movie : str or None
-        Where the file wants the results; relative to the current directory.
+        Paths of the results, relative to the current directory.
     choice : Choice or None
-        Where the file asks for an accuracy, what `choose` says: `method` and `step` are its.
+        Result of `choose` if the file gives an accuracy; `method` and `step` come from it.
     swept : mapping
-        Of a sweep: place of the file -> what it is set to, one for each member.
+        Settings of a sweep: key of the file -> values, one for each member.
     text : str
-        The file itself, kept with the results.
+        Text of the file, stored with the results.
 
     Examples
     --------
@@ -111,7 +111,7 @@ class Configuration:
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False, archive: str | Path | None = None) -> Solution:
-        """Run it.
+        """Integrate the described run.
 
         Parameters
         ----------
@@ -127,14 +127,14 @@ class Configuration:
         Raises
         ------
         ConfigurationError
-            The scheme refuses the system, or the saved states do not fit into memory.
+            The scheme cannot be used for the system, or the saved states do not fit into memory.
         IntegrationError
-            The run fails while running.
+            The run fails.
         """
         if archive is not None or self.workers is not None:
             return self._integrate_into(archive, progress)
         self.check_memory()
-        # `load` checked everything else. What is still refused here was found when the scheme was made ready.
+        # `load` has validated the rest; errors here come from the preparation of the scheme.
         with section(self.path, "method"):
             found = integrate(
                 self.system,
@@ -154,12 +154,12 @@ class Configuration:
         return with_choice(found, self.choice)
 
     def ready(self) -> PreparedRun:
-        """Return the run made ready, from which it begins.
+        """Return the prepared run.
 
         Raises
         ------
         ConfigurationError
-            The scheme refuses the system.
+            The scheme cannot be used for the system.
         """
         from coadjoint.runs.prepared_run import PreparedRun
 
@@ -192,7 +192,7 @@ class Configuration:
         return with_choice(archive_run(*run, progress=progress, about=about), self.choice)
 
     def check_memory(self) -> None:
-        """Refuse more saved states than there is memory for, before the first of them."""
+        """Raise ConfigurationError if the saved states do not fit in memory."""
         every = times_of(self.t_span, self.step, self.save_every).points
         points = every if self.t_eval is None else 2 * len(self.t_eval)
         start = start_of(self.system, serving(self.system, self.method), self.x0, self.attitude)
@@ -208,28 +208,28 @@ class Configuration:
     def dataset(self, solution: Solution) -> xarray.Dataset:
         """Return a solution of this configuration as a dataset, the text of the file among its attributes.
 
-        What a sweep sets is a coordinate along the members, ``swept_inertia_2`` for instance.
+        Settings of a sweep are coordinates along the members, such as ``swept_inertia_2``.
 
         Parameters
         ----------
         solution : Solution
-            From `integrate`, or the partial one of its failure.
+            From `integrate`, or the partial solution of its failure.
 
         Returns
         -------
         xarray.Dataset
         """
         found = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
-        found.attrs.pop(CHECKSUM, None)  # that of the content without what is added here
+        found.attrs.pop(CHECKSUM, None)  # it does not cover the additions
         return found.assign_coords(self.swept_coordinates())
 
     def swept_coordinates(self) -> Variables:
-        """Return what a sweep sets, over the members."""
+        """Return the settings of a sweep as variables over the members."""
         return over_members(self.swept)
 
 
 def system_of_text(text: str) -> Any:
-    """Return the system of a configuration by the text of its file, kept with a result."""
+    """Return the system of a configuration from the text of its file, as stored with a result."""
     name = "the configuration of this run"
     wrong = SeveralErrors(name)
     found, sweep = _read(name, tables_of(name, text), wrong)
@@ -239,7 +239,7 @@ def system_of_text(text: str) -> Any:
 
 
 def load(path: str | Path) -> Configuration:
-    """Read a configuration file and check all of it.
+    """Read and validate a configuration file.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def load(path: str | Path) -> Configuration:
     Raises
     ------
     ConfigurationError
-        In one sentence: file, key or line, what is wrong, and what would be right.
+        With file, key or line, what is wrong, and how to correct it.
 
     Examples
     --------
@@ -269,7 +269,7 @@ def load(path: str | Path) -> Configuration:
 
 
 def _read(name: str, raw: Mapping[str, Any], wrong: SeveralErrors) -> tuple[Readable, Sweep | None]:
-    """Return what can be read of the tables of a file, of a sweep those of its first member."""
+    """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
     from coadjoint.files.configuration_models import OfSweep
 
     sweep: Sweep | None = None
@@ -291,7 +291,7 @@ def _system(name: str, file: File, sweep: Sweep | None) -> Any:
 
 
 def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
-    """Return what a file says as a model, or refuse it by its key."""
+    """Validate tables against a model; ConfigurationError with the key."""
     from pydantic import ValidationError
 
     from coadjoint.files.configuration_models import all_errors
@@ -303,7 +303,7 @@ def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
 
 
 def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with the name of the ready-made system, which is told beside what is wrong with keys."""
+    """Return the error for an unknown ready-made system, to be reported together with errors of keys."""
     table = raw.get("system")
     given = table.get("name") if isinstance(table, Mapping) else None
     if not isinstance(given, str) or given in systems.names():
@@ -316,14 +316,14 @@ def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
 
 
 def _method(name: str, file: File, system: Any) -> Method:
-    """Return the scheme of a file; where it says none, as `integrate` takes it."""
+    """Return the scheme of a file, or the default of `integrate`."""
     if file.method is not None:
         return method_of_file(name, file.method)
     return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
 
 
 def _check_times(name: str, file: File, system: Any, step: float) -> None:
-    """Refuse times that do not go with the step, or with the forces."""
+    """Validate the times against the step and the forces."""
     with section(name, "run"):
         times = times_of(file.run.t_span, step, file.run.save_every)
         if file.run.t_eval is not None:
@@ -332,19 +332,17 @@ def _check_times(name: str, file: File, system: Any, step: float) -> None:
 
 
 def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
-    """Refuse workers for what they cannot run."""
+    """Reject `workers` for runs that they do not support."""
     with section(name, "run.workers"):
         need("workers", "distributed")
         if momenta_of(system, x0)[1]:
-            raise ValueError(
-                "workers are for the members of an ensemble, and the file has one state; leave workers out"
-            )
+            raise ValueError("workers are for the members of an ensemble, and the file has one state; omit workers")
         if file.run.t_eval is not None or file.events:
-            raise ValueError("workers keep every save_every-th step, and look for no events; give no t_eval and events")
+            raise ValueError("workers save every save_every-th step and have no events; give neither t_eval nor events")
 
 
 def check_archived(name: str, t_eval: Any, events: Any) -> None:
-    """Refuse what an archive does not keep, by its key."""
+    """Reject settings that an archive does not support; ConfigurationError with the key."""
     for key, given in (("run.t_eval", t_eval), ("events", events or None)):
         if given is not None:
             said = "an archive keeps every save_every-th step, and looks for no events; leave it out, or the archive"
@@ -370,7 +368,7 @@ def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, w
     if file.output.archive is not None:
         with wrong.caught():
             check_archived(name, file.run.t_eval, file.events)
-    # What the system is asked for is looked at where there is one; the scheme and the times tell nothing of each other.
+    # Checks that need a system are skipped without one; scheme and times are independent.
     with wrong.caught():
         method = _method(name, file, system)
         if system is not None:
@@ -393,7 +391,7 @@ def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, w
     for key, written in file.observe.items() if system is not None else ():
         with wrong.caught(), section(name, f"observe.{key}"):
             if isinstance(system, MatrixSystem):
-                raise ValueError(f"a polynomial is one of coordinates; the states of {system.name} are matrices")
+                raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
             observe[key] = read_polynomial(written, system.dim)
     for key, table in file.events.items() if system is not None else ():
         with wrong.caught(), section(name, f"events.{key}"):

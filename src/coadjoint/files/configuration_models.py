@@ -1,4 +1,4 @@
-"""Which keys may a configuration file have, of which types? Models, and what is said when a file does not fit them."""
+"""Models of configuration files: the keys, their types, and the errors of validation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from coadjoint.wording import short
 
 
 class Table(BaseModel):
-    """A table of the file: no other keys, no conversions of type. What is said of a key goes into the schema too."""
+    """Base of all tables: no unknown keys, no type conversion; attribute docstrings become schema descriptions."""
 
     model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
@@ -40,7 +40,7 @@ class SystemTable(Table):
     name: str
     """The name of the system."""
     parameters: dict[str, Any] = {}
-    """Its parameters; those that are left out have their defaults."""
+    """Its parameters; omitted ones have their defaults."""
 
 
 class AlgebraTable(Table):
@@ -77,7 +77,7 @@ class InitialTable(Table):
     x: States | None = None
     """The initial momentum; a list of them is an ensemble. Or the name of a file .npy, from the folder of this file."""
     kind: str | None = None
-    """A state that the system knows by name; its parameters are the further keys."""
+    """A named state of the system; its parameters are the further keys."""
     parameters: dict[str, Any] = {}
     """The further keys beside `kind`."""
     attitude: Attitude = False
@@ -110,23 +110,23 @@ class RunTable(Table):
     step: Annotated[float, Field(gt=0)] | None = None
     """Length of a step (time); it divides the span."""
     accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """In place of `step`: the wanted error of the momentum at the end, relative to the largest momentum during the run
+    """Instead of `step`: the wanted error of the momentum at the end, relative to the largest momentum during the run
     (no unit). The step is chosen, and without `method` also the scheme."""
     save_every: Whole = 1
     """Number of steps from one saved state to the next."""
     t_eval: Vector | None = None
-    """Times at which states are kept, in place of `save_every` (time)."""
+    """Times at which states are saved, instead of `save_every` (time)."""
     watch: bool = True
     """Whether the invariants are computed after every step, or only at the saved states."""
     threads: Whole | None = None
-    """Number of threads for the members of an ensemble; by default all cores. The bits do not depend on it."""
+    """Number of threads for the members of an ensemble; by default all cores. Results do not depend on it."""
     workers: Whole | None = None
     """Number of processes of this machine that run the members in blocks; by default this process only."""
 
     @model_validator(mode="after")
     def _step_or_accuracy(self) -> RunTable:
         if self.step is None and self.accuracy is None:
-            raise ValueError("step is missing; give it, or the accuracy for which it is to be chosen")
+            raise ValueError("step is missing; give step, or accuracy to have it chosen")
         if self.step is not None and self.accuracy is not None:
             raise ValueError("step and accuracy are both given; give step, or accuracy to have it chosen")
         return self
@@ -140,13 +140,13 @@ class EventTable(Table):
     direction: Annotated[int, Field(json_schema_extra={"enum": [-1, 0, 1]})] = 0
     """1 where g rises, -1 where it falls, 0 for both."""
     count: Whole | None = None
-    """How many crossings of each member are kept; by default all."""
+    """Number of crossings recorded for each member; by default all."""
     terminal: bool = False
-    """Whether the run ends at the last crossing that is kept."""
+    """Whether the run ends at the last recorded crossing."""
 
 
 class OutputTable(Table):
-    """Where the results go, from the folder in which the command is run."""
+    """Paths of the results, relative to the current directory."""
 
     file: Annotated[str, ending(".nc", ".zarr")] | None = None
     """The solution as a dataset, .nc or .zarr."""
@@ -159,7 +159,7 @@ class OutputTable(Table):
 
 
 class File(Table):
-    """A run: the system, the initial state, the scheme, the times, and where the results go."""
+    """A run: the system, the initial state, the scheme, the times, and the paths of the results."""
 
     name: Name | None = None
     """The name of the system, for pictures and messages."""
@@ -185,13 +185,13 @@ class File(Table):
 
 
 class OfSweep(BaseModel):
-    """The sweep of a file alone, which says what the rest of it is."""
+    """The table of a sweep alone; it generates the rest of the file."""
 
     sweep: SweepTable
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
-    """Say that a key is unknown, with the nearest known one, or all of them where none is near.
+    """Describe an unknown key, with the nearest known one, or all known ones if none is near.
 
     Examples
     --------
@@ -217,18 +217,9 @@ def known_keys(place: Sequence[str | int]) -> list[str]:
 
 
 def all_errors(error: ValidationError) -> list[str]:
-    """Return what is wrong with the tables of a file: the dotted path of each key, and the reason.
+    """Return the errors in the tables of a file: dotted key and reason.
 
-    Unknown keys come first. A missing key is often one of them, misspelled, and then is not told.
-
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-        Of a `File`.
-
-    Returns
-    -------
-    list of str
+    Unknown keys come first; a missing key is omitted if it is one of them, misspelled.
 
     Examples
     --------
@@ -242,13 +233,13 @@ def all_errors(error: ValidationError) -> list[str]:
     found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
     said: dict[str, str] = {}
     for entry in found:
-        # Where a key of a table is wrong, "[key]" follows it.
+        # pydantic appends "[key]" for an invalid key of a table.
         place = [key for key in entry["loc"] if key != "[key]"]
         path = "".join(f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, SHOWN)}" for key in place)
         path = path.lstrip(".")
         reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), place)
         misspelled = entry["type"] == "missing" and any(f"did you mean {place[-1]!r}?" in one for one in said.values())
-        # Of a value that may be of several kinds each kind says why it is not: the first is told.
+        # For a union, pydantic lists one error per alternative; report the first.
         if not misspelled:
             said.setdefault(".".join(map(str, place[:2])), f"{path}: {reason}" if path else f": {reason}")
     return list(said.values())
@@ -287,7 +278,7 @@ def _table_at(place: Sequence[int | str]) -> type[BaseModel]:
     keys = iter(place)
     for key in keys:
         annotation: Any = table.model_fields[str(key)].annotation
-        if typing.get_origin(annotation) is dict:  # of tables by name
+        if typing.get_origin(annotation) is dict:  # tables by name
             next(keys)
             annotation = typing.get_args(annotation)[1]
         options = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)

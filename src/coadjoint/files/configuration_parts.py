@@ -1,4 +1,4 @@
-"""Which system and which scheme does a configuration file ask for?"""
+"""Construction of the system and the scheme of a configuration file."""
 
 from __future__ import annotations
 
@@ -35,28 +35,17 @@ if TYPE_CHECKING:
 
 
 class ConfigurationError(OneLineError):
-    """A configuration file is wrong: one sentence with the file, the key, and what would be right."""
+    """A configuration file is invalid; the message has the file, the key, and the correction."""
 
     mistakes: tuple[str, ...] = ()
-    """If there are several: a line for each."""
+    """One line for each error, if there are several."""
 
 
 @contextmanager
 def section(name: str, key: str) -> Iterator[None]:
-    """Name the file and the key in what the library refuses.
+    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`.
 
-    Parameters
-    ----------
-    name : str
-        The file.
-    key : str
-        Dotted path of the key, or of the table.
-
-    Raises
-    ------
-    ConfigurationError
-        For whatever wrong input raises inside: a ValueError or TypeError, a number that is too large to compute with,
-        tables in one another beyond what Python follows, no memory.
+    Converted are ValueError, TypeError, arithmetic and recursion errors, and MemoryError.
 
     Examples
     --------
@@ -84,24 +73,7 @@ def section(name: str, key: str) -> Iterator[None]:
 
 
 def system_of_file(name: str, file: File) -> System | ForcedSystem:
-    """Return the system that a file asks for, with its forces.
-
-    Parameters
-    ----------
-    name : str
-        The file's name, for messages.
-    file : File
-        Its checked tables.
-
-    Returns
-    -------
-    LiePoissonSystem, PoissonSystem or ForcedSystem
-
-    Raises
-    ------
-    ConfigurationError
-        With the key.
-    """
+    """Return the system of the validated tables of a file, with its forces; ConfigurationError with the key."""
     system, forces = _hamiltonian_part(name, file), []
     for k, description in enumerate(file.forces):
         with section(name, f"forces[{k}]"):
@@ -125,7 +97,7 @@ def _hamiltonian_part(name: str, file: File) -> System:
         wrong.tell()
         return made
     if file.hamiltonian is None:
-        raise ConfigurationError(f"{name}: hamiltonian: is missing; give it beside [algebra]")
+        raise ConfigurationError(f"{name}: hamiltonian: is missing; give it with [algebra]")
     assert file.algebra is not None
     if file.algebra.brackets is not None:
         _check_dimension(name, file.algebra, file.initial.x)
@@ -158,24 +130,7 @@ def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System
 
 
 def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
-    """Return the scheme that a file asks for.
-
-    Parameters
-    ----------
-    name : str
-        The file's name, for messages.
-    table : mapping
-        Its table ``[method]``.
-
-    Returns
-    -------
-    Method
-
-    Raises
-    ------
-    ConfigurationError
-        With the key.
-    """
+    """Return the scheme of the table ``[method]``; ConfigurationError with the key."""
     from coadjoint.files.configuration_models import unknown_key
 
     scheme = table.get("name")
@@ -189,7 +144,7 @@ def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
 
 
 def _check_dimension(name: str, table: AlgebraTable, states: Any) -> None:
-    """Refuse a dimension other than the length of the state, before anything of that length is made."""
+    """Reject a dimension other than the length of the state, before anything of that size is allocated."""
     if table.dim is None or isinstance(states, str):
         return
     with section(name, "algebra.dim"):
@@ -238,9 +193,7 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
     if table.polynomial is not None:
         for key in ("M", "linear", "constant"):
             if getattr(table, key) is not None:
-                raise ConfigurationError(
-                    f"{name}: hamiltonian.{key}: is given beside polynomial; write all of it there"
-                )
+                raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with polynomial; include it there")
         with section(name, "hamiltonian.polynomial"):
             return read_polynomial(table.polynomial, algebra.dim)
     if table.M is None and table.linear is None:

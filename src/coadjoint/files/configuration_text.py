@@ -1,4 +1,4 @@
-"""What stands in a configuration file? Its text, read as TOML, or refused with the line and the column."""
+"""Text of configuration files, parsed as TOML; errors have line and column."""
 
 from __future__ import annotations
 
@@ -14,22 +14,16 @@ MOST_BYTES = 2**28
 MOST_NESTED = 64
 _STRING = r"""\"{3}(?:[^\\]|\\.)*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
 _NESTING = re.compile(rf"{_STRING}|\#[^\n]*|[\[{{\]}}]", re.DOTALL)
-# The time of the TOML reader grows like the third power of the number of parts.
+# tomllib needs cubic time in the number of parts of a dotted key.
 _LONG_KEY = re.compile(rf"(?<![\w.])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_NESTED}}}")
 _LONG_NUMBER = re.compile(r"\d[\d_]{3999,}")
 
 
 def text_of(path: str | Path) -> str:
-    """Return the text of a file, its ends of lines as Python has them.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be read, is too long, or no text in UTF-8.
-    """
+    """Read a file as UTF-8 with normalized line ends; ConfigurationError if it is unreadable, too long, or no UTF-8."""
     try:
         with open(path, "rb") as file:
-            # A device may have no end, and a dataset that is taken for a configuration may be huge.
+            # Devices may be endless, and datasets given by mistake huge.
             given = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as reason:
         raise ConfigurationError(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
@@ -42,13 +36,7 @@ def text_of(path: str | Path) -> str:
 
 
 def tables_of(name: str, text: str) -> dict[str, Any]:
-    """Return what a text in TOML says, as dictionaries and lists; `name` is that of its file.
-
-    Raises
-    ------
-    ConfigurationError
-        With the line and the column of what is wrong.
-    """
+    """Parse TOML; ConfigurationError with line and column. `name` is that of the file."""
     found = _LONG_KEY.search(text)
     if found is not None:
         raise _wrong_at(name, text, found.start(), f"a key has more than {MOST_NESTED} parts")
@@ -61,7 +49,7 @@ def tables_of(name: str, text: str) -> dict[str, Any]:
             name, text, _deepest(text), f"lists and tables are nested deeper than {MOST_NESTED}; nest less"
         ) from None
     except ValueError as reason:
-        # Python does not convert whole numbers of so many digits.
+        # Python limits the digits of integers.
         digits = _LONG_NUMBER.search(text)
         place = len(text) if digits is None else digits.start()
         raise _wrong_at(name, text, place, "a whole number has too many digits" if digits else str(reason)) from None
@@ -82,7 +70,7 @@ def _line_and_column(text: str, place: int) -> tuple[int, int]:
 
 
 def _deepest(text: str) -> int:
-    """Return the place of the first bracket that is nested too deeply."""
+    """Return the position of the first bracket that is nested too deeply."""
     depth = 0
     for found in _NESTING.finditer(text):
         depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(found[0], 0)

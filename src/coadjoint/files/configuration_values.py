@@ -1,4 +1,4 @@
-"""Of which types may the values of a configuration file be? What a model checks, and what its schema says of it."""
+"""Types of values in configuration files: validators and their schemas."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _number(value: Any) -> bool:
 
 
 def _depth(value: Any) -> int | None:
-    """Return how many lists lie in one another, of equal lengths and with numbers inside, at most 4; else None."""
+    """Nesting depth, at most 4, of equally long lists of numbers; None for anything else."""
     if not isinstance(value, list):
         return 0 if _number(value) else None
     inner = {_depth(entry) for entry in value}
@@ -46,7 +46,7 @@ def _numbers(*depths: int) -> AfterValidator:
 
 
 def in_schema(*depths: int, **more: int) -> WithJsonSchema:
-    """Return what the schema says of numbers in lists that lie in one another to one of these depths.
+    """Schema of numbers nested in lists to one of these depths.
 
     Examples
     --------
@@ -57,7 +57,7 @@ def in_schema(*depths: int, **more: int) -> WithJsonSchema:
 
 
 def lists(depth: int) -> dict[str, Any]:
-    """Return the schema of numbers in lists that lie in one another.
+    """Schema of numbers nested in lists.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def lists(depth: int) -> dict[str, Any]:
 
 
 def any_of(*schemas: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of what fits one of several.
+    """Schema of a union.
 
     Examples
     --------
@@ -113,12 +113,12 @@ def _sign(value: Any) -> Any:
 
 def _name(value: str) -> str:
     if not value.isprintable():
-        raise ValueError(f"must be printable letters in one line, not {short(value, SHOWN)}")
+        raise ValueError(f"must be printable characters in one line, not {short(value, SHOWN)}")
     return value
 
 
 def ending(*suffixes: str) -> WithJsonSchema:
-    r"""Return what the schema says of the name of a file that must end in one of these; commands look at the name.
+    r"""Schema of a file name with one of these suffixes; the commands validate the name.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A check sum over the content of a dataset: it does not depend on the format of a file, its layout or compression."""
+"""Check sum over the content of a dataset, independent of file format, layout and compression."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     import xarray
 
 CHECKSUM = "content_sha256"
-"""The attribute with the check sum."""
+"""Attribute with the check sum."""
 LEFT_OUT = (CHECKSUM, "coordinates", "_FillValue")
-"""Attributes that are no content: readers take them apart."""
+"""Attributes that are not content: readers consume them."""
 PIECE = 2**20
 
 
 def with_checksum(dataset: xarray.Dataset) -> xarray.Dataset:
-    """Return a dataset with the check sum of its content among its attributes."""
+    """Add the check sum of a dataset to its attributes."""
     return dataset.assign_attrs({CHECKSUM: checksum_of(dataset)})
 
 
 def checksum_of(dataset: xarray.Dataset) -> str:
     """Return SHA-256 of the names, dimensions, types, values and attributes of a dataset.
 
-    Whole numbers count by their values, whatever their width; text counts as UTF-8.
+    Integers count by value, whatever their width; text counts as UTF-8.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def _attributes(given: Mapping[Any, Any]) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Return an attribute as JSON has it; one of one number is that number, since files do not tell them apart."""
+    """Convert an attribute to JSON; arrays of one number become scalars, since files do not distinguish them."""
     if isinstance(value, str | bytes):
         return _text(value)
     found = np.asarray(value)

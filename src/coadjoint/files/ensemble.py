@@ -1,4 +1,4 @@
-"""`ensemble`: many members on many machines, each block of them written into its own region of one archive."""
+"""The function `ensemble`."""
 
 from __future__ import annotations
 
@@ -44,49 +44,48 @@ def ensemble(
 ) -> ArchivedEnsemble:
     """Integrate many members in blocks, on the workers of a cluster or here, into one archive.
 
-    Choose it for ensembles that take hours, or need more memory than the machine has. (`integrate` keeps all members in
-    memory, and a kill loses them.) Each block of members is a task that writes its own files of the archive. Results
-    never pass through the client. If workers, the scheduler or the client are lost, a second call with the same archive
-    computes what is missing. Each member has the same bits as when it runs alone.
+    Use it for ensembles that take hours, or exceed the memory of the machine. (`integrate` holds all members in memory,
+    where they are lost if the process is killed.) Each block of members is a task that writes its own files of the
+    archive. Results never pass through the client. If workers, the scheduler or the client are lost, a second call with
+    the same archive computes what is missing. Each member is bitwise equal to its run alone.
 
     Parameters
     ----------
     system, x0, t_span, step, method, save_every, attitude, watch, observe
         As for `integrate`; x0 is (members, n), or of a `batch` also (n,).
     archive : str or Path, optional
-        The folder of the archive, new or one of the same ensemble; all workers must see it by the same name. With a
-        client it must be given. Otherwise a temporary one lives as long as the solution.
+        The folder of the archive, new or one of the same ensemble; all workers must see it by the same name. It is
+        required with a client. Otherwise the default is a temporary folder that exists as long as the solution.
     client : distributed.Client, optional
-        Of the cluster that works.
+        Client of the cluster.
     workers : int, optional
-        Number of processes of this machine, in place of a client. A script must make such a call below ``if __name__ ==
+        Number of processes on this machine, instead of a client. A script must guard such a call by ``if __name__ ==
         "__main__":``, since each process imports it. With neither, this process runs all blocks.
     members_per_block : int, optional
         Number of members of a block. By default there are about four blocks for each worker, or more if members have
-        many numbers. An existing archive keeps its number.
+        many numbers. For an existing archive, the number is that of the archive.
     threads : int, optional
-        For the members of a block: one on workers by default, and otherwise all cores.
+        Number of threads for the members of a block. The default is one on workers, and otherwise one for each core.
     progress : bool
-        Show a progress bar, over members.
+        Show a progress bar over the members.
     coordinates : mapping, optional
         Name -> numbers, one for each member, such as parameters that differ: coordinates of the dataset.
 
     Returns
     -------
     ArchivedEnsemble
-        The `Solution` that `open_archive` returns: arrays are read when they are asked for. `status` says which members
-        are done.
+        The solution, as from `open_archive`; arrays are read lazily. `status` has the progress of the members.
 
     Raises
     ------
     ValueError, TypeError
         For wrong input, before the first step.
     ArchiveError
-        The archive is of another ensemble, somebody else is writing to it, or it cannot be made.
+        The archive is of another ensemble, written by another process, or cannot be created.
     ArchiveUnwritten
-        It could not be written while members ran, or the cluster is lost. What was done is kept: call again.
+        The archive could not be written during the run, or the cluster is lost. Call again to compute what is missing.
     IntegrationError
-        Members fail. The others are computed to their ends first; ``.partial`` is the ensemble.
+        Members failed. The others are computed to their ends first; ``.partial`` is the ensemble.
 
     Examples
     --------
@@ -105,7 +104,7 @@ def ensemble(
     if archive is None and client is not None:
         raise TypeError(
             "ensemble was given a client and no archive; give archive=, a folder that all workers see: results never "
-            "move through the client"
+            "pass through the client"
         )
     size = None if members_per_block is None else read_whole(members_per_block, "members_per_block", floats=True)
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=team.threads)
@@ -115,7 +114,7 @@ def ensemble(
 
 
 def _along_members(given: Mapping[str, Any], members: int) -> Variables:
-    """Return coordinates as an archive has them."""
+    """Validate coordinates and return them as variables of an archive."""
     if not isinstance(given, Mapping):
         raise TypeError(f"coordinates is {short(given)}; give a mapping from names to numbers, one for each member")
     found: Variables = {}

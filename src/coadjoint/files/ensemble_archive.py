@@ -1,4 +1,4 @@
-"""The archive of an ensemble: begun, compared with a run that continues it, and finished; all times are known."""
+"""Archives of ensembles: creation, comparison with a run that continues them, and completion. All times are known."""
 
 from __future__ import annotations
 
@@ -65,38 +65,28 @@ SAME = {
     "coadjoint_version": "the version of coadjoint",
     FIRST_STEP: "the first step, by a function or a number that is not stored,",
 }
-"""What an archive must have in common with a run that goes on with it, and what it is called in a message."""
+"""Attributes that an archive must share with a run that continues it, and their names in messages."""
 
 
 class Ensemble(NamedTuple):
-    """All members of a run, made ready, with their start and times."""
+    """A prepared run of all members, with its start and times."""
 
     ready: PreparedRun
     times: Times
     start: Start
 
     def at_start(self) -> Solution:
-        """Return the run before its first step."""
+        """Return the solution before the first step."""
         run = PiecewiseRun(self.ready, self.times, self.start, 1)
         run.advance(0)
         return run.piece()
 
 
 def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, about: About) -> ArchiveStore:
-    """Make a new archive, with the starts of all members and no more.
+    """Create an archive with the initial states of all members.
 
-    Parameters
-    ----------
-    ensemble : Ensemble
-        What will run.
-    archive : str or Path
-        A new folder.
-    size : int or None
-        How many members go together.
-    workers : int
-        For how many workers blocks are made, where their size is not given.
-    about : About
-        What else is written beside.
+    `size` is the number of members per block; if None, it is chosen for this number of workers. `about` has further
+    metadata to write.
     """
     target = check_new(archive)
     piece = ensemble.at_start()
@@ -111,7 +101,7 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
     taken = sorted(about.coordinates.keys() & (starts_of(piece).keys() | coordinates_of(piece).keys() | later.keys()))
     if taken:
-        raise ValueError(f"coordinates has the name {taken[0]!r}, which the archive has for something else")
+        raise ValueError(f"coordinates has the name {taken[0]!r}, which is reserved")
     points = ensemble.times.every_point
     arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
     here = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
@@ -136,7 +126,7 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
 
 
 def described(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
-    """Return what tells a run from others."""
+    """Return the attributes that identify a run."""
     return {
         **attributes_of(piece),
         ACCOUNTS: json.dumps(accounts_of(piece)),
@@ -159,7 +149,7 @@ def _array(
 
 
 def check_same(ensemble: Ensemble, store: ArchiveStore) -> None:
-    """Refuse an archive of another run, by the name of the first thing that differs."""
+    """Raise ArchiveError if the archive is that of another run, with the first difference."""
     piece = ensemble.at_start()
     mine, theirs = described(ensemble, piece), store.attributes
     if SIZE not in theirs:
@@ -183,7 +173,7 @@ def _another(store: ArchiveStore, said: str) -> ArchiveError:
 
 
 def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> bool:
-    """Return whether an array has these numbers, to the bit; it is read chunk after chunk."""
+    """Whether an array is bitwise equal to these numbers; read chunk by chunk."""
     if array.shape != values.shape:
         return False
     for place, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
@@ -194,7 +184,7 @@ def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> b
 
 
 def left_of(store: ArchiveStore) -> list[Block]:
-    """Return the blocks that are not done."""
+    """Return the unfinished blocks."""
     found = []
     for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE])):
         about = read_about(store.folder, block.number)
@@ -207,7 +197,7 @@ def left_of(store: ArchiveStore) -> list[Block]:
 
 
 def finish(store: ArchiveStore) -> dict[str, Any]:
-    """Say in the root that every block is done, and return what it says of failures."""
+    """Mark the ensemble as finished in the root; return its attributes, including those of failures."""
     blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE]))
     abouts = [read_about(store.folder, block.number) or {} for block in blocks]
     said: dict[str, Any] = {

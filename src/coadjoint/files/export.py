@@ -1,4 +1,4 @@
-"""Solutions as xarray datasets, with the attributes from which a run is repeated."""
+"""Solutions as xarray datasets, with the attributes needed to repeat a run."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ if TYPE_CHECKING:
 NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
 ENDED = "ended_after"
-"""The attribute that has the number of steps after which an event has ended the run."""
+"""Attribute with the number of steps after which an event ended the run."""
 
 
 def dataset_of(solution: Solution) -> xarray.Dataset:
     """Return a solution as a dataset whose attributes make it repeatable.
 
-    Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (of matrices over ``row`` and
-    ``column``, and where they are complex over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
+    Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
+    ``column``, complex ones also over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
-    run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0``, ``attitude0``,
-    and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such as
-    ``swept_inertia_2``. Names, units and dimensions follow the CF conventions. Attributes: version, system
-    and method (JSON), step, times, and what cannot be stored (functions).
+    run, replaced for systems with forces by ``change``, ``balance``, and ``work`` over ``account``; ``x0``,
+    ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such
+    as ``swept_inertia_2``. Names, units and dimensions follow the CF conventions. Attributes: version, system and
+    method (JSON), step, times, and the names of functions that cannot be stored.
 
     Parameters
     ----------
     solution : Solution
-        From `integrate`, or the `partial` one of an `IntegrationError`.
+        From `integrate`, or the `partial` solution of an `IntegrationError`.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
 
     See Also
     --------
-    rebuild : The way back.
+    rebuild : The inverse.
 
     Examples
     --------
@@ -111,12 +111,12 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
 
 
 def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Dataset:
-    """Return the dataset of a partial solution with attributes that say that the run failed, where, and why.
+    """Add attributes of the failure to the dataset of a partial solution.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of ``error.partial``.
+        Dataset of ``error.partial``.
     error : IntegrationError
         The failure.
 
@@ -137,7 +137,7 @@ def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Data
 
 
 def said_of(error: IntegrationError) -> dict[str, Any]:
-    """Return the attributes that say how a run failed."""
+    """Return the attributes that describe the failure of a run."""
     return {
         "run_failed": 1,
         "failed_step": error.step,
@@ -155,7 +155,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     dataset : xarray.Dataset
         From `dataset_of`, or read from a file.
     system, events : optional
-        Those of the run, where they have functions, which are not stored.
+        Those of the run, if they contain Python functions, which are not stored.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     Raises
     ------
     TypeError
-        It is no dataset.
+        The argument is not a dataset.
     ValueError
         Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
 
@@ -223,18 +223,18 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
 
 
 def _numbers(states: xarray.DataArray) -> int:
-    """Return how many numbers a state has."""
+    """Return the number of components of a state."""
     return int(np.prod([size for name, size in states.sizes.items() if name != "member"]))
 
 
 def _system(dataset: xarray.Dataset, system: Any) -> Any:
-    """Return a system whose states are as the dataset has them: those of matrices may be rows of numbers."""
+    """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
     in_numbers = isinstance(system, MatrixSystem) and "component" in dataset["x0"].dims
     return system.in_numbers if in_numbers else system
 
 
 def rebuild(dataset: xarray.Dataset) -> Solution:
-    """Repeat the run of a dataset: the same bits, with any number of threads.
+    """Repeat the run of a dataset, bitwise, with any number of threads.
 
     Parameters
     ----------
@@ -244,14 +244,14 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     Returns
     -------
     Solution
-        Without observed quantities, and without Casimirs and events that are functions.
+        The solution, without observed quantities, and without Casimirs and events that are functions.
 
     Raises
     ------
     ValueError
         Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
     IntegrationError
-        The run fails, as it did.
+        The run fails, as it did before.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Fingerprints of functions, by which archives know them."""
+"""Fingerprints of functions, by which archives identify them."""
 
 from __future__ import annotations
 
@@ -27,22 +27,19 @@ PLAIN = (type(None), bool, int, float, complex, str, bytes, Fraction, range)
 
 
 class Fingerprint:
-    """The digest of archives that were written before `contents_of` existed; it does not see all that functions read.
+    """Digest used by archives older than `contents_of`; it does not cover everything that functions read.
 
-    Parameters
-    ----------
-    written : bool
-        Take the text of functions in place of their code, which another version of Python compiles to something else.
+    With `written`, source text replaces bytecode, which depends on the version of Python.
     """
 
     def __init__(self, written: bool) -> None:
         self._digest, self._written = hashlib.sha256(), written
         self._seen: dict[int, int] = {}
-        self._kept: list[Any] = []  # so that no other object gets the number of one that was seen
+        self._kept: list[Any] = []  # keep objects alive, so that their ids stay unique
         self.unknown = False
 
     def hexdigest(self) -> str:
-        """Return the digest of all that was added."""
+        """Return the digest of all added values."""
         return self._digest.hexdigest()
 
     def _say(self, *words: Any) -> None:
@@ -131,7 +128,7 @@ def _is_filled(cell: Any) -> bool:
 
 
 def _names(code: types.CodeType) -> set[str]:
-    """Return the names that a function and those inside of it read."""
+    """Return the global names that a function and those nested in it read."""
     inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
     return set(code.co_names).union(*map(_names, inside))
 
@@ -145,7 +142,7 @@ def _is_cache(kind: type, name: str) -> bool:
 
 
 def fingerprint_of(value: Any) -> dict[str, Any]:
-    """Return what tells a value from others, for `same_fingerprint`.
+    """Return a fingerprint of a value and all that its functions read, for `same_fingerprint`.
 
     Examples
     --------
@@ -170,10 +167,10 @@ def fingerprint_of(value: Any) -> dict[str, Any]:
 
 
 def same_fingerprint(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether two values are the same with all that their functions read.
+    """Whether two values, with all that their functions read, are equal.
 
-    Code is compared where the version of Python is the same, otherwise the text of functions; where a function has no
-    text, they count as different.
+    Bytecode is compared if the version of Python is the same, otherwise source text; functions without text are
+    unequal.
     """
     if "contents" in one and "contents" in other:
         if one["python"] == other["python"]:
@@ -185,13 +182,13 @@ def same_fingerprint(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def functions_in(system: Any) -> list[str]:
-    """Return the names of the functions of a system without which its runs cannot be gone on with."""
+    """Return the names of a system's functions that are required to resume its runs."""
     missing = record_of(system).get("not_stored", [])
     return [name for name in missing if not name.startswith((EXACT, INTEGRAL))]
 
 
 def made_of_system(system: Any) -> Any:
-    """Return all that a system is made of, for `fingerprint_of`."""
+    """Return everything that defines a system, for `fingerprint_of`."""
     if isinstance(system, Batch):
         return [made_of_system(member) for member in system]
     if isinstance(system, ForcedSystem):

@@ -1,4 +1,4 @@
-"""What must be given again to go on with a run? What has functions: an archive knows their fingerprints alone."""
+"""Functions that must be given again to resume a run; an archive stores only their fingerprints."""
 
 from __future__ import annotations
 
@@ -25,22 +25,14 @@ GIVEN, OBSERVED = "archive_given", "archive_observed"
 
 
 class Given(NamedTuple):
-    """What a run is gone on with.
-
-    Parameters
-    ----------
-    observe : dict
-        What is observed along it.
-    events : tuple of Event, or None
-        What it looks for; None where the archive says it.
-    """
+    """Arguments of a resumed run: the observed quantities, and the events (None: those stored in the archive)."""
 
     observe: dict[str, Any]
     events: tuple[Event, ...] | None
 
 
 def said_of_functions(ready: PreparedRun, events: Sequence[Event]) -> dict[str, str]:
-    """Return the attributes that say what is observed, and what tells functions from others."""
+    """Return the attributes with the observed quantities and the fingerprints of functions."""
     observed, found = ready.observe, {}
     functions = functions_in(ready.system)
     if functions:
@@ -58,19 +50,16 @@ def said_of_functions(ready: PreparedRun, events: Sequence[Event]) -> dict[str, 
 
 
 def asks_for(attributes: Mapping[str, Any], what: str) -> bool:
-    """Return whether the run of an archive needs its system, what it observes, or its events given again."""
+    """Whether the run of an archive needs its system, observed quantities or events given again."""
     return what in json.loads(attributes[GIVEN])
 
 
 def asked_again(
     path: Path, archive: ArchivedSolution, system: Any, observe: Mapping[str, Any] | None, events: Any
 ) -> Given:
-    """Return what a run is gone on with, from what is given and what is stored.
+    """Return the arguments of a resumed run, from those given and those stored.
 
-    Raises
-    ------
-    ArchiveError
-        Something is missing that has functions, or it is another one than the run was begun with.
+    ArchiveError: a function is missing, or differs from the one that the run began with.
     """
     attributes = archive.attributes
     wanted = json.loads(attributes[GIVEN])
@@ -101,16 +90,16 @@ def asked_again(
 
 
 def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: Any) -> None:
-    """Refuse what is another one than the run was begun with."""
+    """Raise ArchiveError if an argument differs from the one that the run began with."""
     if what in wanted and not same_fingerprint(wanted[what], fingerprint_of(made)):
         raise ArchiveError(
             f"{path}: {what} is {short(given)}, which is not what the run was begun with: its numbers, or the code of "
-            f"its functions ({short(', '.join(wanted[what]['named']))[1:-1]}), are others"
+            f"its functions ({short(', '.join(wanted[what]['named']))[1:-1]}), differ"
         )
     unknown = wanted.get(what, {}).get("unknown", ())
     if unknown:
         warnings.warn(
-            f"{path}: {what} is compared without {short(', '.join(unknown))[1:-1]}, which cannot be followed",
+            f"{path}: {what} is compared without {short(', '.join(unknown))[1:-1]}, which cannot be fingerprinted",
             UserWarning,
             stacklevel=4,
         )

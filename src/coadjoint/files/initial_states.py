@@ -1,4 +1,4 @@
-"""The initial state of a configuration file: numbers, or the name of a file of NumPy."""
+"""Initial states of configuration files: numbers, or the name of a NumPy file."""
 
 from __future__ import annotations
 
@@ -16,25 +16,9 @@ SUFFIX = ".npy"
 
 
 def initial_state(system: Any, given: Any, folder: Path) -> Any:
-    """Return the initial state, or states, as `integrate` takes them.
+    """Return the initial state or states as `integrate` takes them, from numbers or a file ``.npy``.
 
-    Parameters
-    ----------
-    system : object
-        The system.
-    given : list or str
-        Numbers; of complex matrices each entry may be its real and imaginary part. Or a file ``.npy``.
-    folder : Path
-        That of the configuration file, from which a relative name of a file leads.
-
-    Returns
-    -------
-    list or ndarray
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read, or holds no numbers.
+    Relative file names begin at `folder`. Entries of complex matrices may be pairs of real and imaginary part.
 
     Examples
     --------
@@ -52,13 +36,7 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
 
 
 def array_of_file(path: Path, named: str) -> NDArray[Any]:
-    """Return the array of numbers in a file ``.npy``; nothing in it is executed.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read, holds no numbers, or more than fit into memory; it is called as it was `named`.
-    """
+    """Return the array of numbers in a file ``.npy``, without unpickling; errors refer to the file as `named`."""
     if path.suffix != SUFFIX:
         raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {SUFFIX}")
     try:
@@ -68,7 +46,7 @@ def array_of_file(path: Path, named: str) -> NDArray[Any]:
     check_room(2 * size, f"the states in {short(named)}")
     try:
         found = np.load(path, allow_pickle=False)
-    except (OSError, EOFError, ValueError, MemoryError):  # a header may promise more than there is
+    except (OSError, EOFError, ValueError, MemoryError):  # a header may declare more than the file has
         found = None
     if not isinstance(found, np.ndarray) or found.dtype.kind not in "iufc":
         raise ValueError(f"{short(named)} holds no array of numbers")

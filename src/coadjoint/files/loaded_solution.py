@@ -1,4 +1,4 @@
-"""What does a file say that holds a run? A solution again: `load`."""
+"""Solutions read from files: `load`."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ if TYPE_CHECKING:
     import xarray
 
 KINDS = {b"\x89HDF": ("h5netcdf", ("xarray", "h5netcdf", "h5py")), b"CDF": ("scipy", ("xarray", "scipy"))}
-"""How files begin, who reads them, and which packages that needs."""
+"""File signatures, with the xarray engine and the packages it needs."""
 
 
 class LoadError(OneLineError):
-    """A file or folder holds no run that can be read."""
+    """A file or folder contains no readable run."""
 
 
 class LoadedSolution(ReadSolution):
-    """A run from a file; `load` returns it. It has all that a `Solution` has, but the choice of an accuracy.
+    """A run read from a file by `load`, with all attributes of a `Solution` except `choice`.
 
     Attributes
     ----------
     path : Path
         The file.
     dataset : xarray.Dataset
-        What it holds, in memory; what a sweep has set is a coordinate of it.
+        Content of the file, in memory; settings of a sweep are coordinates.
     """
 
     path: Path
@@ -87,7 +87,7 @@ class LoadedSolution(ReadSolution):
         values = [self.energy, *self.casimirs.values()]
         if self.t[0] == self.t_span[0]:
             return {name: series[0] for name, series in zip(self._names, values, strict=True)}
-        # The start was not among the times that were kept.
+        # The start is not among the saved times.
         if self.failed is None:
             return _invariants_at(self.system, self.x0, self.t_span[0])
         systems = self.system if isinstance(self.system, Batch) else [self.system] * len(self.x0)
@@ -96,7 +96,7 @@ class LoadedSolution(ReadSolution):
 
     @cached_property
     def _ending(self) -> Ending | None:  # type: ignore[override]
-        """How an event has ended the run, where one has."""
+        """The event that ended the run, or None."""
         if ENDED not in self.attributes:
             return None
         values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
@@ -116,7 +116,7 @@ class LoadedSolution(ReadSolution):
 
     @cached_property
     def events(self) -> Events | None:  # type: ignore[override]
-        """What was found of the events that were looked for."""
+        """Crossings found in the run, or None if it had no events."""
         if "event_time" not in self._arrays:
             return None
         asked: tuple[Event, ...] = solution_inputs(self.dataset, self._given, None)["events"]
@@ -141,36 +141,36 @@ def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:
 def load(path: str | Path, system: Any = None) -> Solution:
     """Open a run that was written to a file or a folder.
 
-    What ``sol.to_xarray().to_netcdf(path)``, ``to_zarr`` and `coadjoint run` wrote is read into memory; an archive is
-    read when it is asked, as by `open_archive`.
+    Files written by ``sol.to_xarray().to_netcdf(path)``, ``to_zarr`` and `coadjoint run` are read into memory; an
+    archive is read lazily, as by `open_archive`.
 
     Parameters
     ----------
     path : str or Path
-        A file ``.nc``, a folder ``.zarr``, or an archive. It is told by what is in it, not by its name.
+        A file ``.nc``, a folder ``.zarr``, or an archive. The kind is detected from the content, not from the name.
     system : optional
-        The system of the run, where it has functions, which are not stored. Only what asks for the system needs it.
+        The system of the run, if it contains Python functions, which are not stored. It is needed only by attributes
+        that use the system.
 
     Returns
     -------
     Solution
-        With the states, energies, Casimirs, attitudes, events and drifts of the run, to the bit. What moved and how is
-        made again when it is asked for. `path` is where it comes from, and of a file `dataset` what it holds, such as
-        the coordinates of a sweep.
+        The run, with bitwise equal states, energies, Casimirs, attitudes, events and drifts. System and scheme are
+        rebuilt lazily. `path` is the source, and `dataset` the content of a file, such as the coordinates of a sweep.
 
     Raises
     ------
     ValueError
-        There is no such file, or it holds no run of this library, or it is damaged; in one sentence.
+        The file is missing or damaged, or contains no run of this library.
     ArchiveError
-        An archive is damaged, or a later version of the library has written it.
+        An archive is damaged, or of a later format.
     MissingPackageError
-        The format needs a package that is not installed.
+        A package that the format needs is not installed.
 
     See Also
     --------
-    open_archive : For archives alone; they may still be written.
-    coadjoint.files.export.rebuild : Runs what a dataset describes once more.
+    open_archive : Open an archive, also while it is written.
+    coadjoint.files.export.rebuild : Repeat the run of a dataset.
 
     Examples
     --------
@@ -210,18 +210,18 @@ def load(path: str | Path, system: Any = None) -> Solution:
         stated = dataset.attrs.get(CHECKSUM)
         if stated is not None and stated != checksum_of(dataset):
             raise LoadError(
-                f"{shown}: its content is not that of its check sum, so that it was damaged, or changed after it was "
+                f"{shown}: its content does not match its check sum: it was damaged, or changed after it was "
                 f"written; if you have changed it, remove its attribute {CHECKSUM} and write it again"
             )
     except LoadError:
         raise
-    except Exception as reason:  # of xarray, or of whoever reads for it: a damaged file has no kind of its own
+    except Exception as reason:  # readers raise arbitrary errors for damaged files
         raise LoadError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
     return LoadedSolution(place, dataset, system)
 
 
 def _reader(place: Path) -> tuple[str, tuple[str, ...]]:
-    """Return the engine that reads a file or folder, and the packages that it needs."""
+    """Return the xarray engine for a file or folder, and the packages it needs."""
     shown = in_one_line(str(place), 200)
     if place.is_dir():
         if not any((place / name).is_file() for name in ("zarr.json", ".zgroup")):

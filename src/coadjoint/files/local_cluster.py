@@ -1,4 +1,4 @@
-"""A Dask cluster on this machine that only the process that starts it can use."""
+"""A Dask cluster on this machine, accessible only to the process that starts it."""
 
 from __future__ import annotations
 
@@ -19,30 +19,26 @@ class QuietScheduler(Scheduler):
     """A scheduler without an HTTP server."""
 
     def start_http_server(self, *given: Any, **more: Any) -> None:
-        """Start nothing: these servers know no credentials, and run even where there is no dashboard."""
+        """Do not start it: it has no authentication, and runs even without a dashboard."""
 
 
 class QuietWorker(Worker):
     """A worker without an HTTP server."""
 
     def start_http_server(self, *given: Any, **more: Any) -> None:
-        """Start nothing, as in `QuietScheduler`."""
+        """Do not start it, as in `QuietScheduler`."""
 
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Client]:
-    """Start worker processes of one thread each, which end with the context, and connect to them.
+    """Start single-threaded worker processes, which end with the context, and connect to them.
 
-    All connections use TLS with credentials that are made here and given to the workers through pipes.
-
-    Raises
-    ------
-    RuntimeError
-        The workers have not started, or there is no safe place for temporary files.
+    Connections use TLS with temporary credentials, passed to the workers through pipes. RuntimeError: the workers did
+    not start, or there is no private folder for temporary files.
     """
     security = Security.temporary()  # type: ignore[no-untyped-call]
     with private_folder() as folder:
-        # Dask imports from the folder of its temporary files, which by default has the same name for all users.
+        # Dask imports code from its temporary folder, whose default name all users share.
         protected = {"host": LOOPBACK, "protocol": "tls://", "security": security, "dashboard": False}
         protected["local_directory"] = str(folder)
         worker = {
@@ -52,7 +48,7 @@ def local_cluster(workers: int) -> Iterator[Client]:
                 "worker_class": QuietWorker,
                 "nthreads": 1,
                 "memory_limit": None,
-                # Failures are raised by the call; a worker that ends within a block is replaced.
+                # The call raises failures; a worker that dies within a block is replaced.
                 "silence_logs": logging.CRITICAL,
             },
         }
@@ -66,7 +62,7 @@ def local_cluster(workers: int) -> Iterator[Client]:
         except RuntimeError as reason:
             raise RuntimeError(
                 "the workers of ensemble(workers=) did not start; each of them imports the script, so that the call "
-                'must stand below if __name__ == "__main__":'
+                'must be guarded by if __name__ == "__main__":'
             ) from reason
         with cluster, Client(cluster) as client:  # type: ignore[no-untyped-call]
             yield client

@@ -1,10 +1,9 @@
-"""How does a run go on to a later end? From a state before its end, with the drifts of a run that had the later end.
+"""Continuation of an archived run to a later end, with the drifts of a run that had this end from the beginning.
 
-What was done does not depend on the end, but for three things: the last point, which is saved wherever the run ends;
-events in the last step; and the drifts, of which a run knows the largest in each tenth of its steps. So the run goes
-back to the last state that was committed before its end. The steps until then are in blocks, of each of which the
-largest drifts are known. A block that lies in two tenths of the longer run is run once more, from the state at which it
-begins.
+Only three results depend on the end: the last point, which is always saved; events in the last step; and the drifts,
+recorded as maxima in each tenth of the steps. So the run returns to the last state committed before its end. The
+largest drifts of each block of steps are stored. A block that overlaps two tenths of the longer run is recomputed from
+the state at its start.
 """
 
 from __future__ import annotations
@@ -30,30 +29,27 @@ if TYPE_CHECKING:
 def longer_times(store: ArchiveStore, times: Times, ready: PreparedRun, t_end: Any) -> Times:
     """Return the times of a run with another end.
 
-    Raises
-    ------
-    ValueError
-        The end is no whole number of steps from the start, or does not lie behind what was done.
+    The end must be a whole number of steps from the start, and later than the steps already taken.
     """
     end, attributes = read_number(t_end, "t_end"), store.attributes
     found = times_between((times.t0, end), ready.step, attributes[SAVE_EVERY])
     if found.steps == times.steps and found.h == times.h:
         return times
     if attributes["between_steps"]:
-        raise ArchiveError(f"{store.path}: the run keeps states at given times, and so has no later end")
+        raise ArchiveError(f"{store.path}: the run saves states at given times, and cannot be continued to a later end")
     done = attributes[STEPS]
     if found.h != times.h or found.steps < done or (attributes[FINISHED] and found.steps == done):
         raise ArchiveError(
-            f"{store.path}: t_end is {end:g}, and the run has come to t = {times.t0 + done * times.h:g} on its way to "
+            f"{store.path}: t_end is {end:g}, and the run has reached t = {times.t0 + done * times.h:g} on its way to "
             f"{times.end:g}; give a later end"
         )
     return found
 
 
 def lengthen(store: ArchiveStore, ready: PreparedRun, times: Times, start: Start) -> None:
-    """Let a run have another end, and go back to the last state that does not depend on the old one."""
+    """Set another end of a run, and return it to the last state that does not depend on the old one."""
     states = states_of(store.attributes)
-    # Of a finished run the last one depends on the end; but for that of a run of no steps.
+    # The last state of a finished run depends on the end, unless it has no steps.
     kept = (states[:-1] if store.attributes[FINISHED] else states) or states
     base = kept[-1]
     stored = read_kept(store.path, base)
@@ -76,7 +72,7 @@ def lengthen(store: ArchiveStore, ready: PreparedRun, times: Times, start: Start
 def _worst(
     store: ArchiveStore, kept: list[Kept], ready: PreparedRun, times: Times, start: Start
 ) -> NDArray[np.float64]:
-    """Return the largest deviations in each tenth of a longer run, over the steps up to the last of some states."""
+    """Return the largest deviations in each tenth of a longer run, over the steps up to the last given state."""
     worst: NDArray[np.float64] | None = None
     before: dict[str, Any] | None = None
     for state in kept:
@@ -97,7 +93,7 @@ def _worst(
 def _again(
     store: ArchiveStore, before: Any, after: Any, ready: PreparedRun, times: Times, start: Start
 ) -> NDArray[np.float64]:
-    """Return the largest deviations in each tenth over the steps between two states, which are taken once more."""
+    """Recompute the steps between two states; return the largest deviations in each tenth."""
     if before is not None:
         nothing = np.zeros_like(before["earlier"])
         before = {**before, "earlier": nothing, f"{STATE}worst": nothing}
@@ -108,7 +104,7 @@ def _again(
             run.let_go()
     if not np.array_equal(run.run.state["momenta"], after[f"{STATE}momenta"], equal_nan=True):
         raise ArchiveError(
-            f"{store.path}: steps that were computed again have other bits than before; resume on the machine where "
+            f"{store.path}: recomputed steps have other bits than before; resume on the machine where "
             "the archive was begun, and with the same system"
         )
     return run.worst

@@ -1,4 +1,4 @@
-"""Systems of matrices in records: their algebra, and their stream as the numbers that it is made of."""
+"""Records of matrix systems: their algebra, and the arrays that define their stream."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "ener
 
 
 def matrix_record(system: MatrixSystem) -> dict[str, Any]:
-    """Return a system of matrices as plain numbers, lists and text.
+    """Return a matrix system as plain numbers, lists and text.
 
-    A stream that is a function is not stored, nor one of a kind that another package made.
+    Streams that are functions, or of a class of another package, are not stored.
 
     Examples
     --------
@@ -59,13 +59,7 @@ def matrix_record(system: MatrixSystem) -> dict[str, Any]:
 
 
 def matrix_system_of(record: Entry) -> MatrixSystem:
-    """Return the system of matrices that a record describes; its functions have been found to be stored.
-
-    Raises
-    ------
-    ValueError
-        The record is damaged; what is wrong is named.
-    """
+    """Rebuild the matrix system of a record; ValueError if the record is damaged."""
     algebra = _algebra_of(record.only(*KEYS)["matrices"])
     with made_of(record):
         check_room(300 * algebra.N**2, f"matrices of {algebra}")

@@ -1,4 +1,4 @@
-"""How are the frames of a movie written? As GIF by Pillow, as MP4 by the program ffmpeg, one after the other."""
+"""Movie files: GIF by Pillow, MP4 by ffmpeg, written frame by frame."""
 
 from __future__ import annotations
 
@@ -17,51 +17,31 @@ from coadjoint.given import read_positive
 from coadjoint.memory import check_room
 
 NEARLY_WHITE = 248
-"""In a GIF such shades are the white of the paper."""
+"""In a GIF, shades from here on become white."""
 FASTEST_GIF = 50
-"""Frames a second: viewers slow down what is faster."""
+"""Frames per second; viewers slow down faster GIFs."""
 
 
 class Frames(Protocol):
-    """Pictures of one size, drawn when they are asked for."""
+    """Pictures of one size, drawn lazily."""
 
     count: int
     size: tuple[int, int]
 
     def __iter__(self) -> Iterator[memoryview]:
-        """Yield each as bytes of red, green, blue and opacity, (height, width, 4)."""
+        """Yield each frame as RGBA bytes, (height, width, 4)."""
 
 
 def check_movie(path: str | Path) -> Path:
-    """Return the path of a movie if it can be written, before anything is drawn.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.mp4`` or ``.gif``.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    OutputError
-        As `coadjoint.files.output.check_target`; or it ends in .mp4, and there is no program ffmpeg.
-    """
+    """Validate the path of a movie, ``.mp4`` or ``.gif``, as `check_target`; OutputError if ffmpeg is missing."""
     target = check_target(path, MOVIES)
     if target.suffix == ".mp4" and _ffmpeg() is None:
-        raise OutputError(f"{path}: MP4 needs the program ffmpeg, which is not there; install it, or give a .gif")
+        raise OutputError(f"{path}: MP4 needs the program ffmpeg, which was not found; install it, or give a .gif")
     return target
 
 
 def check_speed(fps: float, target: Path) -> float:
-    """Return frames a second that the format can show.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No positive number, or for a GIF more than 50.
+    """Validate the frames per second, at most 50 for a GIF.
 
     Examples
     --------
@@ -70,27 +50,12 @@ def check_speed(fps: float, target: Path) -> float:
     """
     rate = read_positive(fps, "fps")
     if target.suffix == ".gif" and rate > FASTEST_GIF:
-        raise ValueError(f"fps is {rate:g}; a GIF shows no more than {FASTEST_GIF} frames a second")
+        raise ValueError(f"fps is {rate:g}; a GIF shows at most {FASTEST_GIF} frames per second")
     return rate
 
 
 def write_movie(frames: Frames, target: Path, fps: float) -> None:
-    """Write a movie, whole or not at all.
-
-    Parameters
-    ----------
-    frames : Frames
-        As `coadjoint.pictures.movie.frames_of` makes them.
-    target : Path
-        From `check_movie`; what was there is replaced.
-    fps : float
-        From `check_speed`.
-
-    Raises
-    ------
-    OutputError
-        ffmpeg fails.
-    """
+    """Write a movie atomically, to a target of `check_movie` and at a rate of `check_speed`."""
     with Unfinished(target) as unfinished:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.place, fps)
         unfinished.finish()
@@ -103,7 +68,7 @@ def _ffmpeg() -> str | None:
 
 
 def _write_gif(frames: Frames, place: Path, fps: float) -> None:
-    """Write with the colours of the first frame, each counted once: its bar of colours has all that may come."""
+    """Write a GIF with the palette of the first frame, each colour counted once: its colour bar has all colours."""
     from PIL import Image
 
     width, height = frames.size
@@ -140,7 +105,7 @@ def _write_mp4(frames: Frames, place: Path, fps: float) -> None:
                 writer.stdin.write(frame)
             writer.stdin.close()
         except BrokenPipeError:
-            pass  # it has ended, and says why
+            pass  # ffmpeg has exited; its messages are reported below
         except BaseException:
             writer.kill()
             raise

@@ -1,4 +1,4 @@
-"""How is a NetCDF file written so that a full disk is an error, and not the end of the interpreter?"""
+"""NetCDF output that survives a full disk: HDF5 would crash the interpreter."""
 
 from __future__ import annotations
 
@@ -17,18 +17,12 @@ LARGEST_KEPT = 2**20
 
 
 class SteadfastFile:
-    """A file in which no write fails: the first failure is kept for `close`, which raises it.
+    """A file object whose writes never fail: the first failure is stored, and raised by `close`.
 
-    HDF5 cannot close a file that it fails to write, and crashes when the interpreter ends. What comes after a failure
-    is kept in memory, since HDF5 may read what it has written. Pieces of more than 2^20 bytes are dropped: they are
-    numbers, which it does not read again.
-
-    Parameters
-    ----------
-    path : Path
-        Made or emptied.
-    writing : callable
-        A context in which each piece is written, `Unfinished.writing`; an exception that it raises is a failure too.
+    HDF5 cannot close a file after a failed write, and crashes when the interpreter exits. Data written after a failure
+    are kept in memory, since HDF5 may read them back; pieces above 2^20 bytes are dropped, since they are array data,
+    which it does not read. `writing` returns a context for each write, as `Unfinished.writing`; its exceptions count as
+    failures.
 
     Examples
     --------
@@ -55,7 +49,7 @@ class SteadfastFile:
         self.close()
 
     def close(self) -> None:
-        """Close the file, and raise what failed first."""
+        """Close the file, and raise the first failure."""
         try:
             os.close(self._descriptor)
         finally:
@@ -63,16 +57,16 @@ class SteadfastFile:
                 raise self._failure
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place, and return it."""
+        """Set and return the position."""
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]
         return self._at
 
     def tell(self) -> int:
-        """Return the place."""
+        """Return the position."""
         return self._at
 
     def write(self, piece: Any) -> int:
-        """Write bytes at the place, and go behind them."""
+        """Write bytes at the position, and advance it."""
         view = memoryview(piece).cast("B")
         if not self._attempt(lambda: self._written(view)):
             self._keep(view)
@@ -88,10 +82,10 @@ class SteadfastFile:
         return length
 
     def flush(self) -> None:
-        """Do nothing: nothing is held back."""
+        """Do nothing; writes are not buffered."""
 
     def readinto(self, piece: Any) -> int:
-        """Fill a buffer from the place on, with zeros behind the end, and return its length."""
+        """Fill a buffer from the position, with zeros beyond the end, and return its length."""
         view = memoryview(piece).cast("B")
         view[:] = self._stored(self._at, len(view))
         for number in range(self._at // PAGE, (self._at + len(view)) // PAGE + 1):
@@ -104,14 +98,14 @@ class SteadfastFile:
         return len(view)
 
     def read(self, length: int = -1) -> bytes:
-        """Return bytes from the place on."""
+        """Read bytes from the position."""
         rest = max(0, self._size - self._at)
         piece = bytearray(rest if length < 0 else min(length, rest))
         self.readinto(piece)
         return bytes(piece)
 
     def _attempt(self, work: Callable[[], object]) -> bool:
-        """Return whether something could be done on the disk; after a failure nothing is tried."""
+        """Run a disk operation and return whether it succeeded; after a failure, none is attempted."""
         if self._failure is None:
             try:
                 with self._writing():
@@ -152,22 +146,7 @@ class SteadfastFile:
 
 
 def write_netcdf(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
-    """Write a dataset as NetCDF 4.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        What is written.
-    path : Path
-        A new file.
-    writing : callable
-        As for `SteadfastFile`.
-
-    Raises
-    ------
-    OSError
-        The disk is full, for instance.
-    """
+    """Write a dataset to a new NetCDF 4 file; `writing` as for `SteadfastFile`."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 

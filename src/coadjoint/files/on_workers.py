@@ -1,4 +1,4 @@
-"""Blocks of an ensemble on workers of Dask, which return some numbers each and nothing else."""
+"""Execution of the blocks of an ensemble on Dask workers, which return only a few numbers each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
 RETRIES = 3
-"""How often what is left is begun again where workers, or what was sent to them, are lost and no block gets done."""
+"""Attempts without progress, after losses of workers or of their data, before giving up."""
 SECONDS_BETWEEN_LOOKS = 0.5
 SECONDS_WITHOUT_SCHEDULER = 10.0
 SECONDS_BETWEEN_TRIES = 2.0
@@ -47,14 +47,9 @@ def on_client(
 ) -> None:
     """Run blocks on the workers of a client.
 
-    Tables go to each worker once. Where members have tables of their own, each block gets those of its members.
-
-    Raises
-    ------
-    ArchiveUnwritten
-        The cluster is lost, or a block cannot be written.
-    ArchiveError
-        A worker does not see the archive, or has another version of the library.
+    Shared tables are sent to each worker once; if members have individual tables, each block gets its own.
+    ArchiveUnwritten: the cluster is lost, or a block cannot be written. ArchiveError: a worker does not see the
+    archive, or has another version of the library.
     """
     with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
         tries = 0
@@ -68,21 +63,21 @@ def on_client(
             tries = 0 if len(left) < before else tries + 1
     members = sum(block.last - block.first for block in left)
     raise ArchiveUnwritten(
-        f"{store.path}: {members} members could not be computed, since workers were lost again and again "
-        f"({type(failure).__name__}: {failure}); the next call with this archive goes on"
+        f"{store.path}: {members} members could not be computed, since workers were lost repeatedly "
+        f"({type(failure).__name__}: {failure}); the next call with this archive continues"
     ) from failure
 
 
 def _round(
     client: Any, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
-    """Submit blocks and wait for them; return those that are not done, and why the first of them is not."""
+    """Submit blocks and wait for them; return the unfinished ones, and the first reason."""
     archive, token, whole = str(store.path), secrets.token_hex(4), not isinstance(ready.system, Batch)
-    ready.loops(_signed(store, ready)).make_all()  # here, so that no worker makes them
+    ready.loops(_signed(store, ready)).make_all()  # built here rather than by each worker
     try:
         everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
     except (OSError, CancelledError) as lost:
-        # A worker that ends while it receives the tables fails this request, and not the cluster.
+        # A worker that dies while it receives the tables fails this request, but not the cluster.
         if not _answers(client):
             raise _lost(store) from lost
         return left, lost
@@ -101,7 +96,7 @@ def _round(
             try:
                 done = _done(client, tasks)
             except CancelledError as lost:
-                # All who had the tables are lost, or the scheduler is.
+                # All workers with the tables are lost, or the scheduler is.
                 if not _answers(client):
                     raise
                 return [*undone, *tasks.values()], failure or lost
@@ -127,7 +122,7 @@ def _round(
     except ArchiveUnwritten:
         raise
     except (OSError, CancelledError) as reason:
-        # What a connection raises that is lost.
+        # Raised by a lost connection.
         raise _lost(store) from reason
     except BaseException:
         if client.status == "running":
@@ -137,7 +132,7 @@ def _round(
 
 
 def _done(client: Any, tasks: Any) -> Any:
-    """Wait until some task has ended, or for a while; return those that have."""
+    """Wait until a task has ended, or for a timeout; return those that have."""
     distributed: Any = importlib.import_module("distributed")
     try:
         return distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
@@ -146,20 +141,20 @@ def _done(client: Any, tasks: Any) -> Any:
 
 
 def _ended(client: Any, task: Any) -> tuple[Any, BaseException | None]:
-    """Return what a task has returned, or why it has returned nothing."""
+    """Return the result of a task, or the reason why it has none."""
     try:
         if task.status == "finished":
             return task.result(), None
         return None, (task.exception() if task.status == "error" else RuntimeError(f"a task is {task.status}"))
     except CancelledError as lost:
-        # The worker that has finished it may be lost before it is asked for what came of it.
+        # The worker may be lost before its result is fetched.
         if not _answers(client):
             raise
         return None, lost
 
 
 def _answers(client: Any) -> bool:
-    """Return whether there is a scheduler."""
+    """Whether the scheduler responds."""
     try:
         client.sync(client.scheduler.identity, n_workers=0, callback_timeout=SECONDS_WITHOUT_SCHEDULER)
     except (OSError, CancelledError):

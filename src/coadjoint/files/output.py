@@ -1,4 +1,4 @@
-"""Where do results go? Files written whole or not at all, and refused before a run rather than after it."""
+"""Output files: written atomically, and validated before a run rather than after it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class OutputError(OneLineError):
-    """A result cannot be written where it should go."""
+    """A result cannot be written to its target."""
 
 
 DATASETS = (".nc", ".zarr")
@@ -51,38 +51,22 @@ NAMED = {
 
 
 def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
-    """Return the path of a result if it can be written; nothing is left behind.
+    """Validate the path of a result, with one of the `suffixes`; nothing is left behind.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file to be written, or replaced.
-    suffixes : iterable of str
-        Those allowed; by default ``.nc`` and ``.zarr``.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    OutputError
-        In one sentence: the suffix is unknown, the folder is missing or cannot be written to, or the target is no
-        result.
-    MissingPackageError
-        The format needs a package that is not installed.
+    OutputError: unknown suffix, folder missing or not writable, or the target exists and is not a result.
+    MissingPackageError: the format needs a package that is not installed.
 
     Examples
     --------
     >>> check_target("run.csv")
     Traceback (most recent call last):
     ...
-    coadjoint.files.output.OutputError: run.csv: the suffix says the format; it must be .nc or .zarr
+    coadjoint.files.output.OutputError: run.csv: the suffix sets the format; it must be .nc or .zarr
     """
     target, allowed = read_path(path, "path"), tuple(suffixes)
     if target.suffix not in allowed:
         listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
-        raise OutputError(f"{path}: the suffix says the format; it must be {listed}")
+        raise OutputError(f"{path}: the suffix sets the format; it must be {listed}")
     need(f"{path}: {NAMED[target.suffix]}", *PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():
@@ -100,7 +84,7 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
 
 
 def _check_replaced(target: Path) -> None:
-    """Refuse to replace what is no result."""
+    """Refuse to replace anything that is not a result."""
     if target.suffix != ".zarr":
         if target.is_dir():
             raise OutputError(f"{target}: is a folder; give the name of a file")
@@ -115,7 +99,7 @@ def _check_replaced(target: Path) -> None:
 
 
 def _rehearse(target: Path) -> None:
-    """Make and remove what will be written: a name may be too long, a disk full, a folder not ours to write to."""
+    """Create and remove the output once: the name may be too long, the disk full, or the folder not writable."""
     with Unfinished(target) as trial:
         if target.suffix == ".zarr":
             trial.place.mkdir()
@@ -125,10 +109,10 @@ def _rehearse(target: Path) -> None:
 
 
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``), whole or not at all, with a check sum of its content.
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a check sum of its content.
 
-    It is written beside the target and renamed. A file is replaced in one step; between two Zarr stores, which are
-    folders, there is a moment without either.
+    It is written beside the target and renamed. A file is replaced in one step; when a Zarr store, which is a folder,
+    is replaced, there is a moment without either.
 
     Parameters
     ----------
@@ -142,7 +126,7 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     OutputError
         As `check_target`.
     OSError
-        If the disk is full, for instance; the target is then as it was.
+        For instance if the disk is full; the target is then unchanged.
 
     Examples
     --------
@@ -161,7 +145,7 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
 
 
 def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
-    """Do something that no interrupt may cut, as HDF5 does not survive it. Only the main thread hears interrupts."""
+    """Run uninterruptibly, since HDF5 does not survive interrupts; only the main thread receives them."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         try:
@@ -172,7 +156,7 @@ def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, PDF or SVG, whole or not at all.
+    """Write a figure as PNG, PDF or SVG, atomically.
 
     Parameters
     ----------
@@ -202,7 +186,7 @@ def write_figure(figure: Figure, path: str | Path) -> None:
 
 
 def write_text(text: str, path: str | Path) -> None:
-    """Write text as JSON, whole or not at all.
+    """Write JSON text to a file, atomically.
 
     Parameters
     ----------
@@ -228,7 +212,7 @@ def write_text(text: str, path: str | Path) -> None:
 
 
 def write_page(text: str, path: str | Path) -> None:
-    """Write a page, HTML, whole or not at all.
+    """Write an HTML page to a file, atomically.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What would a configuration file run, and what would it cost? Said after a trial of its first steps."""
+"""Dry runs of configuration files: description and cost estimate, from a trial of the first steps."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
 
 TRIAL = 0.2
-"""Seconds that the last part of a trial takes, about."""
+"""Approximate duration of the last trial run, in seconds."""
 POINTS = 2, 12
-"""Saved points of two short runs, from whose datasets that of the whole run is foretold."""
+"""Saved points of two short runs, from which the size of the whole dataset is extrapolated."""
 WIDE = 14
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a configuration file would run, and what that would cost.
+    """Description and cost of the run of a configuration file.
 
     Parameters
     ----------
     configuration : Configuration
-        The checked file.
+        The validated file.
     dim, members : int
-        Coordinates of a state (entries of a matrix), and how many states run.
+        Coordinates of a state (entries of a matrix), and number of states.
     properties : Properties
-        What the scheme keeps.
+        Conservation properties of the scheme.
     steps, points : int
         Steps of the run, and states that are saved.
     memory : int
-        Bytes that the run holds; of one that is archived those of a piece are fewer.
+        Memory of the run in bytes; an archived run needs less.
     written : int or None
-        Bytes of the dataset before it is compressed; None where xarray is not installed.
+        Size of the dataset in bytes, uncompressed; None if xarray is not installed.
     ready : float
-        Seconds that it took to make the run ready, which the run takes again.
+        Preparation time of the run in seconds.
     seconds : float or None
-        Estimate of the seconds of the run, from a trial; None where that failed.
+        Estimated duration of the run in seconds; None if the trial failed.
     tried : int
         Steps of the trial.
     failed : str
-        Why the trial failed, or empty.
+        Reason why the trial failed, or empty.
     """
 
     configuration: Configuration
@@ -114,7 +114,7 @@ class Plan:
 
 
 def kept(properties: Properties) -> str:
-    """Return in words what a scheme keeps to round-off.
+    """Describe the conservation properties of a scheme, to round-off.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def kept(properties: Properties) -> str:
 
 
 def in_bytes(count: int) -> str:
-    """Return a number of bytes as one would say it, small ones too.
+    """Format a number of bytes.
 
     Examples
     --------
@@ -146,7 +146,7 @@ def in_bytes(count: int) -> str:
 
 
 def in_time(seconds: float) -> str:
-    """Return a time as one would say it.
+    """Format a duration.
 
     Examples
     --------
@@ -160,24 +160,10 @@ def in_time(seconds: float) -> str:
 
 
 def plan(configuration: Configuration) -> Plan:
-    """Say what a configuration would run and what it would cost; nothing is written.
+    """Describe the run of a configuration and estimate its cost; nothing is written.
 
-    Times and memory are those of this machine. The time is that of a trial from the initial states over the first
-    steps, times the number of steps: a motion that is rougher later, or another load of the machine, changes it.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        From `coadjoint.files.configuration.load`.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    ConfigurationError
-        The scheme refuses the system.
+    Time and memory are those of this machine. The time is extrapolated from a trial over the first steps; motions that
+    become rougher later, or a different load of the machine, change it. ConfigurationError: the scheme cannot be used.
 
     Examples
     --------
@@ -235,7 +221,7 @@ def _short(configuration: Configuration, ready: PreparedRun, times: Times, steps
 
 
 def _seconds(configuration: Configuration, ready: PreparedRun, times: Times) -> tuple[float, int]:
-    """Return an estimate of the seconds of all steps, and over how many it was tried."""
+    """Return the estimated seconds of all steps, and the number of steps of the trial."""
     count = 1
     while True:
         count = min(count, times.steps)
@@ -245,12 +231,12 @@ def _seconds(configuration: Configuration, ready: PreparedRun, times: Times) -> 
         spent = time.perf_counter() - begun
         if count == times.steps or spent >= TRIAL:
             return spent * times.steps / max(count, 1), count
-        # The first calls say little: what a call takes beside its steps is in them.
+        # Overhead per call dominates the first trials.
         count *= 2 if spent < TRIAL / 64 else max(2, min(64, int(TRIAL / spent)))
 
 
 def _written(configuration: Configuration, ready: PreparedRun, times: Times) -> int | None:
-    """Return the bytes of the dataset, of which those of two short runs tell what a saved point takes."""
+    """Estimate the size of the dataset in bytes by linear extrapolation from two short runs."""
     if not installed("xarray"):
         return None
     points = times.every_point if configuration.t_eval is None else len(configuration.t_eval)

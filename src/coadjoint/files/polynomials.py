@@ -1,4 +1,4 @@
-"""How is a polynomial given in a configuration file? As text, or as a list of terms."""
+"""Polynomials in configuration files, as text or as lists of terms."""
 
 from __future__ import annotations
 
@@ -12,25 +12,9 @@ from coadjoint.wording import short
 
 
 def read_polynomial(given: Any, dim: int) -> Polynomial:
-    """Return the polynomial that a file gives, as text or as a list of terms.
+    """Parse a polynomial in `dim` coordinates, as text or as a list of terms ``[coefficient, [exponent of x1, ...]]``.
 
-    Parameters
-    ----------
-    given : str or list
-        Text as `coadjoint.algebra.formulas.read_polynomial` takes it, such as ``"0.5*x1^2 - x2*x3 + 1/3"``, or a list
-        of terms ``[coefficient, [exponent of x1, exponent of x2, ...]]``.
-    dim : int
-        Number of coordinates.
-
-    Returns
-    -------
-    Polynomial
-
-    Raises
-    ------
-    ValueError, TypeError
-        Naming the place in the text, or the term, that is wrong; a degree above 1024, or a coefficient that float64
-        does not hold.
+    The degree is at most 1024, and coefficients must fit in float64.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A solution that is read: from an archive when it is asked, or from a dataset."""
+"""Base class of solutions read from archives and datasets."""
 
 from __future__ import annotations
 
@@ -20,13 +20,7 @@ from coadjoint.systems.kinds import System
 
 
 class ReadSolution(Solution):
-    """A solution whose parts are arrays by name, with attributes that say what was run; a base for those that read.
-
-    Attributes
-    ----------
-    attributes : dict
-        What is said of the run, as its dataset has it.
-    """
+    """A solution whose parts are arrays by name; `attributes` are those of its dataset."""
 
     _arrays: Mapping[str, Any]
     attributes: dict[str, Any]
@@ -37,20 +31,20 @@ class ReadSolution(Solution):
 
     @abstractmethod
     def _whole(self, name: str) -> NDArray[Any]:
-        """Return all of an array."""
+        """Read an entire array."""
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         return self.inputs()
 
     def _read(self, name: str) -> NDArray[Any]:
-        """Return all of an array, of complex numbers where it has their parts."""
+        """Read an entire array; combine real and imaginary parts."""
         values = self._whole(name)
         return values[..., 0] + 1j * values[..., 1] if self._arrays[name].dims[-1] == "part" else values
 
     @cached_property
     def system(self) -> Any:
-        """What moved; where it has functions, which are not stored, it must be given to `open_archive`."""
+        """The system of the run; if it contains functions, which are not stored, it must be given on opening."""
         return self._inputs["system"]
 
     @cached_property
@@ -111,7 +105,7 @@ class ReadSolution(Solution):
     @cached_property
     def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
         found = self._series("casimir_")
-        # A Zarr store lists its arrays in alphabetical order; values are named by their place.
+        # Zarr lists arrays alphabetically; restore the order of the invariants.
         ordered = {name: found.labels[name] for name in self._names[1:] if name in found.labels}
         return Read({**ordered, **found.labels}, self._read)
 
@@ -143,7 +137,7 @@ class ReadSolution(Solution):
 
 
 class Read(Mapping[str, NDArray[Any]]):
-    """Arrays by name, each read when it is first asked for."""
+    """Arrays by name, read lazily and cached."""
 
     def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:
         self.labels, self._read, self._found = dict(labels), read, dict[str, NDArray[Any]]()

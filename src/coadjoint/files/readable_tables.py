@@ -1,4 +1,4 @@
-"""A file with unknown keys or wrong values: what in it can still be looked at, so that its other mistakes are told?"""
+"""Partial parsing of invalid configuration files, so that all their errors can be reported together."""
 
 from __future__ import annotations
 
@@ -17,22 +17,16 @@ if TYPE_CHECKING:
     from coadjoint.files.configuration_models import File
 
 IN_PLACE: Mapping[str, Any] = {"run": {"t_span": [0.0, 1.0], "step": 1.0}, "initial": {"x": "unread.npy"}}
-"""What stands for a table that must be there and cannot be read; it is not looked at."""
+"""Placeholders for required tables that are invalid; they are not validated."""
 OF_SYSTEM = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
 
 
 @dataclass(frozen=True)
 class Readable:
-    """What can be read of a file.
+    """The valid part of a file.
 
-    Parameters
-    ----------
-    file : File or None
-        Its tables. A misspelled key stands there under the nearest known name.
-    said : tuple of str
-        What is wrong: the dotted path of each key, and the reason.
-    unread : frozenset of str
-        The tables and keys at the top that cannot be read, and are not to be looked at.
+    `file` holds the tables, with misspelled keys under the nearest known name; `said` the errors, with dotted keys;
+    `unread` the invalid top-level tables and keys, to be skipped.
     """
 
     file: File | None
@@ -41,25 +35,16 @@ class Readable:
 
     @property
     def has_system(self) -> bool:
-        """Whether everything of which the system is made can be read."""
+        """Whether everything that defines the system is valid."""
         return not self.unread & OF_SYSTEM
 
     def has(self, table: str) -> bool:
-        """Whether a table can be read."""
+        """Whether a table is valid."""
         return table not in self.unread
 
 
 def readable(raw: Mapping[str, Any]) -> Readable:
-    """Return what can be read of the tables of a file, and what is wrong with the rest.
-
-    Parameters
-    ----------
-    raw : mapping
-        The file as dictionaries and lists.
-
-    Returns
-    -------
-    Readable
+    """Return the valid part of the tables of a file, and the errors of the rest.
 
     Examples
     --------
@@ -75,7 +60,7 @@ def readable(raw: Mapping[str, Any]) -> Readable:
     unread: set[str] = set()
     rest = _with_known_parameters(raw, said)
     file = None
-    # Once as it is written, once with its unknown keys mended, once without the tables that cannot be read.
+    # As written; then with unknown keys corrected; then without invalid tables.
     for _ in range(3):
         try:
             file = File.model_validate(rest)
@@ -88,7 +73,7 @@ def readable(raw: Mapping[str, Any]) -> Readable:
 
 
 def _with_known_parameters(raw: Mapping[str, Any], said: list[str]) -> Mapping[str, Any]:
-    """Return the tables with the parameters of the system and of the scheme under names that these have."""
+    """Correct unknown parameter names of the system and of the scheme; append the errors to `said`."""
     system, method = raw.get("system"), raw.get("method")
     known: dict[tuple[str, ...], Iterable[str]] = {}
     if isinstance(system, Mapping) and isinstance(name := system.get("name"), str) and name in ready_made_systems():
@@ -109,7 +94,7 @@ def _with_known_parameters(raw: Mapping[str, Any], said: list[str]) -> Mapping[s
 
 
 def _mended(raw: Mapping[str, Any], error: ValidationError) -> tuple[Mapping[str, Any], set[str]]:
-    """Return tables without what an error refuses, and the names of those that stand there no more."""
+    """Correct unknown keys and replace invalid tables; return also the names of the latter."""
     from coadjoint.files.configuration_models import known_keys
 
     unread: set[str] = set()
@@ -130,7 +115,7 @@ def _at(raw: Any, place: Iterable[str]) -> Any:
 
 
 def _renamed(raw: Mapping[str, Any], place: tuple[str, ...], known: Iterable[str]) -> Mapping[str, Any]:
-    """Return tables with an unknown key under the nearest known name, or without it, if there is none that is free."""
+    """Rename an unknown key to the nearest known name, or drop it if there is none or it is taken."""
     key = place[0]
     if len(place) > 1:
         return {**raw, key: _renamed(raw[key], place[1:], known)}

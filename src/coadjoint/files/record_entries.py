@@ -1,4 +1,4 @@
-"""What may stand in a record? Entries with their place in it, each read as what it must be, or refused by that."""
+"""Entries of records: validating accessors, with the place of the entry in errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line
 from coadjoint.wording import short
 
-# What may be missing in a record, since nothing moves by it.
+# Prefixes of missing functions without which a run can be repeated, since they do not affect the motion.
 CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
 STREAM, ENERGY = "stream: ", "energy: "
 DEEPEST = 32
@@ -26,14 +26,7 @@ _QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
 
 
 class Entry:
-    """A value of a record that was read from a file, and may be damaged.
-
-    Parameters
-    ----------
-    value : object
-        As `json` gives it.
-    place : str
-        Where it stands, for messages.
+    """A value of a record from a file, not validated yet, and its place for messages.
 
     Examples
     --------
@@ -48,14 +41,14 @@ class Entry:
     def __init__(self, value: Any, place: str, depth: int = 0) -> None:
         self.value, self.place, self._depth = value, place, depth
         if depth > DEEPEST:
-            raise ValueError(f"{place} lies deeper than {DEEPEST} lists and tables in one another")
+            raise ValueError(f"{place} is nested deeper than {DEEPEST} lists and tables")
 
     def wrong(self, wanted: str) -> ValueError:
-        """Return the error that says what it must be."""
+        """Return the error that the value must be `wanted`."""
         return ValueError(f"{self.place} is {short(self.value, 60)}; it must be {wanted}")
 
     def table(self) -> dict[str, Entry]:
-        """Return it as a table of entries."""
+        """Return a table of entries."""
         if not isinstance(self.value, dict):
             raise self.wrong("a table")
         return {
@@ -73,20 +66,20 @@ class Entry:
         return found[key]
 
     def only(self, *known: str) -> Entry:
-        """Refuse keys that mean nothing here, since what they say would be lost; return the entry itself."""
+        """Reject unknown keys, whose meaning would be lost; return the entry itself."""
         for key, entry in self.table().items():
             if key not in known:
                 raise ValueError(f"{entry.place} is none of the keys that are known there, {', '.join(known)}")
         return self
 
     def entries(self, length: int | None = None) -> list[Entry]:
-        """Return it as a list of entries, of a length where one is given."""
+        """Return a list of entries, of the given length if any."""
         if not isinstance(self.value, list) or (length is not None and len(self.value) != length):
             raise self.wrong("a list" if length is None else f"a list of {length} entries")
         return [Entry(value, f"{self.place}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
 
     def wholes(self, most: int, length: int | None = None) -> list[int]:
-        """Return it as a list of whole numbers from 0 up to a bound, of a length where one is given."""
+        """Return a list of integers from 0 to `most`, of the given length if any."""
         value = self.value
         listed = isinstance(value, list) and set(map(type, value)) <= {int} and (length is None or len(value) == length)
         if not listed or (value and not 0 <= min(value) <= max(value) <= most):
@@ -94,11 +87,11 @@ class Entry:
         return list(value)
 
     def numbers(self, length: int) -> NDArray[np.float64]:
-        """Return it as an array of so many finite numbers."""
+        """Return an array of `length` finite numbers."""
         return self._array(f"a list of {length} finite numbers", length)
 
     def rows(self, *bounds: int) -> NDArray[np.float64]:
-        """Return it as an array of rows: whole numbers below bounds, then a finite number."""
+        """Return an array of rows: integers below the bounds, then a finite number."""
         wanted = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
         if self.value == []:
             return np.zeros((0, len(bounds) + 1))
@@ -121,27 +114,27 @@ class Entry:
         return found.astype(np.float64)
 
     def text(self) -> str:
-        """Return it as text."""
+        """Return the value as text."""
         if not isinstance(self.value, str) or len(self.value) > MOST_LETTERS:
             raise self.wrong("text" if not isinstance(self.value, str) else f"text of at most {MOST_LETTERS} letters")
         return self.value
 
     def whole(self, least: int = 0, most: int = LARGEST_WHOLE) -> int:
-        """Return it as a whole number between bounds."""
+        """Return the value as an integer between bounds."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
             raise self.wrong(f"a whole number from {least} " + ("up" if most == LARGEST_WHOLE else f"to {most}"))
         return value
 
     def number(self) -> float:
-        """Return it as a finite float."""
+        """Return the value as a finite float."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
         if isinstance(value, bool) or not isinstance(value, int | float) or not fits(value):
             raise self.wrong("a finite number")
         return float(value)
 
     def exact(self) -> int | float | Fraction:
-        """Return it as a number that is kept as it was written: whole, a float, or a quotient of whole numbers."""
+        """Return the value as an exact number: an integer, a float, or a quotient of integers."""
         if isinstance(self.value, str):
             found = _QUOTIENT.fullmatch(self.value)
             if found is None or not int(found[2]):
@@ -154,14 +147,14 @@ class Entry:
         return self.value
 
     def flag(self) -> bool:
-        """Return it as True or False, which a file may have as 1 or 0."""
+        """Return the value as a bool, which a file may hold as 1 or 0."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
         if not isinstance(value, bool | int) or value not in (0, 1):
             raise self.wrong("0 or 1")
         return bool(value)
 
     def plain(self) -> Any:
-        """Return it as it is: tables, lists, text, truth values and finite numbers, of few levels."""
+        """Return the value unconverted: tables, lists, text, booleans and finite numbers, of limited depth."""
         if isinstance(self.value, dict):
             return {key: entry.plain() for key, entry in self.table().items()}
         if isinstance(self.value, list):
@@ -177,7 +170,7 @@ class Entry:
 
 
 def parsed(value: Any, place: str) -> Entry:
-    """Return an attribute that holds JSON.
+    """Parse an attribute that contains JSON.
 
     Examples
     --------
@@ -200,7 +193,7 @@ def parsed(value: Any, place: str) -> Entry:
 
 @contextmanager
 def made_of(entry: Entry) -> Iterator[None]:
-    """Name the entry that something is made of in what the library refuses, which becomes a ValueError.
+    """Convert errors of the library inside the context to ValueError with the place of the entry.
 
     Examples
     --------
@@ -210,7 +203,7 @@ def made_of(entry: Entry) -> Iterator[None]:
     ValueError: system.algebra: constants are missing
     """
     try:
-        with np.errstate(all="ignore"):  # what overflows is refused, or fails in the run
+        with np.errstate(all="ignore"):  # overflows are rejected here or in the run
             yield
     except (ValueError, TypeError) as reason:
         raise ValueError(f"{entry.place}: {in_one_line(str(reason), 300)}") from reason

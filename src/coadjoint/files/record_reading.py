@@ -1,4 +1,4 @@
-"""The way back from a record to its system; a record that is damaged is refused by the entry that is wrong."""
+"""Reconstruction of systems from records; errors name the damaged entry."""
 
 from __future__ import annotations
 
@@ -27,24 +27,9 @@ BYTES_PER_COORDINATE = 400
 
 
 def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | ForcedSystem | Batch:
-    """Return the system that a record describes.
+    """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants.
 
-    Parameters
-    ----------
-    record : mapping
-        From `record_of`.
-    dim : int, optional
-        The dimension that it must have: that of the states beside it.
-
-    Returns
-    -------
-    LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        Without Casimirs and integrals that are functions, and without a closed form.
-
-    Raises
-    ------
-    ValueError
-        The motion depends on functions, which were not stored; or the record is damaged. What is wrong is named.
+    ValueError: the motion depends on functions, which were not stored; or the record is damaged.
 
     Examples
     --------
@@ -118,19 +103,19 @@ def _member_of(record: Entry, dim: int | None) -> Any:
 
 
 def _check_stored(record: Entry, name: str) -> None:
-    """Refuse a record of a system whose motion depends on functions."""
+    """Reject a record of a system whose motion depends on functions."""
     missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
     lost = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
     if lost:
         raise ValueError(
-            f"{short(name)[1:-1]} cannot be made again from its record: functions are not stored "
+            f"{short(name)[1:-1]} cannot be rebuilt from its record: functions are not stored "
             f"({short(', '.join(lost), 200)[1:-1]}); make the system in Python and integrate it there"
         )
 
 
 def _check_dimension(record: Entry, found: int, wanted: int | None) -> None:
     if wanted is not None and found != wanted:
-        raise ValueError(f"{record.place} has the dimension {found}, and the states beside it have {wanted}")
+        raise ValueError(f"{record.place} has the dimension {found}, and the stored states have {wanted}")
 
 
 def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:

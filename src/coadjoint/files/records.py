@@ -1,4 +1,4 @@
-"""Systems as plain numbers, lists and text, so that a result says what was run and can be run again."""
+"""Records: systems as plain numbers, lists and text, from which a run can be repeated."""
 
 from __future__ import annotations
 
@@ -34,23 +34,12 @@ STORED = (Polynomial, Quadratic)
 
 
 def record_of(system: System | Batch) -> dict[str, Any]:
-    """Return a system as plain numbers, lists and text.
+    """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise.
 
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
-    sign, Casimirs and integrals that are polynomials and representation, and the name, basis, Casimirs and
-    representation of its algebra; one of matrices is its algebra and its stream. Functions cannot be stored, and are
-    named under ``"not_stored"``. A batch is the list of its members, and a system with forces its Hamiltonian part and
-    the forces by name.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
-        The system.
-
-    Returns
-    -------
-    dict
-        For `json`; `system_of` makes the system again, to the same bits.
+    sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
+    algebra; a matrix system is its algebra and its stream. Functions cannot be stored, and are listed under
+    ``"not_stored"``. A batch is the list of its members, and a system with forces its Hamiltonian part and the forces.
 
     Examples
     --------
@@ -118,7 +107,7 @@ def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return polynomials as monomials, quadratic forms as those of a Hamiltonian; functions are left out."""
+    """Return polynomials as monomials, and quadratic forms as for a Hamiltonian; functions are omitted."""
     return {
         name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)
         for name, value in casimirs.items()
@@ -172,7 +161,7 @@ def _monomials(polynomial: Polynomial) -> list[list[Any]]:
 
 
 def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
-    """Return the record of a Hamiltonian, and what is in it that cannot be stored."""
+    """Return the record of a Hamiltonian, and its functions that cannot be stored."""
     if isinstance(H, PolynomialHamiltonian):
         return _polynomial_record(H.polynomial), []
     if isinstance(H, Quadratic):
@@ -194,7 +183,7 @@ def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
 
 
 def _form_record(H: Quadratic) -> dict[str, Any]:
-    """Return a quadratic form, as a polynomial where it has fractions."""
+    """Return a quadratic form, as a polynomial if it has fractions."""
     if H.exact:
         return _polynomial_record(H.to_polynomial())
     (term,) = H.terms()
@@ -210,16 +199,7 @@ def _form_record(H: Quadratic) -> dict[str, Any]:
 
 
 def safe_name(name: str) -> str:
-    """Return a name of at most 64 letters, digits and underscores, for a variable in a file, or a file in a store.
-
-    Parameters
-    ----------
-    name : str
-        Any name, such as that of a Casimir.
-
-    Returns
-    -------
-    str
+    """Convert a name to at most 64 letters, digits and underscores, for variables and files.
 
     Examples
     --------

@@ -34,20 +34,13 @@ if TYPE_CHECKING:
 
 
 WITHOUT_TLS = ("tcp", "ws", "ucx", "ucxx")
-"""Protocols of Dask without credentials."""
+"""Dask protocols without authentication."""
 
 
 class Team(NamedTuple):
-    """Who runs blocks.
+    """Workers of an ensemble: those of a Dask `client`, so many processes on this machine, or (both None) this process.
 
-    Parameters
-    ----------
-    client : distributed.Client or None
-        Of a cluster.
-    workers : int or None
-        So many processes of this machine; None of both is this process.
-    threads : int or None
-        For the members of a block; None is one on workers, and otherwise all cores.
+    `threads` is the number per block; None is one on workers, and otherwise one for each core.
     """
 
     client: Any = None
@@ -56,16 +49,16 @@ class Team(NamedTuple):
 
     @property
     def hands(self) -> int:
-        """How many there are."""
+        """Number of workers."""
         if self.client is not None:
             return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
         return self.workers or 1
 
 
 def team_of(client: Any, workers: Any, threads: Any) -> Team:
-    """Return who runs blocks, checked."""
+    """Validate client, workers and threads."""
     if client is not None and workers is not None:
-        raise TypeError("ensemble was given a client and workers; give one of them: workers are of this machine")
+        raise TypeError("ensemble was given a client and workers; give only one: workers are processes of this machine")
     if client is not None:
         need("ensemble(client=)", "distributed")
         from distributed import Client
@@ -80,7 +73,7 @@ def team_of(client: Any, workers: Any, threads: Any) -> Team:
 
 
 def warn_of_plain_text(client: Any) -> None:
-    """Warn of a client that reaches its scheduler over a network without TLS."""
+    """Warn if a client reaches its scheduler over a network without TLS."""
     address = getattr(client.scheduler, "address", "")
     protocol, _, place = address.partition("://")
     host = urlsplit(f"//{place}").hostname
@@ -95,7 +88,7 @@ def warn_of_plain_text(client: Any) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host is this machine by an address that other machines cannot reach."""
+    """Whether a host is an address of this machine that other machines cannot reach."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -114,24 +107,9 @@ def run_in_blocks(
     progress: bool = False,
     about: About = NOTHING,
 ) -> ArchivedEnsemble:
-    """Run an ensemble in blocks; see `coadjoint.ensemble`.
+    """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
 
-    Parameters
-    ----------
-    ready : PreparedRun
-        All members, made ready.
-    x0, t_span, save_every, archive, progress
-        As for `coadjoint.ensemble`.
-    team : Team
-        Who runs blocks.
-    size : int, optional
-        How many members a block has.
-    about : About
-        What else is written beside.
-
-    Returns
-    -------
-    ArchivedEnsemble
+    `ready` is prepared for all members; `about` has further metadata to write.
     """
     times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
     if start.single:
@@ -156,7 +134,7 @@ def run_in_blocks(
 
 
 def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bool, about: About) -> ArchivedEnsemble:
-    """Begin the archive or go on with it, and run what is left of it."""
+    """Begin or continue the archive, and run its unfinished blocks."""
     ready = whole.ready
     if path.exists():
         store = ArchiveStore.opened(path)
@@ -216,7 +194,7 @@ def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: 
 def resume_in_blocks(
     found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, team: Team, progress: bool
 ) -> ArchivedEnsemble:
-    """Compute what is missing of an ensemble, as `coadjoint.resume` does."""
+    """Compute the missing members of an ensemble, as `coadjoint.resume` does."""
     given, inputs = asked_again(found.path, found, system, observe, None), found.inputs()
     ready = PreparedRun(
         inputs["system"],

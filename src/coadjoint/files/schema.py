@@ -1,4 +1,4 @@
-"""What may a configuration file hold, as JSON Schema? For editors, and for other programs that write such files."""
+"""JSON Schema of configuration files, for editors and for programs that write such files."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ Schema = dict[str, Any]
 def schema() -> Schema:
     """Return the JSON Schema of configuration files, draft 2020-12.
 
-    It is made of the models by which files are checked, and of what the library knows by name: systems, algebras,
-    forces, initial states, and schemes, those of yours that are registered among them. Whatever it refuses `load` or
-    the command refuses; they refuse more, for instance a step that does not divide the span.
+    It is generated from the models that validate files, and from the registered names of systems, algebras, forces,
+    initial states, and schemes, including your own. Every file that it rejects is rejected by `load` or the command;
+    they also reject others, for instance if the step does not divide the span.
 
     Returns
     -------
     dict
-        For `json`.
+        The schema, serializable by `json`.
 
     Raises
     ------
@@ -83,12 +83,12 @@ def schema() -> Schema:
 
 
 def _tidied(value: Any, *, names: bool = False) -> Any:
-    """Return a schema without what says nothing of a TOML file: titles made of keys, and null, which TOML lacks."""
+    """Remove parts of a schema that do not apply to TOML: titles derived from keys, and null."""
     if isinstance(value, list):
         return [_tidied(entry) for entry in value]
     if not isinstance(value, dict):
         return value
-    if names:  # names of keys, or of tables
+    if names:  # keys are names
         return {key: _tidied(entry) for key, entry in value.items()}
     kept = {
         key: _tidied(entry, names=key in ("properties", "$defs"))
@@ -106,7 +106,7 @@ def _one_of(table: Schema, options: Iterator[Schema]) -> Schema:
 
 
 def _named(name: str | Schema, said: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()) -> Schema:
-    """Return the schema of a table with a name, and no other keys than these."""
+    """Return the schema of a table with a name and no other keys than these."""
     called = {"const": name} if isinstance(name, str) else name
     return {
         "type": "object",
@@ -118,7 +118,7 @@ def _named(name: str | Schema, said: str, properties: Mapping[str, Schema], requ
 
 
 def _parameters(made: Callable[..., Any]) -> tuple[dict[str, Schema], list[str]]:
-    """Return the schemas of the parameters of what a file may ask for, and which of them have no default."""
+    """Return the schemas of the parameters of a callable, and the names of those without default."""
     told = told_parameters(made)
     known = {key: given for key, given in inspect.signature(made).parameters.items() if key != "system"}
     found = {}
@@ -139,7 +139,7 @@ def _said(made: Callable[..., Any]) -> str:
 
 
 def _type(annotation: str, kind: str) -> Schema:
-    """Return what an annotation and the words of a docstring say for certain of a value; often that is nothing."""
+    """Return the schema implied by an annotation and the kind in the docstring; often empty."""
     if kind.startswith("{"):
         return {"enum": list(ast.literal_eval(f"[{kind[1 : kind.index('}')]}]"))}
     return dict(TYPES.get(annotation.removesuffix(" | None"), {}))
@@ -163,7 +163,7 @@ def _table(properties: Mapping[str, Schema], required: list[str]) -> Schema:
 
 
 def _described(name: str, made: Callable[..., Any]) -> Schema:
-    """Return the schema of a table with a name and parameters, which may also be in a table of their own."""
+    """Return the schema of a table with a name and parameters, which may also be in a subtable."""
     properties, required = _parameters(made)
     inside = _table(properties, [])
     beside = {key: value for key, value in properties.items() if key != "name"}

@@ -1,4 +1,4 @@
-"""What is all wrong with a file? Its mistakes are told together, as far as they can be found."""
+"""Collection of several errors of a file into one message."""
 
 from __future__ import annotations
 
@@ -10,16 +10,11 @@ from coadjoint.files.configuration_parts import ConfigurationError
 
 MOST_TOLD = 4
 MOST_LINES = 20
-LETTERS = 360  # of one line, beside the name of the file and what stands between
+LETTERS = 360  # of one line, without file name and separators
 
 
 class SeveralErrors:
-    """Collects what is refused in the sections of a file.
-
-    Parameters
-    ----------
-    name : str
-        The file's name, with which each message begins.
+    """Collector of errors in the sections of the file `name`.
 
     Examples
     --------
@@ -40,23 +35,23 @@ class SeveralErrors:
 
     @contextmanager
     def caught(self) -> Iterator[None]:
-        """Keep what is refused inside, and go on."""
+        """Collect an error raised inside, and continue."""
         try:
             yield
         except ConfigurationError as error:
             self._found.append(error)
 
     def add(self, said: str) -> None:
-        """Keep what was found to be wrong: a key and the reason."""
+        """Add an error: key and reason."""
         self._found.append(ConfigurationError(f"{self._name}: {said}"))
 
     @property
     def none(self) -> bool:
-        """Whether nothing was refused so far."""
+        """Whether there are no errors."""
         return not self._found
 
     def tell(self) -> None:
-        """Raise what was refused: one error as it is, several in one line; `mistakes` has each in a line of its own."""
+        """Raise the collected errors: a single one unchanged, several in one line; `mistakes` has one line for each."""
         if not self._found:
             return
         said = list(dict.fromkeys(one for error in self._found for one in error.mistakes or (str(error),)))
@@ -70,7 +65,7 @@ class SeveralErrors:
 
 
 def told_together(said: Sequence[str]) -> str:
-    """Return messages as one line, each cut so that all are seen; beyond four only their number.
+    """Join messages in one line, each truncated; beyond four, only their number.
 
     Examples
     --------

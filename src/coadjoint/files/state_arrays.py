@@ -1,4 +1,4 @@
-"""How are states written? Vectors by components, matrices by rows and columns, complex ones with their parts last."""
+"""File layout of states: vectors by components, matrices by rows and columns, complex numbers with their parts last."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     import xarray
 
 PARTS = ("real", "imaginary")
-"""Of a complex number, along the last axis: NetCDF has no complex numbers."""
+"""Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
 DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
-"""Of a state: a vector, a matrix, or matrices in layers."""
+"""Dimensions of a state: a vector, a matrix, or matrices in layers."""
 
 
 def state_dimensions(states: NDArray[Any], before: int) -> tuple[str, ...]:
-    """Return the dimensions of states that have so many axes before those of one state.
+    """Return the dimensions of one state, for arrays with `before` leading axes.
 
     Examples
     --------
@@ -29,31 +29,14 @@ def state_dimensions(states: NDArray[Any], before: int) -> tuple[str, ...]:
 
 
 def in_parts(states: NDArray[Any]) -> NDArray[np.float64]:
-    """Return states as real numbers: of complex ones the parts along a last axis."""
+    """Convert complex states to real and imaginary parts along a last axis; return real states unchanged."""
     return np.stack([states.real, states.imag], axis=-1) if np.iscomplexobj(states) else states
 
 
 def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...], ...]) -> NDArray[Any]:
-    """Return a variable of the start: finite numbers over some dimensions, or over members before them.
+    """Read an initial variable as float64 or complex128, optionally over members; ValueError unless valid.
 
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        Of a run.
-    name : str
-        Of the variable.
-    allowed : tuple of tuple of str
-        Dimensions that it may have; each also with parts of complex numbers behind it.
-
-    Returns
-    -------
-    ndarray
-        Float64 or complex128.
-
-    Raises
-    ------
-    ValueError
-        It is missing, over other dimensions, or not finite.
+    `allowed` are its dimensions, without those of members and of complex parts; the numbers must be finite.
     """
     if name not in dataset:
         raise ValueError(f"the dataset has no variable {name!r}; it is damaged, or was not written by coadjoint")
@@ -64,7 +47,7 @@ def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...],
         said = " or ".join(map(str, allowed))
         raise ValueError(f"{name} is over {variable.dims}; it must be over {said}, or members and these")
     if variable.dtype.kind not in "if" or not np.isfinite(variable.values).all():
-        raise ValueError(f"{name} holds something else than finite numbers")
+        raise ValueError(f"{name} contains values that are not finite numbers")
     values = np.asarray(variable.values, dtype=np.float64)
     if not parts:
         return values

@@ -1,8 +1,7 @@
-"""Arrays of an archive and their form in files: Zarr format 3, in chunks.
+"""Arrays of an archive and their encoding: Zarr format 3, in chunks, readable by any Zarr reader.
 
-An array that grows does so along its first dimension; a chunk is always stored whole, with nothing (`FILL`) behind the
-rows that there are. What is written here is read by any reader of Zarr: numbers by the codecs bytes, blosc and crc32c,
-names by the codec vlen-utf8.
+An array that grows does so along its first dimension; chunks are always stored whole, padded with `FILL`. Numbers use
+the codecs bytes, blosc and crc32c; names use vlen-utf8.
 """
 
 from __future__ import annotations
@@ -19,39 +18,28 @@ from coadjoint.errors import in_one_line
 from coadjoint.wording import short
 
 GROWING = ("time", "crossing")
-"""The dimensions along which arrays grow."""
+"""Dimensions along which arrays grow."""
 FEWEST_ROWS, MOST_ROWS = 2**10, 2**16
 BYTES = 2**22
-"""Of a chunk, before it is compressed, where a row is not longer."""
+"""Size of a chunk before compression, unless a single row is longer."""
 TYPES = {"f": "float64", "i": "int64", "b": "bool"}
 FILL: dict[str, Any] = {"float64": "NaN", "int64": 0, "bool": False, "string": ""}
 SEPARATOR = "."
 MOST_AXES = 8
 LONGEST, LARGEST_ROWS = 2**62, 2**16
-"""The longest axis and the most rows of a chunk that are read."""
+"""Limits on axis lengths, and on the rows of a chunk, when reading."""
 ITEM = 8
 """Bytes of a number."""
 OVERHEAD = 16
-"""Bytes by which a compressed chunk may be longer than its numbers: the header of Blosc."""
+"""Bytes of the Blosc header, by which a compressed chunk may exceed its data."""
 CHECKED = 4
 """Bytes of the check sum of a chunk."""
 
 
 class StoredArray(NamedTuple):
-    """An array of an archive.
+    """An array of an archive: dimensions, type, shape, shape of a chunk, and attributes.
 
-    Parameters
-    ----------
-    dims : tuple of str
-        Its dimensions; where the first one is among `GROWING`, it grows.
-    kind : {"float64", "int64", "bool", "string"}
-        Of its numbers.
-    shape : tuple of int
-        Its shape; of an array that grows as far as it has come.
-    chunk : tuple of int
-        Of a chunk.
-    attributes : mapping
-        What is said of it.
+    `kind` is "float64", "int64", "bool" or "string"; the array grows if its first dimension is in `GROWING`.
     """
 
     dims: tuple[str, ...]
@@ -62,11 +50,11 @@ class StoredArray(NamedTuple):
 
     @property
     def grows(self) -> bool:
-        """Whether there is more of it when the run goes on."""
+        """Whether the array grows as the run proceeds."""
         return self.dims[:1] != () and self.dims[0] in GROWING
 
     def metadata(self) -> dict[str, Any]:
-        """Return what Zarr is told of it."""
+        """Return the Zarr metadata."""
         numbers = self.kind not in ("string", "bool")
         codecs: list[dict[str, Any]] = [{"name": "bytes"}]
         if self.kind == "string":
@@ -92,7 +80,7 @@ class StoredArray(NamedTuple):
 
     @classmethod
     def of_metadata(cls, metadata: Mapping[str, Any]) -> StoredArray:
-        """Return the array that `metadata` was made of."""
+        """Return the array with this metadata."""
         return cls(
             tuple(metadata["dimension_names"]),
             metadata["data_type"],
@@ -102,13 +90,7 @@ class StoredArray(NamedTuple):
         )
 
     def check(self) -> None:
-        """Refuse shapes and chunks that the library does not write.
-
-        Raises
-        ------
-        ValueError
-            Naming what is wrong.
-        """
+        """Raise ValueError for shapes and chunks that the library does not write."""
         axes = len(self.dims)
         if not all(isinstance(name, str) and name.isidentifier() for name in self.dims) or not 1 <= axes <= MOST_AXES:
             raise ValueError(f"the dimensions are {short(self.dims)}")
@@ -126,29 +108,22 @@ class StoredArray(NamedTuple):
 
     @property
     def extent(self) -> list[tuple[int, int]]:
-        """The shape with the chunk: pairs of both along each axis."""
+        """Pairs of array length and chunk length along each axis."""
         return list(zip(self.shape, self.chunk, strict=True))
 
     @property
     def most_bytes(self) -> int | None:
-        """The length that a chunk has as bytes at most; None for text."""
+        """Limit on the encoded size of a chunk; None for text."""
         if self.kind == "string":
             return None
         return np.dtype(self.kind).itemsize * prod(self.chunk) + OVERHEAD + CHECKED
 
     def chunks_at(self, first: tuple[int, ...], shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
-        """Yield the chunks that a region touches, as `chunks_in`: the region begins at `first`, and has a shape."""
+        """Yield the chunks that a region at `first` intersects, as `chunks_in`."""
         return self.chunks_in([range(a, a + n) for a, n in zip(first, shape, strict=True)])
 
     def chunks_in(self, part: Sequence[range]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
-        """Yield the chunks that have entries of a part: the number of each along the axes, and slices of it and of the
-        part.
-
-        Parameters
-        ----------
-        part : sequence of range
-            The entries along each axis, ascending.
-        """
+        """Yield the chunks that intersect ascending ranges of entries: indices, and slices of chunk and part."""
         along = [range(r[0] // c, r[-1] // c + 1) if r else range(0) for r, c in zip(part, self.chunk, strict=True)]
         for place in itertools.product(*along):
             inside, outside = [], []
@@ -161,13 +136,13 @@ class StoredArray(NamedTuple):
                 yield place, tuple(inside), tuple(outside)
 
     def empty(self) -> NDArray[Any]:
-        """Return a chunk of nothing."""
+        """Return a chunk of fill values."""
         if self.kind == "string":
             return np.full(self.chunk, "", dtype=object)
         return np.full(self.chunk, np.nan if self.kind == "float64" else 0, dtype=self.kind)
 
     def encoded(self, chunk: NDArray[Any]) -> bytes:
-        """Return a chunk as bytes."""
+        """Encode a chunk."""
         from numcodecs import Blosc, VLenUTF8
 
         if self.kind == "string":
@@ -180,23 +155,17 @@ class StoredArray(NamedTuple):
         return content + _sum_of(content)
 
     def decoded(self, content: bytes) -> NDArray[Any]:
-        """Return the numbers of a chunk from its bytes.
-
-        Raises
-        ------
-        ValueError
-            They are damaged.
-        """
+        """Decode a chunk; ValueError if it is damaged."""
         content, told = content[:-CHECKED], content[-CHECKED:]
         if _sum_of(content) != told:
-            raise ValueError("a chunk of the archive is damaged: its check sum is another one")
+            raise ValueError("a chunk of the archive is damaged: its check sum does not match")
         if self.kind == "string":
             return np.array(texts_of(content, prod(self.chunk)), dtype=object).reshape(self.chunk)
         kind = np.dtype(self.kind).newbyteorder("<")
         if self.kind != "bool":
             content = unpacked(content, kind.itemsize * prod(self.chunk))
         if len(content) != kind.itemsize * prod(self.chunk):
-            raise ValueError(f"a chunk of the archive has {len(content)} bytes, which its shape does not ask for")
+            raise ValueError(f"a chunk of the archive has {len(content)} bytes, which contradicts its shape")
         return np.frombuffer(content, dtype=kind).reshape(self.chunk).copy()
 
 
@@ -204,19 +173,13 @@ BLOSC = {"typesize": 8, "cname": "zstd", "clevel": 3, "shuffle": "shuffle", "blo
 
 
 def unpacked(content: bytes, length: int) -> bytes:
-    """Return what Blosc has compressed, of which the length is known; nothing longer is made.
-
-    Raises
-    ------
-    ValueError
-        It is damaged, or holds another number of bytes.
-    """
+    """Decompress Blosc data to a known length; ValueError if it is damaged or of another length."""
     from numcodecs import Blosc
 
-    # The header: versions, flags, size of an entry; lengths of the content, of a block, and of all that is here.
+    # Header: versions, flags, item size; lengths of the content, of a block, and of the compressed data.
     held, packed = (int.from_bytes(content[at : at + 4], "little") for at in (4, 12))
     if len(content) < OVERHEAD or held != length or packed != len(content):
-        raise ValueError("a chunk of the archive is damaged: its header is not that of its length")
+        raise ValueError("a chunk of the archive is damaged: its header contradicts its length")
     try:
         return bytes(Blosc().decode(content))
     except (RuntimeError, ValueError, TypeError) as reason:
@@ -224,13 +187,7 @@ def unpacked(content: bytes, length: int) -> bytes:
 
 
 def texts_of(content: bytes, count: int) -> list[str]:
-    """Return texts that the codec vlen-utf8 has encoded, of which the number is known.
-
-    Raises
-    ------
-    ValueError
-        They are damaged, or another number.
-    """
+    """Decode a known number of vlen-utf8 texts; ValueError if they are damaged."""
     found, at = [], 4
     if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
         raise ValueError("a chunk of the archive is damaged: it has another number of texts")
@@ -250,7 +207,7 @@ def _sum_of(content: bytes) -> bytes:
 
 
 def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[int, ...]:
-    """Return the shape of the chunks of an array: all of it, or `rows` rows of one that grows; long ones are split.
+    """Return the chunk shape of an array: all of it, or `rows` rows of one that grows; large ones are split.
 
     Examples
     --------
@@ -264,16 +221,16 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[
     if grows:
         chunk[0] = rows
     for axis in range(int(grows), len(chunk)):
-        # The first axes are split first: those of members.
+        # Split leading axes first: those of members.
         over = max(1, -(-8 * prod(chunk) // BYTES))
         chunk[axis] = max(1, -(-chunk[axis] // over))
     return tuple(max(1, size) for size in chunk)
 
 
 def rows_of_chunk(numbers: int, most: int) -> int:
-    """Return how many rows a chunk has, where one row of the longest array has so many numbers.
+    """Return the rows of a chunk, if a row of the longest array has this many numbers.
 
-    Those of a run of few points have some room, since it may be gone on with.
+    Short runs get spare rows, since they may be continued.
 
     Examples
     --------

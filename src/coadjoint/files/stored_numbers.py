@@ -1,4 +1,4 @@
-"""Numbers and arrays by name as bytes: the format of `numpy.savez`, read without pickle and in bounded memory."""
+"""Numbers and arrays by name as bytes, in the format of `numpy.savez`, read without pickle and in bounded memory."""
 
 from __future__ import annotations
 
@@ -17,19 +17,14 @@ MOST_AXES = 8
 
 
 def numbers_to(numbers: Mapping[str, Any]) -> bytes:
-    """Return numbers and arrays as bytes."""
+    """Serialize numbers and arrays."""
     content = io.BytesIO()
     np.savez(content, **{name: np.asarray(value) for name, value in numbers.items()})  # type: ignore[arg-type]
     return content.getvalue()
 
 
 def numbers_from(raw: bytes) -> dict[str, NDArray[Any]]:
-    """Return the arrays that `numbers_to` wrote; what takes more memory than its bytes is refused.
-
-    Raises
-    ------
-    ValueError
-        The bytes are damaged, compressed, or hold something else than numbers.
+    """Deserialize the arrays of `numbers_to`; ValueError if they are damaged, compressed, or longer than their bytes.
 
     Examples
     --------
@@ -46,7 +41,7 @@ def numbers_from(raw: bytes) -> dict[str, NDArray[Any]]:
             return {file.filename.removesuffix(ENDING): _array_from(archive.read(file)) for file in files}
     except ValueError:
         raise
-    except Exception as reason:  # of the readers of zip and npy, which have no kind of their own for damaged bytes
+    except Exception as reason:  # zip and npy readers raise arbitrary errors for damaged bytes
         raise ValueError(f"{type(reason).__name__} while it was read") from reason
 
 
@@ -58,8 +53,8 @@ def _array_from(raw: bytes) -> NDArray[Any]:
     shape, by_columns, dtype = npy.read_array_header_1_0(content)
     count = prod(shape)
     if dtype.kind not in "biuf" or min(shape, default=0) < 0 or len(shape) > MOST_AXES:
-        raise ValueError("it holds something else than numbers")
+        raise ValueError("it contains an array that is not of numbers")
     if count * dtype.itemsize != len(raw) - content.tell():
-        raise ValueError("an array in it has another length than its shape says")
+        raise ValueError("it contains an array whose length contradicts its shape")
     found = np.frombuffer(raw, dtype, count, content.tell())
     return found.reshape(shape, order="F" if by_columns else "C").copy(order="K")

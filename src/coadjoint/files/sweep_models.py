@@ -1,4 +1,4 @@
-"""Which keys may the table of a sweep have? Models of `[sweep]`, and of the settings of one place."""
+"""Models of the table `[sweep]`, and of the settings of one key."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ Positive = Annotated[Any, AfterValidator(_positive), WithJsonSchema({"type": "nu
 
 
 class SettingsTable(BaseModel):
-    """The values of one place of the file: listed values, a grid, random numbers, or the rows of an array."""
+    """The values of one key of the file: listed values, a grid, random numbers, or the rows of an array."""
 
     model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     values: list[Any] | None = None
     """The values themselves; a plain list means the same."""
     linear: Two | None = None
-    """A grid from the first number to the last, in equal steps (unit of the place)."""
+    """A grid from the first number to the last, in equal steps (unit of the key)."""
     logarithmic: Two | None = None
-    """A grid from the first number to the last, in equal ratios (unit of the place)."""
+    """A grid from the first number to the last, in equal ratios (unit of the key)."""
     count: Annotated[int, Field(ge=1)] | None = None
-    """How many values a grid has."""
+    """Number of values of a grid."""
     uniform: Two | None = None
-    """Random numbers between the first and the second (unit of the place)."""
+    """Random numbers between the first and the second (unit of the key)."""
     normal: Two | None = None
-    """Random numbers of this mean and this standard deviation (unit of the place)."""
+    """Random numbers of this mean and this standard deviation (unit of the key)."""
     sphere: Positive | None = None
-    """Random vectors of this length (unit of the place)."""
+    """Random vectors of this length (unit of the key)."""
     orbit: Positive | None = None
     """States on the coadjoint orbit of the state in the file, moved by random group elements of this size."""
     file: str | None = None
-    """The rows of an array in a file .npy, from the folder of this file."""
+    """The rows of an array in a file .npy, relative to the folder of this file."""
     column: Annotated[int, Field(ge=0)] | None = None
-    """The column of the array, counted from 0; by default the whole row."""
+    """The column of the array, from 0; by default the whole row."""
 
     @model_validator(mode="before")
     @classmethod
@@ -70,38 +70,38 @@ class SettingsTable(BaseModel):
             said = f"has {' and '.join(kinds)}; give one" if kinds else "has none"
             raise ValueError(f"{said} of {', '.join(KINDS)}")
         if (self.count is None) == (kinds[0] in GRIDS):
-            raise ValueError(f"count belongs to a grid, {' or '.join(GRIDS)}: how many values it has")
+            raise ValueError(f"count belongs to a grid, {' or '.join(GRIDS)}, and is its number of values")
         if self.column is not None and self.file is None:
-            raise ValueError("column belongs to file: which column of the array is taken")
+            raise ValueError("column belongs to file, and selects a column of the array")
         if self.values == []:
             raise ValueError("is an empty list; give at least one value")
         return self
 
     @property
     def kind(self) -> str:
-        """Which of `KINDS` it is."""
+        """The kind of settings, one of `KINDS`."""
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
 
 class SweepTable(BaseModel):
-    """Which places of the file change from member to member, and how many random members there are."""
+    """The keys of the file that change from member to member, and the number of random members."""
 
     model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     samples: Annotated[int, Field(ge=1)] | None = None
-    """How many random members there are."""
+    """Number of random members."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)] | None = None
     """The seed of the random numbers."""
     over: dict[str, SettingsTable]
-    """Places of the file, such as "initial.x[0]", and the values of each. Every combination is a member."""
+    """Keys of the file, such as "initial.x[0]", and the values of each. Every combination is a member."""
 
     @model_validator(mode="after")
     def _drawn(self) -> SweepTable:
         drawn = [place for place, settings in self.over.items() if settings.kind in DRAWN]
         if not self.over:
-            raise ValueError("over is empty; name at least one place of the file, such as 'initial.x[0]'")
+            raise ValueError("over is empty; give at least one key of the file, such as 'initial.x[0]'")
         if drawn and (self.samples is None or self.seed is None):
-            raise ValueError(f"over {short(drawn[0])} is random; give samples (how many) and seed")
+            raise ValueError(f"over {short(drawn[0])} is random; give samples (their number) and seed")
         if not drawn and (self.samples is not None or self.seed is not None):
             raise ValueError(f"samples and seed belong to random settings, {', '.join(DRAWN)}; there are none")
         return self

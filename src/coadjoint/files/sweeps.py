@@ -1,4 +1,4 @@
-"""Which members does the sweep of a configuration file have? Each is the file with other values at some places."""
+"""Sweeps of configuration files: members are copies of the file with other values at some keys."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ROOTS = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "in
 
 @dataclass(frozen=True)
 class Axis:
-    """Places that are set together, and what they are set to: place -> settings, all of one length."""
+    """Keys that are set together: key -> settings, all of one length."""
 
     settings: Mapping[str, Any]
     length: int
@@ -45,16 +45,8 @@ class Axis:
 class Sweep:
     """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest.
 
-    Parameters
-    ----------
-    name : str
-        The file, for messages.
-    raw : mapping
-        What the file says, without checks.
-    axes : tuple of Axis
-        In the order in which the file names their first places.
-    orbits : frozenset of str
-        Places whose settings are elements of the algebra, by which the written state is moved.
+    `raw` holds the tables of the file, not validated; `axes` are in the order of their first keys; `orbits` are the
+    keys whose settings are elements of the algebra that move the given state.
     """
 
     name: str
@@ -64,18 +56,18 @@ class Sweep:
 
     @property
     def members(self) -> int:
-        """How many there are."""
+        """Number of members."""
         return math.prod(axis.length for axis in self.axes)
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        """Return which setting of each axis a member has, (members, axes)."""
+        """Setting of each axis for each member, (members, axes)."""
         places = np.unravel_index(np.arange(self.members), [axis.length for axis in self.axes])
         return np.stack(places, axis=1).astype(np.int64)
 
     @cached_property
     def values(self) -> dict[str, list[Any]]:
-        """Place -> what it is set to, for each member."""
+        """Key -> its value for each member."""
         found: dict[str, list[Any]] = {}
         for axis, numbers in zip(self.axes, self.numbers.T.tolist(), strict=True):
             for place, settings in axis.settings.items():
@@ -84,16 +76,16 @@ class Sweep:
         return found
 
     def axes_of(self, chosen: Callable[[Place], bool]) -> list[int]:
-        """Return the numbers of the axes that have a chosen place."""
+        """Return the numbers of the axes with a key that satisfies `chosen`."""
         return [k for k, axis in enumerate(self.axes) if any(chosen(place_of(place)) for place in axis.settings)]
 
     def raw_of(self, member: int) -> dict[str, Any]:
-        """Return what the file says of one member, with whole states and orbits as they are written."""
+        """Return the tables of one member; a state swept over an orbit stays as written."""
         changed = {place: values[member] for place, values in self.values.items() if place not in self.orbits}
         return with_values(self.raw, changed, self.name)
 
     def each(self, axes: list[int], make: Callable[[int], Any]) -> list[Any]:
-        """Return for every member what `make` returns of the first member with the same settings of some axes."""
+        """Return `make(member)` for every member, evaluated once for equal settings of the given axes."""
         made: dict[tuple[int, ...], Any] = {}
         found = []
         for member, numbers in enumerate(self.numbers[:, axes].tolist()):
@@ -108,25 +100,10 @@ class Sweep:
 
 
 def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
-    """Return the sweep of a file, its settings drawn and read.
+    """Return the sweep of a file from its validated table, with random settings drawn and files read.
 
-    Parameters
-    ----------
-    name : str
-        The file: for messages, and its folder is where relative names begin.
-    raw : mapping
-        What it says.
-    sweep : SweepTable
-        Its checked table.
-
-    Returns
-    -------
-    Sweep
-
-    Raises
-    ------
-    ConfigurationError
-        A place that cannot be swept, settings that are wrong, arrays of other lengths, or too many members.
+    `name` is the path of the file, from whose folder relative names begin. ConfigurationError: a key that cannot be
+    swept, invalid settings, arrays of unequal lengths, or too many members.
     """
     axes: dict[str, dict[str, Any]] = {}
     wrong = SeveralErrors(name)
@@ -140,9 +117,9 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
                 state = place_of(place) == STATE and random
                 written = array_of_file(Path(name).parent / written, written) if state else None
             if written is None and place_of(place) == STATE and random:
-                raise ValueError("initial.x is missing; write a state there, of whose length the random ones are")
+                raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
             if table.kind == "orbit" and place_of(place) != STATE:
-                raise ValueError("orbit is of states; give it for 'initial.x'")
+                raise ValueError("orbit applies to states only; give it for 'initial.x'")
             settings = settings_of(place, table, sweep, written, Path(name).parent)
             axes.setdefault(together_with(place, table), {})[place] = settings
     wrong.tell()
@@ -155,7 +132,7 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
 
 
 def place_of(written: str) -> Place:
-    """Return the keys and numbers of a place.
+    """Parse a key into names and indices.
 
     Examples
     --------
@@ -167,7 +144,7 @@ def place_of(written: str) -> Place:
         match = _PART.fullmatch(part)
         if match is None:
             raise ValueError(
-                f"{short(written)} is no place of a file; give one such as 'initial.x[0]' or "
+                f"{short(written)} is no key of a file; give one such as 'initial.x[0]' or "
                 "'system.parameters.inertia[2]'"
             )
         found += [match[1], *(int(number) for number in re.findall(r"\d+", match[2]))]
@@ -180,17 +157,17 @@ def _check_places(name: str, over: Iterable[str], wrong: SeveralErrors) -> None:
         with wrong.caught(), section(name, f"sweep.over.{in_one_line(place, 60)}"):
             keys = place_of(place)
             if not any(place.startswith((f"{root}.", f"{root}[")) for root in ROOTS):
-                raise ValueError(f"only what lies in {', '.join(ROOTS)} can be swept")
+                raise ValueError(f"only keys within {', '.join(ROOTS)} can be swept")
             if keys[:2] == ("initial", "attitude") or keys == ("initial", "kind"):
                 raise ValueError(f"initial.{keys[1]} is the same for all members")
             for other, known in places.items():
                 if known[: len(keys)] == keys[: len(known)]:
-                    raise ValueError(f"{other} is swept too, and one lies in the other")
+                    raise ValueError(f"{other} is swept too, and one contains the other")
             places[place] = keys
 
 
 def _written(raw: Any, place: Place) -> Any:
-    """Return what the file has at a place, or None."""
+    """Return the value of the file at a key, or None."""
     found: Any = raw
     for key in place:
         try:
@@ -201,25 +178,7 @@ def _written(raw: Any, place: Place) -> Any:
 
 
 def with_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return what a file says, with other values at some places.
-
-    Parameters
-    ----------
-    raw : mapping
-        What it says; it is not changed.
-    values : mapping
-        Place -> value.
-    name : str
-        The file, for messages.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    ConfigurationError
-        A place is an entry of a list that the file does not have.
+    """Return a copy of the tables of a file with other values at some keys; list entries must exist.
 
     Examples
     --------
@@ -239,7 +198,7 @@ def with_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) ->
 
 
 def _inside(table: Any, key: str | int) -> Any:
-    """Return a table in a table, a new one where there is none, or an entry of a list."""
+    """Return a subtable, created if missing, or an entry of a list."""
     _check_there(table, key)
     return table.setdefault(key, {}) if isinstance(key, str) else table[key]
 
@@ -247,6 +206,6 @@ def _inside(table: Any, key: str | int) -> Any:
 def _check_there(table: Any, key: str | int) -> None:
     if isinstance(key, str):
         if not isinstance(table, dict):
-            raise ValueError(f"{key} lies in no table of the file; write it, and sweep over what lies in it")
+            raise ValueError(f"{key} is in no table of the file; write the table, and sweep over its keys")
     elif not isinstance(table, list) or key >= len(table):
         raise ValueError(f"the file has no entry {key} there; write all entries, and sweep over some")

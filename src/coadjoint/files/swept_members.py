@@ -1,4 +1,4 @@
-"""Which system and which state has each member of a sweep?"""
+"""Systems and initial states of the members of a sweep."""
 
 from __future__ import annotations
 
@@ -27,20 +27,9 @@ BYTES_OF_A_SYSTEM = 4000
 
 
 def swept_system(sweep: Sweep, file: File, checked: Callable[[dict[str, Any]], File]) -> Any:
-    """Return the system of all members, or a `Batch` where they have others.
+    """Return the common system of all members, or a `Batch` if the sweep changes it.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        The members.
-    file : File
-        The first of them.
-    checked : callable
-        Checks what a file says.
-
-    Returns
-    -------
-    System, ForcedSystem or Batch
+    `file` is the first member; `checked` validates the tables of a member.
     """
     axes = sweep.axes_of(_of_system)
     if not axes:
@@ -57,19 +46,7 @@ def _of_system(place: Place) -> bool:
 
 
 def swept_states(sweep: Sweep, file: File, system: Any, checked: Callable[[dict[str, Any]], File]) -> Any:
-    """Return the initial states of the members, (members, ...), as `integrate` takes them.
-
-    Parameters
-    ----------
-    sweep, file, checked
-        As for `swept_system`.
-    system : System, ForcedSystem or Batch
-        From `swept_system`.
-
-    Returns
-    -------
-    ndarray
-    """
+    """Return the initial states of the members, (members, ...), as `integrate` takes them."""
     name = sweep.name
     systems = list(system) if isinstance(system, Batch) else [system] * sweep.members
     if file.initial.kind is not None:
@@ -83,7 +60,7 @@ def swept_states(sweep: Sweep, file: File, system: Any, checked: Callable[[dict[
         base = np.asarray(initial_state(systems[0], file.initial.x, Path(name).parent))
         if not momenta_of(systems[0], base)[1]:
             raise ValueError(
-                f"x0 has the shape {base.shape}, an ensemble already; write one state, and sweep over 'initial.x'"
+                f"x0 has the shape {base.shape}, already an ensemble; give one state, and sweep over 'initial.x'"
             )
         check_room(3 * base.nbytes * sweep.members, f"the states of {sweep.members} members")
     states = np.repeat(base[None] if base.dtype.kind == "c" else base[None].astype(np.float64), sweep.members, axis=0)
@@ -97,13 +74,13 @@ def swept_states(sweep: Sweep, file: File, system: Any, checked: Callable[[dict[
 
 
 def _set(states: Any, place: str, settings: Any, numbers: Any, systems: list[Any], orbit: bool) -> None:
-    """Set a place of the states of all members."""
+    """Set a key of the states of all members."""
     keys = place_of(place)
     if orbit:
         for member, system in enumerate(systems):
             algebra = unforced(system).algebra
             if getattr(algebra, "triples", None) is None:
-                raise ValueError(f"{system.name} has no algebra with structure constants, whose orbits are known")
+                raise ValueError(f"{system.name} has no algebra with structure constants; sweep over values instead")
             states[member] = moved_on_orbit(algebra, states[member], settings[numbers[member]])
         return
     given = initial_state(systems[0], settings, Path()) if keys == STATE else settings

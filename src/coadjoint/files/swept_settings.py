@@ -1,4 +1,4 @@
-"""To what is a place of a configuration file set? Listed values, grids, random numbers, rows of an array."""
+"""Settings of the keys of a sweep: listed values, grids, random numbers, rows of an array."""
 
 from __future__ import annotations
 
@@ -23,41 +23,21 @@ if TYPE_CHECKING:
 BYTES_OF_A_SETTING = 64
 SAMPLES = "samples"
 MOST_TERMS = 400
-"""Of the series of a group element; a factor of the series converges long before."""
+"""Limit on the terms of the series of a group element; each factor converges long before."""
 
 
 def together_with(place: str, settings: SettingsTable) -> str:
-    """Return the name of what a place goes together with: all that is random, the rows of a file, or itself alone."""
+    """Return the group of a key: all random keys, all columns of a file, or the key alone."""
     if settings.file is not None:
         return f"file {settings.file}"
     return SAMPLES if settings.kind in ("uniform", "normal", "sphere", "orbit") else f"place {place}"
 
 
 def settings_of(place: str, settings: SettingsTable, sweep: SweepTable, written: Any, folder: Path) -> Any:
-    """Return what a place is set to, one after the other: a list, or an array whose first axis counts them.
+    """Return the settings of a key: a list, or an array with the settings along its first axis.
 
-    Parameters
-    ----------
-    place : str
-        As the sweep names it.
-    settings : SettingsTable
-        Its table.
-    sweep : SweepTable
-        With the number of samples and the seed.
-    written : object
-        What the file has at this place, whose shape random numbers take; None where it has nothing.
-    folder : Path
-        From which relative names of files lead.
-
-    Returns
-    -------
-    list or ndarray
-        Of an orbit the elements of the algebra that move the written state, (samples, n).
-
-    Raises
-    ------
-    ValueError
-        A value is wrong, a file cannot be read, or there are too many for the memory.
+    `written` is the value in the file, which defines the shape of random numbers, or None; relative names of files
+    begin at `folder`. Settings of an orbit are elements of the algebra that move the given state, (samples, n).
     """
     kind = settings.kind
     if settings.values is not None:
@@ -91,7 +71,7 @@ def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
 def _rows(named: str, column: int | None, folder: Path) -> NDArray[Any]:
     found = array_of_file(folder / named, named)
     if found.ndim == 0 or not len(found):
-        raise ValueError(f"{short(named)} holds an array of shape {found.shape}; its first axis counts the settings")
+        raise ValueError(f"{short(named)} holds an array of shape {found.shape}; its first axis must be the settings")
     if column is None:
         return found
     if found.ndim != 2 or column >= found.shape[1]:
@@ -100,25 +80,10 @@ def _rows(named: str, column: int | None, folder: Path) -> NDArray[Any]:
 
 
 def drawn(kind: str, spread: Any, place: str, seed: int, samples: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return random settings; each is a function of the seed, the place and the number of the sample alone.
+    """Return random settings, (samples, ...), each a function of the seed, the key and the sample number alone.
 
-    Parameters
-    ----------
-    kind : {"uniform", "normal", "sphere", "orbit"}
-        Of the distribution.
-    spread : object
-        Its numbers: both ends; mean and standard deviation; the radius; the standard deviation of the components of
-        an element of the algebra.
-    place : str
-        As the sweep names it: numbers of two places are independent.
-    seed, samples : int
-        Which numbers, and how many settings.
-    shape : tuple of int
-        Of one setting.
-
-    Returns
-    -------
-    ndarray, shape (samples, ...)
+    `spread` holds both ends (uniform), mean and standard deviation (normal), the radius (sphere), or the standard
+    deviation of the components of an element of the algebra (orbit). Settings of different keys are independent.
 
     Examples
     --------
@@ -138,7 +103,7 @@ def drawn(kind: str, spread: Any, place: str, seed: int, samples: int, shape: tu
         mean, deviation = _both(spread, "mean or deviation", shape)
         return np.asarray(mean + deviation * found)
     if len(shape) != 1:
-        raise ValueError(f"{kind} is of states that are vectors; what the file has here is of shape {shape}")
+        raise ValueError(f"{kind} applies to states that are vectors; the value in the file has the shape {shape}")
     if kind == "orbit":
         return np.asarray(spread * found)
     lengths = np.array([math.hypot(*row) for row in found.tolist()])
@@ -151,25 +116,15 @@ def _both(given: list[Any], what: str, shape: tuple[int, ...]) -> tuple[Any, Any
     for value in given:
         numbers = read_number(value, what) if is_real(value) else read_finite(value, what)
         if np.shape(numbers) not in ((), shape):
-            raise ValueError(f"{what} has the shape {np.shape(numbers)}; what the file has here is of shape {shape}")
+            raise ValueError(f"{what} has the shape {np.shape(numbers)}; the value in the file has the shape {shape}")
         found.append(numbers)
     return found[0], found[1]
 
 
 def moved_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(K) x of the same coadjoint orbit, where K y = J(y) u: the motion of H = u.y for the time 1.
+    """Return exp(K) x on the same coadjoint orbit, K y = J(y) u: the motion of H = u.y for the time 1.
 
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        That of the orbit.
-    x, u : ndarray, shape (n,)
-        The state that is moved, and the element of the algebra that moves it.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Sums of series, in index order; the exponent is halved until they converge at once.
+    The series is summed in index order, in pieces of the exponent short enough to converge quickly.
 
     Examples
     --------
@@ -200,13 +155,9 @@ def moved_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64])
 
 
 def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDArray[Any]]]:
-    """Return what was swept as coordinates along the members: name -> place, and one entry for each member.
+    """Return the settings of a sweep as coordinates along the members: name -> key, and a value for each member.
 
-    Parameters
-    ----------
-    values : mapping
-        Place -> what it is set to, one for each member. Lists of numbers have a coordinate for each entry. Whole states
-        are left out: the variable ``x0`` of a dataset has them.
+    Lists of numbers have a coordinate for each entry. Whole states are omitted, since a dataset has them as ``x0``.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Where is a result while it is written? In a hidden folder beside its target, which a killed run may leave behind."""
+"""Atomic output: results are written to a hidden folder beside their target; leftovers of killed runs are removed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint import interruption
 
 try:
     import fcntl
-except ImportError:  # Windows: leftovers stay, since nothing tells whether their writer lives
+except ImportError:  # Windows: leftovers stay, since live writers cannot be detected
     fcntl = None  # type: ignore[assignment]
 
 LOCK = "lock"
@@ -26,19 +26,14 @@ REPLACED = "replaced"
 
 
 class Stopped(Exception):
-    """A write came after the whole was given up."""
+    """A write was attempted after the output was abandoned."""
 
 
 class Unfinished:
-    """A result that is being written: `place` inside of a hidden folder, until `finish` renames it to its target.
+    """A result being written: to `place` in a hidden folder, until `finish` renames it to its target.
 
-    The folder is gone after the ``with`` block, whatever happens in it. It holds a lock as long as its process lives,
-    so that `remove_leftovers` knows which folders are those of killed runs.
-
-    Parameters
-    ----------
-    target : Path
-        Where the result goes.
+    The folder is removed at the end of the ``with`` block in any case. It is locked while its process lives, so that
+    `remove_leftovers` recognizes the folders of killed runs.
 
     Examples
     --------
@@ -56,7 +51,7 @@ class Unfinished:
         self._lock: int | None = None
 
     def __enter__(self) -> Unfinished:
-        # The folder is known to what ends the process before it exists.
+        # Register the cleanup before the folder exists.
         interruption.begin(self.give_up)
         try:
             while self._lock is None:
@@ -81,12 +76,12 @@ class Unfinished:
 
     @property
     def place(self) -> Path:
-        """Where the result is written, a name in a new folder."""
+        """Path to write to, a name in a new folder."""
         return self._folder / self._target.name
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Let nothing be given up while one piece is written; afterwards refuse by `Stopped` to write another."""
+        """Context for one write, which is not interrupted by `give_up`; raise `Stopped` after it."""
         with self._gate:
             if self._stopped:
                 raise Stopped
@@ -95,37 +90,31 @@ class Unfinished:
     def finish(self) -> None:
         """Rename the result to its target."""
         if self._target.is_dir() and not self._target.is_symlink():
-            # A folder cannot be renamed over one that is not empty: the old one steps aside, and is deleted with ours.
+            # A folder cannot replace a non-empty one: move the old one into the hidden folder, to be deleted with it.
             os.replace(self._target, self._folder / REPLACED)
         os.replace(self.place, self._target)
 
     def give_up(self) -> None:
-        """Write nothing more, and remove the hidden folder; once it is renamed, the result stays."""
+        """Stop writing and remove the hidden folder; a result already renamed is unaffected."""
         with self._gate:
             self._stopped = True
         _settle(self._folder, self._target)
 
 
 def remove_leftovers(target: Path) -> None:
-    """Remove the hidden folders that killed runs to this target have left; those of runs that live stay.
-
-    Parameters
-    ----------
-    target : Path
-        Where those runs wanted to write. It is put back where a run was killed while it replaced a folder.
-    """
+    """Remove the hidden folders of killed runs to this target, and restore a target that was being replaced."""
     prefix = _prefix(target)
     with os.scandir(target.parent) as entries:
         found = [entry for entry in entries if entry.name.startswith(prefix)]
     for entry in found:
-        # Somebody else's, or gone meanwhile: no reason to refuse a run.
+        # Of another user, or already gone: ignore.
         with suppress(OSError):
             if _is_own(entry):
                 _remove_if_left(Path(entry.path), target)
 
 
 def _is_own(entry: os.DirEntry[str]) -> bool:
-    """Return whether an entry is a folder of this user, and no symbolic link: only such folders are removed."""
+    """Whether an entry is a folder of this user and no symbolic link; only such folders are removed."""
     if not entry.is_dir(follow_symlinks=False):
         return False
     return not hasattr(os, "geteuid") or entry.stat(follow_symlinks=False).st_uid == os.geteuid()
@@ -135,7 +124,7 @@ def _remove_if_left(folder: Path, target: Path) -> None:
     try:
         lock = locked(folder / LOCK)
     except FileNotFoundError:
-        folder.rmdir()  # Its run was killed before it locked it, or is about to: then it makes another.
+        folder.rmdir()  # Its run was killed before locking it, or is about to lock it, and then makes another.
         return
     if lock is not None:
         _settle(folder, target)
@@ -143,14 +132,14 @@ def _remove_if_left(folder: Path, target: Path) -> None:
 
 
 def _prefix(target: Path) -> str:
-    # A name may be as long as a file system allows, so that it is cut; its hash tells it from others.
+    # Truncated, since the name may have the maximal length; the hash keeps it unique.
     return f".{target.name[:24]}-{sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
 
 
 def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None:
-    """Return the descriptor of a locked file, or None where another process has locked or removed it.
+    """Open and lock a file; return its descriptor, or None if another process has locked or removed it.
 
-    No symbolic link is followed to the file. `folder` is the descriptor of the folder from which `path` is reached.
+    Symbolic links are not followed. `folder` is the descriptor that `path` is relative to.
     """
     if fcntl is None and not create:
         return None
@@ -173,7 +162,7 @@ def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None
         return None
     except OSError:
         if create:
-            return descriptor  # a file system without locks: nobody will take this folder for a leftover
+            return descriptor  # a file system without locks: no process will treat this folder as a leftover
         os.close(descriptor)
         return None
     if os.fstat(descriptor).st_nlink == 0:
@@ -183,7 +172,7 @@ def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None
 
 
 def _settle(folder: Path, target: Path) -> None:
-    """Put back a folder that had stepped aside for a result that did not come, and remove the rest."""
+    """Restore a replaced folder if the result was not completed, and remove the rest."""
     with suppress(OSError):
         if (folder / REPLACED).is_dir() and not os.path.lexists(target):
             os.replace(folder / REPLACED, target)
@@ -191,7 +180,7 @@ def _settle(folder: Path, target: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a hidden folder, its lock last: what an interrupt leaves of it can still be recognised."""
+    """Remove a hidden folder, its lock last, so that a partial removal remains recognizable."""
     with suppress(OSError):
         for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK):
             if entry.is_dir() and not entry.is_symlink():

@@ -1,4 +1,4 @@
-"""What is written of a solution? Variables by their names, each with dimensions, values and what is said of it."""
+"""Variables of the dataset of a solution: name -> dimensions, values and attributes."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
 class About(NamedTuple):
-    """What else is written beside a solution: coordinates, and attributes."""
+    """Additional coordinates and attributes written with a solution."""
 
     coordinates: Variables
     attributes: Mapping[str, Any]
 
     def beside(self, system: Any) -> About:
-        """Return the same, with the numbers in which systems of a batch differ."""
+        """Add the numbers in which the systems of a batch differ."""
         return self._replace(coordinates={**parameters_of(system), **self.coordinates})
 
 
@@ -37,7 +37,7 @@ TIME = "time"
 
 
 def named(long_name: str) -> dict[str, Any]:
-    """Return what is said of numbers, by the CF conventions; they are in units of the system's own.
+    """Return CF attributes of a quantity, in the units of the system.
 
     Examples
     --------
@@ -48,12 +48,12 @@ def named(long_name: str) -> dict[str, Any]:
 
 
 def times_of_points(times: NDArray[np.float64]) -> Variables:
-    """Return the coordinate of the saved points."""
+    """Return the time coordinate of the saved points."""
     return {TIME: ((TIME,), times, named("time"))}
 
 
 def over_time(solution: Solution) -> Variables:
-    """Return what a solution has at its saved points, but for the times."""
+    """Return the variables at the saved points, except the times."""
     over, x = ("time", *_member(solution)), solution.x
     found: Variables = {
         "x": ((*over, *state_dimensions(x, len(over))), in_parts(x), named("momentum")),
@@ -73,7 +73,7 @@ def over_time(solution: Solution) -> Variables:
 
 
 def summaries_of(solution: Solution) -> Variables:
-    """Return what a solution says of the whole run: how far invariants strayed, and which members failed."""
+    """Return the variables of the whole run: deviations of invariants, and failures of members."""
     member = _member(solution)
     over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
     changes, about = solution.change(), f"largest absolute deviation from the start {over}"
@@ -92,7 +92,7 @@ def summaries_of(solution: Solution) -> Variables:
 
 
 def starts_of(solution: Solution) -> Variables:
-    """Return where a run began."""
+    """Return the initial states and group elements."""
     member, x0 = _member(solution), solution.x0
     of_state = state_dimensions(x0, len(member))
     found: Variables = {"x0": ((*member, *of_state), in_parts(x0), named("initial momentum"))}
@@ -102,7 +102,7 @@ def starts_of(solution: Solution) -> Variables:
 
 
 def coordinates_of(solution: Solution) -> Variables:
-    """Return the times, and the names of what stands along the other dimensions."""
+    """Return the times, and the labels of the other dimensions."""
     system, of_state = solution.system, state_dimensions(solution.x0, len(_member(solution)))
     found = times_of_points(solution.t)
 
@@ -125,7 +125,7 @@ def coordinates_of(solution: Solution) -> Variables:
 
 
 def parameters_of(system: Any) -> Variables:
-    """Return the numbers in which the systems of a batch differ, over the members, named as those of a sweep are.
+    """Return the numbers in which the systems of a batch differ, over the members, named like those of a sweep.
 
     Examples
     --------
@@ -148,7 +148,7 @@ def parameters_of(system: Any) -> Variables:
 
 
 def over_members(values: Mapping[str, list[Any]]) -> Variables:
-    """Return what a sweep sets as coordinates over the members: place -> what it is set to, one for each member."""
+    """Return the settings of a sweep, key -> values, as coordinates over the members."""
     return {
         name: (("member",), numbers, {"long_name": place}) for name, (place, numbers) in as_coordinates(values).items()
     }
@@ -158,13 +158,13 @@ def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
     """Return the shape of a number or of an array of numbers; None for anything else."""
     try:
         array = np.asarray(value)
-    except ValueError:  # lists of unequal lengths
+    except ValueError:  # ragged lists
         return None
     return array.shape if array.dtype.kind in "iuf" else None
 
 
 def accounts_of(solution: Solution) -> list[tuple[str, str]]:
-    """Return the forces and invariants of what is said of work."""
+    """Return the pairs of force and invariant for which work is recorded."""
     return [(force, name) for force, of_force in solution.work.items() for name in of_force]
 
 
@@ -173,7 +173,7 @@ def _member(solution: Solution) -> tuple[str, ...]:
 
 
 def _balanced(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -> NDArray[np.float64]:
-    """Return the balance of every invariant that changes; NaN of those of which no account is kept."""
+    """Return the balance of every invariant; NaN for those without account."""
     unknown = np.full_like(next(iter(changes.values())).tenths, np.nan)
     return np.stack([balance[name].tenths if name in balance else unknown for name in changes], axis=-2)
 
@@ -183,7 +183,7 @@ def _tenths(found: Mapping[str, Drift]) -> NDArray[np.float64]:
 
 
 def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[str, Any]]]:
-    """Give each name a variable of its own, also where two names differ only in signs that a file does not allow."""
+    """Assign unique variable names, also to names that differ only in characters not allowed in files."""
     taken: dict[str, tuple[str, Any]] = {}
     for name, values in series.items():
         label, number = f"{kind}_{safe_name(name)}", 2

@@ -1,4 +1,4 @@
-"""Files replaced whole: a reader finds the old one or the new one, and never a part of either."""
+"""Atomic replacement of files: a reader finds the old or the new content, never a part."""
 
 from __future__ import annotations
 
@@ -8,29 +8,16 @@ from contextlib import suppress
 from pathlib import Path
 
 UNHEARD = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
-"""Error numbers of file systems that do not sync folders."""
+"""Error numbers of file systems that cannot sync folders."""
 WRITING = ".writing"
-"""Ends the name of a file that is not whole yet; what a killed process leaves of it means nothing."""
+"""Suffix of incomplete files; those of killed processes are ignored."""
 
 
 def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
-    """Write a file beside its place, sync it to disk, and rename it; no symbolic link is followed to either.
+    """Write a temporary file, sync it to disk, and rename it to `path`, without following symbolic links.
 
-    Its folder must exist: one that somebody has removed is not made again.
-
-    Parameters
-    ----------
-    path : Path
-        The file, replaced if it exists.
-    content : bytes
-        All of it.
-    folder : int, optional
-        Descriptor of the folder from which `path` is reached.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or the folder is gone; the file is then as it was.
+    A missing folder is not created. `folder` is the descriptor that `path` is relative to. OSError: the disk is full,
+    or the folder is gone; an existing file is then unchanged.
 
     Examples
     --------
@@ -46,7 +33,7 @@ def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
         try:
             return os.open(name, flags, 0o666, dir_fd=folder)
         except FileExistsError:
-            os.unlink(name, dir_fd=folder)  # left by a killed process, or a link out of the folder
+            os.unlink(name, dir_fd=folder)  # from a killed process, or a link out of the folder
             return os.open(name, flags, 0o666, dir_fd=folder)
 
     try:
@@ -62,13 +49,7 @@ def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
 
 
 def settle(folder: int) -> None:
-    """Sync the names in an open folder to disk, where the system can sync folders.
-
-    Raises
-    ------
-    OSError
-        The disk is full or broken.
-    """
+    """Sync the directory entries of an open folder to disk, where supported."""
     try:
         os.fsync(folder)
     except OSError as reason:

@@ -1,4 +1,4 @@
-"""Events as files have them: read from a configuration, written beside a solution, and read again from there."""
+"""Events in files: parsed from configurations, and stored with solutions."""
 
 from __future__ import annotations
 
@@ -20,26 +20,7 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 
 def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
-    """Return the event of a table.
-
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    table : mapping
-        ``g``: the number or the name of a coordinate, or a polynomial as `read_polynomial` takes it; beside it
-        ``direction``, ``count`` and ``terminal`` as for `Event`.
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        The system.
-
-    Returns
-    -------
-    Event
-
-    Raises
-    ------
-    TypeError, ValueError
-        A value is wrong, or states are matrices.
+    """Return the event of a table: ``g``, an index or name of a coordinate or a polynomial, and options of `Event`.
 
     Examples
     --------
@@ -49,7 +30,7 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     """
     moved = unforced(system[0] if isinstance(system, Batch) else system)
     if isinstance(moved, MatrixSystem):
-        raise ValueError(f"an event of a file is about coordinates; the states of {moved.name} are matrices")
+        raise ValueError(f"an event of a file needs coordinates; the states of {moved.name} are matrices")
     options = dict(table)
     g = options.pop("g")
     if isinstance(g, str) and g not in coordinate_names(moved, moved.dim):
@@ -62,7 +43,7 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
 
 
 def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return events as JSON, and the names of those whose functions cannot be written.
+    """Return events as JSON, and the names of those whose functions cannot be stored.
 
     Examples
     --------
@@ -95,13 +76,7 @@ def variables_of(events: Events) -> dict[str, Any]:
 
 
 def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
-    """Return the events that `written_events` has written.
-
-    Raises
-    ------
-    ValueError
-        The text is damaged.
-    """
+    """Parse the events of `written_events`; ValueError if damaged."""
     found = []
     with made_of(entry):
         for name, table in json.loads(entry.text()).items():

@@ -1,4 +1,4 @@
-"""How is a Zarr store written so that it can be given up at any time, and told later from a folder of somebody else?"""
+"""Zarr output that can be abandoned at any time, with an index by which foreign folders are recognized."""
 
 from __future__ import annotations
 
@@ -19,23 +19,11 @@ LISTED = "coadjoint_files"
 
 
 def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
-    """Write a dataset as a Zarr store of format 2, with a list of its files in its index.
+    """Write a dataset to a new folder as Zarr format 2, with a list of its files in its index.
 
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        What is written.
-    path : Path
-        A new folder.
-    writing : callable
-        A context in which each file is written, `Unfinished.writing`.
-
-    Raises
-    ------
-    OSError
-        The disk is full, for instance.
+    `writing` is the context of each write, `Unfinished.writing`. OSError, for instance for a full disk.
     """
-    # Format 2: format 3 has no agreed encoding of text, which the names of components are.
+    # Format 3 has no standard encoding of text, which component names need.
     dataset.to_zarr(_store(path, writing), mode="w", zarr_format=2, consolidated=True)
     index = json.loads((path / INDEX).read_text(encoding="utf-8"))
     with writing():
@@ -43,17 +31,7 @@ def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], Abstra
 
 
 def written_by_coadjoint(path: Path) -> str:
-    """Return what is in a folder that `write_zarr` did not write; empty where all of it is known.
-
-    Parameters
-    ----------
-    path : Path
-        A folder.
-
-    Returns
-    -------
-    str
-        The name of a file, or of the index that is missing.
+    """Return the name of a file that `write_zarr` did not write (or of the missing index); empty if there is none.
 
     Examples
     --------
@@ -72,7 +50,7 @@ def written_by_coadjoint(path: Path) -> str:
 
 
 def _files(path: Path) -> Iterator[str]:
-    """Yield all files, and what is neither file nor folder, as paths from the folder on with slashes."""
+    """Yield the paths of all files and special entries relative to the folder, with slashes."""
     for entry in os.scandir(path):
         if entry.is_dir(follow_symlinks=False):
             inside = [f"{entry.name}/{name}" for name in _files(Path(entry.path))]
@@ -82,7 +60,7 @@ def _files(path: Path) -> Iterator[str]:
 
 
 def _store(path: Path, writing: Callable[[], AbstractContextManager[None]]) -> LocalStore:
-    """Return a store each of whose files is written at once: a store of Zarr goes on in threads of its own."""
+    """Return a store that writes each file synchronously; Zarr's own would write in threads."""
     from zarr.storage import LocalStore
 
     class Store(LocalStore):

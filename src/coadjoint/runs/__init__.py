@@ -1,1 +1,1 @@
-"""For how long? Integration, prepared runs, solutions, steppers."""
+"""Integration, prepared runs, solutions, steppers, events."""

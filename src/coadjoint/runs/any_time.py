@@ -1,4 +1,4 @@
-"""States of a run at any times: at its steps, and between two of them by a part of a step of the same scheme."""
+"""States of a run at arbitrary times, reached from the preceding step by a partial step of the same scheme."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 ROUNDINGS = 4
-"""A time that is so many units in the last place of the ends of the run from a step is the time of the step."""
+"""A time within this many units in the last place (of the larger end of the span) of a step is that step."""
 ROWS = 2**16
-"""States that are looked at together."""
+"""States processed at once."""
 
 
 class Moments(NamedTuple):
-    """Times within a run: the number of the step at or before each, and how far behind it the time lies."""
+    """Output times: the number of the step at or before each, and the remaining time `length` beyond that step."""
 
     t: Floats
     number: NDArray[np.int64]
@@ -35,36 +35,19 @@ class Moments(NamedTuple):
 
     @property
     def marks(self) -> NDArray[np.int64]:
-        """The steps from which the moments are reached, and the start."""
+        """Numbers of the steps from which the output times are reached, and 0."""
         return np.union1d(self.number, 0)
 
     @property
     def ends(self) -> NDArray[np.int64]:
-        """For each moment the number of the step that is taken to it, whole or in part."""
+        """For each output time, the number of the step, whole or partial, that ends there."""
         return self.number + (self.length != 0.0)
 
 
 def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
-    """Return the moments that were asked for, checked.
+    """Validate `t_eval`, (k,), sorted in the direction of the run and within its span, and locate it among the steps.
 
-    Parameters
-    ----------
-    t_eval : array_like, shape (k,)
-        Times within the run, in its direction. The same time may come several times.
-    times : Times
-        Its steps.
-    save_every : int, optional
-        What was asked for beside them: nothing but 1, the default.
-
-    Returns
-    -------
-    Moments
-
-    Raises
-    ------
-    ValueError
-        Of another shape, empty, not finite, not in order, or outside the run: with the first time that is wrong; or
-        steps were asked for as well.
+    Repeated times are allowed; `save_every` must be 1, since the two exclude each other.
 
     Examples
     --------
@@ -73,7 +56,7 @@ def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
     ([0, 1, 2], [0.0, 0.05, 0.0])
     """
     if save_every != 1:
-        raise ValueError("the run was given save_every and t_eval; give one of them: what is to be kept")
+        raise ValueError("the run was given save_every and t_eval; give only one of them")
     given = read_numbers(t_eval, "t_eval")
     if given.ndim != 1 or not len(given):
         raise ValueError(f"t_eval has the shape {given.shape}; it must be a row of times, at least one")
@@ -97,42 +80,31 @@ def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
     nearest = np.rint(steps).astype(np.int64)
     at_step = np.abs(t - times.at(nearest)) <= near
     before = np.minimum(np.floor(steps).astype(np.int64), max(times.steps - 1, 0))
-    # The quotient may be rounded up to a whole number from just below.
+    # Division may round up to a whole number from just below.
     early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0
     number = np.where(at_step, nearest, before - early)
     return Moments(t, number, np.where(at_step, 0.0, t - times.at(number)))
 
 
 def check_parts(system: Any, moments: Moments) -> None:
-    """Refuse moments between two steps where there is no state between them."""
+    """Reject output times between steps for systems without partial steps (noise)."""
     if np.any(moments.length):
         check_no_noise(system)
 
 
 def look(run: Run, moments: Moments) -> None:
-    """Put in place of the saved points of a run, the steps in `moments.marks`, its states at the moments.
+    """Replace the saved points of a finished run, the steps in `moments.marks`, by its states at `moments`.
 
-    Where an event has ended the run of the only member, these are the moments before it, and its own. Other members
-    that events have ended have no states after them. A member fails where a part of a step fails that went as a whole.
-
-    Parameters
-    ----------
-    run : Run
-        After its last step. Its state does not change.
-    moments : Moments
-        The times.
-
-    Raises
-    ------
-    ValueError
-        There is no state between two steps, since a force is a noise, or what is asked for does not fit in memory.
+    After a terminal event in a single-member run, only the times before it and the event itself are kept; in an
+    ensemble, later states are NaN. A member whose partial step fails is marked as failed. ValueError: noise, or too
+    little memory.
     """
     marked, members = run.saved, len(run.start.momenta)
     way, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
     if run.ending is not None:
         before = way * moments.t < way * run.ending.t
         moments = Moments(moments.t[before], moments.number[before], moments.length[before])
-    # At a step as many steps as there are, to the bit, whatever its time is rounded to.
+    # Exactly n h at a step, whatever its time is rounded to.
     elapsed = moments.number * run.times.h + moments.length
     times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
     if run.ending is not None:
@@ -150,7 +122,7 @@ def look(run: Run, moments: Moments) -> None:
     inside = np.flatnonzero(moments.length)
     if len(inside):
         parts = PartsOfSteps(run.moved, run.method, run.loops, run.workers)
-        # Of a member that has failed there is no part of the step that failed.
+        # A failed member has no partial step within the step that failed.
         last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
         chunk = max(1, ROWS // members)
         for first in range(0, len(inside), chunk):
@@ -163,7 +135,7 @@ def look(run: Run, moments: Moments) -> None:
 
 
 def _with_ending(times: Times, ending: Ending) -> Times:
-    """Return times between steps, and behind them that of an event that has ended the run."""
+    """Append the time of the terminal event to the output times."""
     assert times.marks is not None and times.between is not None and times.elapsed is not None
     return times._replace(
         marks=np.append(times.marks, ending.steps),
@@ -175,7 +147,7 @@ def _with_ending(times: Times, ending: Ending) -> Times:
 def _fill(
     parts: PartsOfSteps, run: Run, moments: Moments, some: NDArray[np.int64], lasting: Any, target: list[Floats]
 ) -> None:
-    """Take the states at some moments on from the steps before them, as long as their members last."""
+    """Compute the states at the chosen output times by partial steps, for members that neither failed nor ended."""
     x, group, values = target
     k, owners = (axis.ravel() for axis in np.meshgrid(some, np.arange(x.shape[1]), indexing="ij"))
     failing, ending = lasting
@@ -196,7 +168,7 @@ def _fill(
             run.fail(m, step, name_of_status(found.status[row]), float(found.residual[row]))
     measured = run.loops.measured_at(found.momenta, moments.t[k])
     if measured is None:
-        # What has several values was followed through the run, and goes on from there by whole periods.
+        # Multivalued invariants were followed along the run, and are continued from there by whole periods.
         turns = values[k, owners] - found.before
         measured = np.where(turns == 0.0, found.values, found.values + turns)
     values[k, owners] = measured

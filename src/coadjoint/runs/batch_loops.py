@@ -1,4 +1,4 @@
-"""The compiled loops of a batch: members whose tables differ in their constants alone share one set of tables."""
+"""Compiled loops of a batch; members whose tables differ only in constants share one set of tables."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ from coadjoint.systems.batch import Batch
 if TYPE_CHECKING:
     from coadjoint.kernels.tables import Compiled
 
-# Crews of a worker in one round. An interrupt waits until the round ends, and each crew costs a call from Python.
+# Per thread. An interrupt waits until the round ends, and each crew costs a call from Python.
 CREWS_IN_A_ROUND = 8
 
 
 def in_rounds(crews: list[Crew], workers: int) -> list[list[Crew]]:
-    """Return crews as rounds of some for each worker."""
+    """Split crews into rounds of `CREWS_IN_A_ROUND` per thread."""
     size = CREWS_IN_A_ROUND * workers
     return [crews[a : a + size] for a in range(0, len(crews), size)]
 
 
 class Group(NamedTuple):
-    """Members with tables of one structure: `members` are their places in the batch, ascending.
+    """Members with tables of one structure; `members` are their indices in the batch, ascending.
 
-    `tables` and `watch` are those of the first member, but each array of constants (count,) is now (count, stride).
+    `tables` and `watch` are those of the first member, with each array of constants (count,) widened to (count,
+    stride).
     """
 
     members: NDArray[np.int64]
@@ -48,18 +49,9 @@ class Group(NamedTuple):
 
 
 class BatchLoops(Loops):
-    """A batch: each member has the same tables as if it ran alone.
+    """Loops of a batch; each member has the same tables as if it ran alone.
 
-    Parameters
-    ----------
-    batch : Batch
-        The system.
-    method : Method
-        The scheme.
-    h : float
-        Step, negative for backward.
-    representations : sequence of (ndarray of shape (n, d, d), "coadjoint", or None)
-        What the group element of each member is carried in.
+    `representations` holds an array (n, d, d), "coadjoint" or None for each member; h is negative for backward runs.
     """
 
     def __init__(self, batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> None:
@@ -103,7 +95,7 @@ class BatchLoops(Loops):
         self.size, self.memory = dim + len(self.accounts), max(found.memory for found in prepared)
 
     def among(self, first: int, last: int) -> BatchLoops:
-        """Return the loops of the members `first` to `last` - 1 alone; nothing is derived."""
+        """Loops of the members `first` to `last` - 1 alone, from the tables already built."""
         found = object.__new__(BatchLoops)
         chosen = slice(first, last)
         found._take(self._dim, self.names, self._prepared[chosen], self._watches[chosen], self._unshifts[chosen])
@@ -111,13 +103,13 @@ class BatchLoops(Loops):
 
     @property
     def can_be_sent(self) -> bool:
-        """Whether it can go to another process, by `pickle`: nothing but functions stands at its addresses."""
+        """Whether the loops can be pickled: all addresses in their tables are those of functions."""
         from coadjoint.kernels.sent import can_be_sent, loop_can_be_sent
 
         return all(map(loop_can_be_sent, self._prepared)) and all(can_be_sent(watch.keep) for watch in self._watches)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the tables of the members, as they go to another process."""
+        """Return the tables of the members in a form that can be pickled."""
         from coadjoint.kernels.sent import sent, sent_loop
 
         loops, watches = [sent_loop(own) for own in self._prepared], [sent(*watch) for watch in self._watches]
@@ -130,7 +122,7 @@ class BatchLoops(Loops):
         self._take(state["dim"], state["names"], loops, watches, state["turned"])
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return rounds of crews, each crew within one group, beginning where lanes begin."""
+        """Return rounds of crews; each crew lies within one group and begins at a lane boundary."""
         crews: list[Crew] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
             for places in shared_out(first, last, workers, limit("LARGEST_CROWD")):
@@ -138,16 +130,16 @@ class BatchLoops(Loops):
         return in_rounds(crews, workers)
 
     def pieces(self, watch: Any = None) -> Pieces:
-        """Return the tables of each group, and its members."""
+        """Return the tables and the members of each group."""
         return [(Tables(own.loop, own.tables, watch or own.watch, own.stride), own.members) for own in self.groups]
 
     def raised(self) -> BaseException | None:
-        """Return what a function of the user raised in the loop of any member."""
+        """Return the exception that a user's function raised in the loop of any member."""
         return next((error for found in self._prepared if (error := found.raised())), None)
 
     @property
     def unshifts(self) -> Sequence[Unshift]:
-        """Those of the members."""
+        """Unshifts of the members that have one."""
         return [unshift for unshift in self._unshifts if unshift is not None]
 
     def unshift_of(self, member: int) -> Unshift | None:
@@ -162,7 +154,7 @@ class BatchLoops(Loops):
 def turned_each(
     unshifts: Sequence[Unshift | None], start: Start, times: Times, saved: NamedArrays, points: int
 ) -> NDArray[np.float64]:
-    """Return the group elements (points, members, d, d), each member turned by what was taken off its H."""
+    """Return the group elements (points, members, d, d), each corrected for the shift of its member's H."""
     found, held = np.array(plainly(start, times, saved, points), order="C"), saved.place_of("group")
     for m, unshift in enumerate(unshifts):
         if unshift is not None and points:
@@ -171,19 +163,7 @@ def turned_each(
 
 
 def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[Group]:
-    """Put members together whose tables differ in their constants alone.
-
-    Parameters
-    ----------
-    prepared : sequence of CompiledLoop
-        The loop and tables of each member.
-    watches : sequence of Watch
-        The invariants of each.
-
-    Returns
-    -------
-    list of Group
-        In the order of their first members.
+    """Group members whose tables differ only in constants, in the order of their first members.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Crews at work: in this thread or in several, and what is said where one of them fails."""
+"""Execution of crews in one or several threads, and descriptions of their failures."""
 
 from __future__ import annotations
 
@@ -13,22 +13,10 @@ from coadjoint.runs.loops import Loops
 
 
 def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, workers: int = 1) -> int:
-    """Let crews take steps in several threads; return how many members have failed.
+    """Advance crews in `workers` threads (1: the calling thread); return the number of members that failed.
 
-    Parameters
-    ----------
-    crews : sequence of Crew
-        Their order does not matter.
-    given : tuple
-        The arguments of `Crew.advance` but for the last.
-    loops : Loops
-        Whose they are: it knows what functions of the user have raised.
-    workers : int
-        Number of threads; with 1 it is the calling thread.
-
-    Returns
-    -------
-    int
+    `given` holds the arguments of `Crew.advance` except the last; an exception raised by a user's function in `loops`
+    takes precedence over any other.
     """
     stop = Stop()
 
@@ -48,9 +36,9 @@ def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, workers
 
 
 def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers: int, stop: Stop) -> int:
-    """Return the sum of what `take` returns for each crew; the first error stops all of them and is raised.
+    """Sum the results of `take` over all crews; the first error stops all threads and is raised.
 
-    The threads are daemons: those of a pool would make the interpreter wait at its end for a run in a daemon thread.
+    The threads are daemons: those of a pool would make the interpreter wait at exit for a run in a daemon thread.
     """
     waiting, lock = list(reversed(crews)), threading.Lock()
     found: list[int] = []
@@ -89,12 +77,12 @@ def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers:
 
 
 def name_of_status(status: Any) -> str:
-    """Return the name of the number that says how a step ended."""
+    """Return the name of a status code."""
     return next(name for name, code in codes("Status").items() if code == status)
 
 
 def what_failed(status: str, method: Method, loops: Loops, residual: float) -> str:
-    """Return what a status says, by its name, for messages."""
+    """Describe the failure with this status name, for messages."""
     if status in method.failures:
         return method.failures[status]
     if status == "NOT_CONVERGED":

@@ -1,4 +1,4 @@
-"""Where events lie: from the steps that the loops have noted to times and states between grid points."""
+"""Location of events: from the steps flagged by the loops to times and states between grid points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Whole = NDArray[np.int64]
 
 
 class Crossings(NamedTuple):
-    """Crossings that were found, m of them: member, step, time, state, group element, event and direction of each."""
+    """The m crossings found: member, step, time, state, group element, event and direction of each."""
 
     members: Whole
     steps: Whole
@@ -41,12 +41,12 @@ class Crossings(NamedTuple):
     direction: Whole
 
     def chosen(self, places: Any) -> Crossings:
-        """Return some of them."""
+        """Select crossings by mask, slice or indices."""
         return Crossings(*(array[places] for array in self))
 
 
 class Failed(NamedTuple):
-    """A member that has failed while its crossings were looked for: in which step, and why, for `Run.fail`."""
+    """Failure of a member during the location of its crossings: step and reason, the arguments of `Run.fail`."""
 
     member: int
     step: int
@@ -56,28 +56,11 @@ class Failed(NamedTuple):
 
 
 class WatchedEvents:
-    """Events on a system, compiled, and how they are located.
+    """Events compiled for a system, and their location.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        The system.
-    events : sequence of Event
-        What is looked for.
-    x0, t0 : ndarray of shape (n,), and float
-        A state and a time; there a function must return a number.
-
-    Attributes
-    ----------
-    names, coordinates : tuple of str
-        Of the events, and of the coordinates where states are no matrices.
-    compiled : Compiled
-        Their functions as a `Watch`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No such coordinate, a polynomial of another dimension, or a function that returns no number or does not compile.
+    `compiled` holds the functions as a `Watch`; `coordinates` is empty for matrices. Each function is called once at x0
+    (n,) and t0. Unknown coordinates, wrong dimensions and functions that return no number raise TypeError or
+    ValueError.
     """
 
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
@@ -96,7 +79,7 @@ class WatchedEvents:
         self.until = np.array([event.until for event in self.events], dtype=np.int64)
 
     def values(self, states: Floats, t: Floats) -> Floats:
-        """Return the values (m, E) of all events at the states (m, n) and times (m,)."""
+        """Evaluate all events at states (m, n) and times (m,); shape (m, E)."""
         from coadjoint.kernels.watching import values_along
 
         out = np.empty((len(t), 1, len(self.events)))
@@ -104,19 +87,10 @@ class WatchedEvents:
         return out[:, 0]
 
     def located(self, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> tuple[Crossings, list[Failed]]:
-        """Return the crossings in the steps that were noted, ordered by member and time, and the members that failed.
+        """Return the crossings in the flagged steps, ordered by member and time, and the members that failed.
 
-        One fails where an event has no value at a grid point, or where a part of a step fails though the whole one did
-        not. There are no crossings of it from that step on; other members do not feel it.
-
-        Parameters
-        ----------
-        noted : Noted
-            What the loops have noted.
-        parts : PartsOfSteps
-            Takes parts of steps.
-        t0, h : float
-            Of the run.
+        A member fails where an event is NaN at a grid point, or where a partial step fails although the whole step did
+        not; its crossings from that step on are dropped. Other members are unaffected.
         """
         for kept in self.compiled.keep:
             if (raised := getattr(kept, "raised", lambda: None)()) is not None:
@@ -130,7 +104,7 @@ class WatchedEvents:
         rows, events, theta, rising = (np.concatenate(both) for both in zip(sure, *maybe, told, strict=True))
         wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
         rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
-        # Of two at the same time the event that was named first comes first.
+        # Simultaneous crossings are ordered as the events were given.
         order = np.lexsort((events, theta, rows))
         rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]
         states, groups = search.part(rows, theta)
@@ -144,7 +118,7 @@ class WatchedEvents:
         return found, failed
 
     def _failed(self, noted: Noted, search: _Search, t0: float, h: float) -> list[Failed]:
-        """Return the first failure of each member that has one."""
+        """Return the first failure of each member that failed."""
         undefined = noted.codes == codes("Crossing")["UNDEFINED"]
         rows = np.flatnonzero(undefined.any(axis=1) | (search.status != 0))
         found: dict[int, Failed] = {}
@@ -163,37 +137,37 @@ class WatchedEvents:
 
 
 class _Search:
-    """Values of events within the steps that were noted."""
+    """Event functions evaluated within the flagged steps."""
 
     def __init__(self, watched: WatchedEvents, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> None:
         self.watched, self.noted, self.parts, self.h = watched, noted, parts, h
         self.begin: Floats = np.asarray(t0 + (noted.steps - 1) * h, dtype=np.float64)
-        # Of parts of these steps that failed.
+        # Failures of partial steps.
         self.status = np.zeros(len(noted.steps), dtype=np.int64)
         self.residual = np.full(len(noted.steps), np.nan)
-        # Times are not told apart more finely than they can be written.
+        # Resolution of the roots: the spacing of floats at the time of the step.
         self.least = np.maximum(2.0**-52, 0.5 * np.spacing(np.abs(self.begin) + abs(h)) / abs(h))
 
     def part(self, rows: Whole, theta: Floats) -> tuple[Floats, Floats]:
-        """Return states and group elements within steps, theta from their start; not numbers where that fails."""
+        """Return states and group elements at fractions `theta` of the steps; NaN where the partial step fails."""
         noted = self.noted
         found = self.parts.taken(
             noted.states[rows], noted.groups[rows], self.begin[rows], theta * self.h, noted.members[rows]
         )
         failed = found.status != 0
-        # A step may be looked at for several events: of failures at one time the last row counts.
+        # A step may occur in several rows, one for each event; the last failure is recorded.
         self.status[rows[failed]], self.residual[rows[failed]] = found.status[failed], found.residual[failed]
         return found.momenta, found.groups
 
     def values(self, rows: Whole, events: Whole, theta: Floats) -> Floats:
-        """Return one event for each row."""
+        """Evaluate one event for each row."""
         states, _ = self.part(rows, theta)
         return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
 
     def between(
         self, rows: Whole, events: Whole, low: Floats, before: Floats, high: Floats, after: Floats
     ) -> tuple[Whole, Whole, Floats, Whole]:
-        """Return the roots between two points of a step, at which the values of all events are known."""
+        """Return the roots between two points of a step at which the values of all events are known."""
         places = (rows, events) if before.ndim > 1 else slice(None)
         first, last = before[places], after[places]
         theta = roots(
@@ -205,12 +179,12 @@ class _Search:
         return rows, events, low + theta * (high - low), np.where(first < 0.0, 1, -1)
 
     def told(self, rows: Whole, events: Whole) -> tuple[Whole, Whole, Floats, Whole]:
-        """Return the crossings between the points that a series has told."""
+        """Return the crossings in the intervals that the series of a scheme has isolated."""
         low, high = self.noted.before[rows, events], self.noted.after[rows, events]
         at_start = self.watched.values(self.noted.states[rows], self.begin[rows])[np.arange(len(rows)), events]
         first = np.where(low == 0.0, at_start, self.values(rows, events, low))
         last = self.values(rows, events, high)
-        # What rounding has moved over an end of its interval is no crossing, or belongs to the next one.
+        # A root that rounding moved past an end of its interval is spurious or belongs to the next interval.
         sound = (first != 0.0) & (np.sign(first) != np.sign(last))
         return self.between(*(a[sound] for a in (rows, events, low, first, high, last)))
 
@@ -223,14 +197,14 @@ class _Search:
         rows, events, side, theta = rows[there], events[there], side[there], theta[there]
         middle, zero, one = side * value[there], np.zeros(len(rows)), np.ones(len(rows))
         left = self.between(rows, events, zero, first[there], theta, middle)
-        # One that only touches zero was counted when it came there.
+        # A zero without a change of sign was counted when g reached it.
         through = middle != 0.0
         right = self.between(*(a[through] for a in (rows, events, theta, middle, one, last[there])))
         return [left, right]
 
 
 def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of events: those that were given, those of coordinates, or their numbers.
+    """Return the names of events: as given, else that of the coordinate, else "event k".
 
     Examples
     --------
@@ -253,7 +227,7 @@ def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: Floats, t0: float) -> Any:
-    """Return what the kernels compile of an event."""
+    """Return the object of an event that the kernels compile."""
     g, n = event.g, moved.dim
     start: Any = moved.states(x0) if isinstance(moved, MatrixSystem) else x0
     if isinstance(moved, MatrixSystem) and not callable(g):
@@ -281,7 +255,7 @@ def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: 
 
 
 class OfMatrices:
-    """A function of matrices as one of their rows of numbers, called in Python."""
+    """A user's function of matrices as a function of a state row (n,), called in Python."""
 
     called_in_python = True
 

@@ -1,4 +1,4 @@
-"""The state at the end of a run and nothing else: what a call of a few steps costs beside them."""
+"""Fast path for the final state of a short run: arrays are reused from call to call."""
 
 from __future__ import annotations
 
@@ -24,19 +24,13 @@ if TYPE_CHECKING:
 
 FLOAT64 = np.dtype(np.float64)
 EVERY = 2**53
-"""Saves the start and the end alone."""
+"""A `save_every` that saves only the start and the end."""
 LARGEST = 2**16
-"""So many numbers are kept from call to call at most. Beside the steps of a larger run its arrays take no time."""
+"""Most numbers cached between calls; for larger runs the allocation is negligible next to the steps."""
 
 
 class EndOfRun:
-    """Arrays in which one call after the other works. Calls at the same time have one of these each.
-
-    Parameters
-    ----------
-    ready : PreparedRun
-        What runs.
-    """
+    """Reusable arrays for successive calls of one `PreparedRun`; concurrent calls need one object each."""
 
     _loops: SystemLoops
     _layout: Layout
@@ -57,7 +51,7 @@ class EndOfRun:
         self._take: Callable[[], int] | None = None
 
     def __call__(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
-        """Return the state at the end; None where a whole run is needed, as it is to say what is wrong."""
+        """Return the final state; None if a full run is needed, for instance to raise the error."""
         if t_span is not self._span and not self._aimed_at(t_span):
             self._aim(t_span)
         if self._take is None:
@@ -80,7 +74,7 @@ class EndOfRun:
             raised = self._loops.raised()
             raise ended if raised is None else raised from None
         if wrong:
-            # A run in place of this call fails too, and says where. What a function has raised it raises there.
+            # The full run fails too and reports the step; it raises what a user's function raised.
             self._loops.raised()
             return None
         if self._most < math.inf and self._evaluations[0] > self._most:
@@ -88,7 +82,7 @@ class EndOfRun:
         return self._end.copy()
 
     def _aimed_at(self, t_span: Any) -> bool:
-        """Return whether the times are those of the call before, in every bit."""
+        """Whether the span equals that of the previous call in every bit."""
         return (
             type(t_span) is tuple
             and len(t_span) == 2
@@ -98,7 +92,7 @@ class EndOfRun:
         )
 
     def _aim(self, t_span: Any) -> None:
-        """Make the call ready for other times."""
+        """Prepare the call for another span."""
         self._span = self._take = None
         times = times_between(span_of(t_span), self._ready.step, EVERY)
         if times.h != self._h:
@@ -111,7 +105,7 @@ class EndOfRun:
             self._span = t_span
 
     def _make(self, times: Times) -> None:
-        """Make the arrays for steps of this size, where they serve a run of one vector."""
+        """Allocate the arrays for this step, if the run is that of a single vector."""
         ready, self._crew, self._h = self._ready, None, times.h
         found = ready.loops(times.h)
         if not isinstance(found, SystemLoops) or found.rows or ready.carries:
@@ -123,7 +117,7 @@ class EndOfRun:
         self._loops, self._layout = found, plan.layout
         self._saved, self._state = NamedArrays(plan.layout.saved), NamedArrays(plan.layout.state)
         ((self._crew,),) = plan.rounds
-        # Behind the coordinates stand accounts, which begin at zero.
+        # Accounts follow the coordinates, and start at zero.
         dim = self._shape[0]
         self._clear = self._state["momenta"].fill
         self._momentum, self._end = self._state["momenta"][0, :dim], self._saved["x"][1, 0, :dim]

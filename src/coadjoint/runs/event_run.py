@@ -1,4 +1,4 @@
-"""Runs that look for events: some steps in the loops, then the crossings among them, and so on."""
+"""Runs with events: chunks of steps alternate with the location of crossings in them."""
 
 from __future__ import annotations
 
@@ -22,27 +22,13 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 FIRST_CHUNK = 256
 MOST_STEPS = 2**16
 BYTES_OF_A_CHUNK = 2**28
-"""Of memory that is only used where events are found."""
+"""Memory that is touched only where events are found."""
 
 
 class EventRun:
-    """The steps of a run, and its events.
+    """The steps of a run together with the location of its events.
 
-    Parameters
-    ----------
-    run : Run
-        The run, at its start.
-    watched : WatchedEvents
-        What is looked for.
-    parts : PartsOfSteps
-        Takes parts of steps of the same scheme.
-
-    Attributes
-    ----------
-    found : Crossings
-        All that were found, ordered by member and time.
-    last : ndarray of int, shape (members,)
-        The last whole step of each member that counts.
+    `parts` takes partial steps of the same scheme; `run` is at its start.
     """
 
     def __init__(self, run: Run, watched: WatchedEvents, parts: PartsOfSteps) -> None:
@@ -61,20 +47,20 @@ class EventRun:
         self._seen = np.zeros((members, count), dtype=np.int64)
         self._pieces: list[Crossings] = []
         self._abreast = members
-        self._held: Noted | None = None  # what was noted of a step that is not over
+        self._held: Noted | None = None  # flags of a step beyond the current chunk
         self._failed: dict[int, Failed] = {}
         run.look_for(self.arrays.address)
-        self._kept = run.state.copy(), self.arrays.copy()  # before the steps of which nothing is known yet
+        self._kept = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
 
     @property
     def last(self) -> NDArray[np.int64]:
-        """The last whole step of each member that counts."""
+        """Last whole step of each member before it ended, shape (members,)."""
         found = np.empty_like(self.arrays.limit)
         found[self._order] = self.arrays.limit
         return np.minimum(found, self.run.state.number)
 
     def advance(self, progress: bool = False) -> None:
-        """Take the steps until all members have ended."""
+        """Take steps until all members have ended."""
         run, chunk = self.run, min(FIRST_CHUNK, self._most)
         steps, first = run.times.steps, 0
         with progress_bar(steps, progress) as bar:
@@ -92,7 +78,7 @@ class EventRun:
         self._tell()
 
     def _tell(self) -> None:
-        """Give the run its events, and where it is of a single member and was ended, its last point."""
+        """Store the events in the run; for a single member that an event ended, also its last point."""
         run, found = self.run, self.found
         attitude = None
         if run.start.representation is not None:
@@ -118,11 +104,11 @@ class EventRun:
         values = run.loops.values_at(x, t, run.state["last"][0])
         run.ending = Ending(points + 1, last + 1, t, x, values, None if attitude is None else attitude[-1])
         if points < run.times.points:
-            # Where times are asked for, all of their steps may have been saved before.
+            # With t_eval, all of its steps may already be saved.
             run.saved["x"][points, 0], run.saved["values"][points, 0] = x, values
 
     def _move_up(self, going: NDArray[np.int64]) -> None:
-        """Let the members that are going fill the lanes, where half of those that did have ended."""
+        """Redistribute the active members over the lanes once half of them have ended."""
         if not 0 < 2 * len(going) <= self._abreast:
             return
         rounds = self.run.loops.rounds_among(going, self.run.workers)
@@ -131,11 +117,11 @@ class EventRun:
             self.run.plan, self._abreast = Plan(plan.key, plan.layout, rounds), len(going)
 
     def _take(self, until: int) -> None:
-        """Take the steps to number `until`, and find the events in them."""
+        """Take the steps up to number `until`, and locate the events in them."""
         kept = self._kept
         noted = self._noted(until)
         found, failed = self.watched.located(noted, self.parts, self.run.times.t0, self.run.times.h)
-        # The same step may have been noted for one event when it ended, and for another after the next one.
+        # One step may be flagged for one event at its end, and for another after the next step.
         found = found.chosen(np.lexsort((found.which, found.t * np.sign(self.run.times.h), found.members)))
         last = self._count(found)
         for each in failed:
@@ -143,7 +129,7 @@ class EventRun:
                 last[each.member] = each.step - 1
                 self._failed[each.member] = each
         if (last < self._limits()).any():
-            # A member has ended or failed within a step before the loops could know: they take these steps again.
+            # A member ended or failed within a step, unknown to the loops: the steps are repeated with its limit set.
             ends = np.minimum(self._limits(), last)
             self.run.state, self._held = kept[0].copy(), None
             self.arrays.put_back(kept[1])
@@ -152,10 +138,10 @@ class EventRun:
         self._end()
 
     def _noted(self, until: int) -> Noted:
-        """Return what the loops note of the steps to number `until`, which they know after one more."""
+        """Return the flags of the steps up to number `until`; the loops need one further step to set them."""
         run, rows = self.run, [] if self._held is None else [self._held]
         for target in (until, min(until + 1, run.times.steps)):
-            # The first steps of a run begin it, even where there are none.
+            # The first call of `advance` initializes the run, even if it has no steps.
             if run.state.number < target or target == 0:
                 run.advance(until=target)
             rows.append(self._rows())
@@ -171,13 +157,13 @@ class EventRun:
         return noted._replace(members=self._order[noted.members])
 
     def _count(self, found: Crossings) -> NDArray[np.int64]:
-        """Keep what is of interest; return the last whole step of each member before it ends."""
+        """Store the crossings of interest; return the last whole step of each member before a terminal event."""
         last = np.full(len(self._order), np.iinfo(np.int64).max)
         rank = self._seen[found.members, found.which] + _rank(found)
         most = np.array([event.count or np.iinfo(np.int64).max for event in self.watched.events])
         until = self.watched.until[found.which]
         ends = np.flatnonzero((until > 0) & (rank == np.where(until > 0, until, -1)))
-        # Rows are ordered by time, so that the first end of each member is its end.
+        # Rows are ordered by time: the first terminal crossing of a member ends it.
         where = np.full(len(self._order), len(rank))
         np.minimum.at(where, found.members[ends], ends)
         ended = where < len(rank)
@@ -193,7 +179,7 @@ class EventRun:
         return found
 
     def _end(self) -> None:
-        """Let the loops leave out members that have ended, whatever became of them afterwards."""
+        """Mark members that have ended, so that the loops skip them; a failure after the end is discarded."""
         state, status = self.run.state, codes("Status")
         limits = self._limits()
         ended = limits < state.number
@@ -204,14 +190,14 @@ class EventRun:
 
     @property
     def found(self) -> Crossings:
-        """All that were found, ordered by member and time."""
+        """All crossings, ordered by member and time."""
         pieces = self._pieces
         together = Crossings(*(np.concatenate(arrays) for arrays in zip(*pieces, strict=True)))
         return together.chosen(np.argsort(together.members, kind="stable"))
 
 
 def _rank(found: Crossings) -> Any:
-    """Return for each crossing which one it is, from 1, of its member and event."""
+    """Rank of each crossing, from 1, among those of its member and event."""
     order = np.lexsort((np.arange(len(found.t)), found.which, found.members))
     members, which = found.members[order], found.which[order]
     new = np.ones(len(order), dtype=bool)

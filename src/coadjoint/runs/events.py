@@ -1,4 +1,4 @@
-"""Events of a run: what is looked for, and what was found."""
+"""Events of a run: their specification and the crossings found."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PER_CROSSING = ("t", "x", "which", "member", "direction")
 class Event:
     """A function g of state and time whose zeros are found during a run.
 
-    Choose it for Poincare sections, periods, turning points, and to end a run where something has happened.
+    Use it for Poincare sections, periods, turning points, and to stop a run at a condition.
 
     Parameters
     ----------
@@ -38,31 +38,31 @@ class Event:
     direction : {0, 1, -1}
         1: g rises through zero in the direction in which the run goes; -1: it falls; 0: both.
     count : int, optional
-        No more than so many crossings of a member are of interest, the first ones; None is all.
+        Record at most this many crossings of each member, the first ones; None records all.
     terminal : bool
-        Whether the run of a member ends at its last crossing of interest: at number `count`, or at the first one.
+        Whether the run of a member ends at crossing number `count`, or at the first one if `count` is None.
     name : str, optional
-        What it is called in ``sol.events``; by default the coordinate, or ``event 0``, ``event 1``, ...
+        Key in ``sol.events``; by default the coordinate, or ``event 0``, ``event 1``, ...
 
     Raises
     ------
     TypeError, ValueError
-        A value is none of these.
+        An argument has an invalid type or value.
 
     Notes
     -----
     A step has a crossing if g has another sign after it than before. A state with g = 0 belongs to the step that ends
-    there: the start of a run is no crossing, its end is one. Two crossings within one step are looked for where the
-    values of g at four grid points in a row leave room for them. None is missed if g bends away from zero on that step
-    and on both neighbours; a step that is too long for that may hide a pair. In steps of `Taylor` the series of a
-    polynomial g tells all crossings, however many there are in one.
+    there: the start of a run is no crossing, its end is one. Two crossings within one step are searched for where the
+    values of g at four successive grid points allow them. None is missed if g is convex away from zero on that step
+    and on both neighbours; a longer step may hide a pair. In steps of `Taylor` the series of a polynomial g isolates
+    all crossings, however many lie in one step.
 
-    A zero that g touches without a change of sign is not an event, and may or may not be found: round-off decides
-    whether the computed g has a zero there. Find the crossings of dg/dt instead, and keep those where abs(g) is small.
+    A zero of g without a change of sign is not an event, and may or may not be found: round-off decides whether the
+    computed g has a zero there. Locate the zeros of dg/dt instead, and select those where abs(g) is small.
 
     Examples
     --------
-    The middle axis of a body flips again and again:
+    Periodic flips of the intermediate axis of a rigid body:
 
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -106,17 +106,12 @@ class Event:
 
     @property
     def until(self) -> int:
-        """At which crossing it ends the run of a member; 0 where it does not."""
+        """Number of the crossing that ends the run of a member; 0 if the event is not terminal."""
         return (self.count or 1) if self.terminal else 0
 
 
 def read_events(given: Any) -> tuple[Event, ...]:
-    """Return events from one, or from a sequence of them.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Something else, too many, or two of one name.
+    """Validate an event or a sequence of events (or None) and return a tuple; at most `MOST_EVENTS`.
 
     Examples
     --------
@@ -130,7 +125,7 @@ def read_events(given: Any) -> tuple[Event, ...]:
         such = f"co.Event({short(given)})" if isinstance(given, str) else "co.Event('x1')"
         raise TypeError(f"events is {short(given)}; give an Event, such as {such}, or a list of them")
     if len(listed) > MOST_EVENTS:
-        raise ValueError(f"{len(listed)} events were given; a run looks for at most {MOST_EVENTS}")
+        raise ValueError(f"{len(listed)} events were given; a run can have at most {MOST_EVENTS}")
     return tuple(listed)
 
 
@@ -140,27 +135,27 @@ class Events:
     Attributes
     ----------
     t : ndarray, shape (m,)
-        The times.
+        Times.
     x : ndarray, shape (m, n)
-        The states: a part of a step of the same scheme, so that what it keeps it keeps here as well.
+        States, computed by a partial step of the same scheme, with the same conservation properties as at the steps.
     which : ndarray of int, shape (m,)
-        The number of the event.
+        Index of the event.
     member : ndarray of int, shape (m,)
-        The member of the ensemble, 0 where there is only one.
+        Member of the ensemble; 0 for a single run.
     direction : ndarray of int, shape (m,)
         1 where g rises, -1 where it falls.
     attitude : ndarray, shape (m, d, d), or None
-        Group elements, if they were carried.
+        Group elements, if they were computed.
     names : tuple of str
-        Of the events.
+        Names of the events.
     coordinates : tuple of str
-        Names of the coordinates, for pictures; none where states are matrices.
+        Names of the coordinates, for plots; empty if states are matrices.
     asked : tuple of Event
-        What was looked for.
+        The events as specified.
 
     Notes
     -----
-    ``events["name"]`` are the crossings of one event, and ``events.of(member)`` those of one member.
+    ``events["name"]`` selects the crossings of one event, and ``events.of(member)`` those of one member.
 
     Examples
     --------
@@ -198,7 +193,7 @@ class Events:
         return f"<crossings of {found}>"
 
     def chosen(self, places: NDArray[Any]) -> Events:
-        """Return some of the crossings, by a mask or by their places."""
+        """Select crossings by mask or indices."""
         attitude = None if self.attitude is None else self.attitude[places]
         t, x, which, member, direction = (getattr(self, name)[places] for name in PER_CROSSING)
         return Events(self.names, t, x, which, member, direction, attitude, self.coordinates, self.asked)
@@ -216,7 +211,7 @@ class Events:
         return self.chosen(self.member == read_whole(member, "member", 0))
 
     def ends(self, members: int) -> NDArray[np.float64]:
-        """Return when terminal events ended the runs of so many members: (members,), NaN where none did.
+        """Return the times at which terminal events ended the runs, (members,); NaN where none did.
 
         Examples
         --------
@@ -228,7 +223,7 @@ class Events:
         array([21.335034,       nan])
         """
         found = np.full(members, np.nan)
-        last = np.flatnonzero(np.diff(self.member, append=-1))  # the last crossing of each
+        last = np.flatnonzero(np.diff(self.member, append=-1))  # last crossing of each member
         for event, asked in enumerate(self.asked):
             if asked.until:
                 seen = np.bincount(self.member[self.which == event], minlength=members)
@@ -237,14 +232,14 @@ class Events:
         return found
 
     def plot(self, components: tuple[Any, Any] | None = None, axes: Any = None) -> Figure:
-        """Return a figure of the crossings: two components of the states, members by colours.
+        """Plot two components of the states at the crossings, with one colour for each member.
 
         Parameters
         ----------
         components : (int or str, int or str), optional
-            Which are drawn, to the right and upwards.
+            Components on the horizontal and the vertical axis.
         axes : Axes, optional
-            Where to draw.
+            Existing axes to draw into.
 
         Returns
         -------
@@ -256,10 +251,7 @@ class Events:
 
 
 class Ending(NamedTuple):
-    """How an event ended the run of one member: the number of saved points, its step, and what was then.
-
-    That is the time, the state and the invariants, as they are saved, and the attitude.
-    """
+    """Terminal event of a single-member run: number of saved points, step, time, state, invariants and attitude."""
 
     points: int
     steps: int

@@ -1,4 +1,4 @@
-"""The compiled loops of a run with inputs: made once, and for each call with its inputs in copies of their tables."""
+"""Compiled loops of a run with inputs: built once; each call writes its inputs into copies of their tables."""
 
 from __future__ import annotations
 
@@ -21,23 +21,9 @@ Floats = NDArray[np.float64]
 
 
 class InputLoops:
-    """Loops for any values of the inputs.
+    """Loops for any values of the inputs of a settled scheme; h is negative for backward runs.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        What may change.
-    method : Method
-        The scheme, settled.
-    h : float
-        Step, negative for backward.
-    representation : ndarray of shape (n, d, d), "coadjoint", or None
-        What the group element is carried in.
-
-    Raises
-    ------
-    ValueError
-        The scheme does not take inputs for this system; the message says why.
+    `representation` is an array (n, d, d), "coadjoint" or None. ValueError: the scheme takes no inputs for this system.
     """
 
     def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
@@ -49,7 +35,7 @@ class InputLoops:
             raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
 
     def make_all(self) -> None:
-        """Make now what would be made when it is first needed."""
+        """Build everything that is otherwise built lazily."""
         self.base.make_all()
 
     def at(self, values: Floats) -> Loops:
@@ -63,7 +49,7 @@ class InputLoops:
 
 
 class LoopsOfCall(Loops):
-    """The loops of one call, with its inputs in their tables."""
+    """Loops of one call, with its inputs in their tables."""
 
     def __init__(self, made: InputLoops, values: Floats) -> None:
         base, tables = made.base, made.tables
@@ -79,7 +65,7 @@ class LoopsOfCall(Loops):
             self._given = [tuple(given)]
 
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
-        """Return the plan of the run; its layout, and crews that share tables, are as in the last call."""
+        """Return the plan of the run; its layout, and crews that share tables, are cached from the last call."""
         known = self._base.plan(members, points, square, workers)
         if len(self._given) == 1 and not self._stride:
             rounds = [[crew.reading(*self._given[0]) for crew in crews] for crews in known.rounds]
@@ -88,7 +74,7 @@ class LoopsOfCall(Loops):
         return Plan(known.key, known.layout, rounds)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return the crews of members that have inputs of their own: in common tables, or each in its own."""
+        """Return the crews of members with individual inputs, in common or in separate tables."""
         loop = self._base.prepared.name
         if self._stride:
             places = shared_out(0, members, workers, limit("LARGEST_CROWD"))
@@ -96,7 +82,7 @@ class LoopsOfCall(Loops):
         return in_rounds([Crew(loop, *own, m, m + 1, base=m) for m, own in enumerate(self._given)], workers)
 
     def pieces(self, watch: Any = None) -> Pieces:
-        """Return the tables of all members, or those of each."""
+        """Return the tables of all members, or those of each member."""
         loop = self._base.prepared.name
         if len(self._given) == 1:
             return [(Tables(loop, self._given[0][0], watch or self._given[0][1], self._stride), None)]
@@ -106,7 +92,7 @@ class LoopsOfCall(Loops):
         return values_of_watch(self._given[0][1], state, t, last)
 
     def raised(self) -> BaseException | None:
-        """Return what a function of the user raised in the loop."""
+        """Return the exception that a user's function raised in the loop."""
         return self._base.raised()
 
     def started(self, groups: Floats) -> Floats:

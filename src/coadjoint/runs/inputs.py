@@ -1,4 +1,4 @@
-"""Inputs of a prepared run: which coefficients of the linear term of H, and which torques, a call brings."""
+"""Inputs of a prepared run: coefficients of the linear term of H, and torques, that each call sets."""
 
 from __future__ import annotations
 
@@ -21,34 +21,17 @@ from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 
-# Names that a run has for something else.
+# Reserved: parameters of a run.
 TAKEN = frozenset(("x", "x0", "t", "t_span", "save_every", "attitude", "progress", "self"))
 SEED = 1993
 
 
 class Inputs:
-    """The inputs that a run was prepared with.
+    """The inputs of a prepared run: coefficients of the linear term of H, or constant torques.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or ForcedSystem
-        Its Hamiltonian has a linear term that may be another one, or its torques may be others.
-    given : True, sequence of int, or mapping
-        Coordinates whose coefficients may change: all, or these, as the input ``linear``; or name -> coordinates, or
-        name -> label of a constant torque among the forces.
-
-    Attributes
-    ----------
-    values : ndarray, shape (m,)
-        As the system has them: the linear term, where any of it may change, and then the torques that may.
-    places : dict
-        Name -> where its numbers stand among the values.
-
-    Raises
-    ------
-    TypeError, ValueError
-        The Hamiltonian has no linear term that could change, no constant torque has the label, or what was given is
-        wrong.
+    `given` is True (all coefficients, as the input ``linear``), a sequence of coordinates, or a mapping from names to
+    coordinates or to the label of a constant torque. `values` (m,) holds the defaults from the system, the linear term
+    first, then the torques; `places` maps each name to its indices in `values`.
 
     Examples
     --------
@@ -72,7 +55,7 @@ class Inputs:
             raise TypeError(f"inputs is {short(given)}; give each torque a name, such as {{'torque': 'Torque'}}")
         named = given if isinstance(given, Mapping) else {"linear": given}
         if not named:
-            raise ValueError("inputs names none; give True, coordinates, or a mapping from names to coordinates")
+            raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
         self._linear = np.zeros(0)
         if not all(isinstance(where, str) for where in named.values()):
             check_linear(self._unforced)
@@ -92,7 +75,7 @@ class Inputs:
             raise ValueError(f"inputs name coordinate {twice} more than once; each coefficient is one input")
 
     def _places_of_torque(self, label: str, name: str) -> NDArray[np.int64]:
-        """Put the torque of this label behind the values, and return where it stands."""
+        """Append the torque of this label to the values, and return its indices."""
         if not isinstance(self.system, ForcedSystem):
             raise ValueError(
                 f"inputs has {short(label)} for {name}, and {self.system.name} has no forces; give coordinates, or a "
@@ -120,15 +103,9 @@ class Inputs:
         return ", ".join(f"{name} {where.shape}" for name, where in self.places.items())
 
     def read(self, given: Mapping[str, Any]) -> Floats:
-        """Return the values with what was given, (m,), or (members, m) where members have their own.
-
-        Raises
-        ------
-        ValueError, TypeError
-            No such input, or its value has another shape or is not finite.
-        """
+        """Return the values, (m,), or (members, m) if members have individual ones, with the given inputs inserted."""
         if self._all is not None and list(given) == [self._all]:
-            # Every coefficient, in the order of the coordinates: nothing is to be put together.
+            # All coefficients in coordinate order are the array itself.
             numbers = read_numbers(given[self._all], self._all)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
@@ -160,19 +137,19 @@ class Inputs:
         )
 
     def drawn(self) -> tuple[Floats, Floats]:
-        """Return two arrays of values; those that may change have random digits, the same ones always."""
+        """Return two arrays of values in which the inputs have reproducible random digits."""
         one, other = self.values.copy(), self.values.copy()
         digits = 1.0 + np.random.default_rng(SEED).random((2, len(self._changing)))
         one[self._changing], other[self._changing] = digits
         return one, other
 
     def settled(self, method: Method) -> Method:
-        """Return the scheme with what it chooses by itself written out, where the linear term may change."""
+        """Return the scheme with its automatic choices made explicit, valid for any linear term."""
         coordinates = np.sort(self._changing[self._changing < len(self._linear)])
         return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats) -> Any:
-        """Return the system that has these values, (m,)."""
+        """Return the system with these values, (m,)."""
         size = len(self._linear)
         system = with_linear(self._unforced, values[:size]) if size else self._unforced
         if not isinstance(self.system, ForcedSystem):
@@ -183,7 +160,7 @@ class Inputs:
         return ForcedSystem(system, forces)
 
     def system_of(self, values: Floats) -> Any:
-        """Return the system of a call, or one for each member."""
+        """Return the system of a call, or a batch with one system for each member."""
         if values.ndim == 1:
             return self.system_at(values)
         return Batch([self.system_at(own) for own in values])
@@ -191,9 +168,9 @@ class Inputs:
 
 def _name(name: Any) -> str:
     if not isinstance(name, str) or not name.isidentifier():
-        raise TypeError(f"inputs has the name {short(name)}; it must be a name that a keyword may have, such as field")
+        raise TypeError(f"inputs has the name {short(name)}; it must be a valid Python identifier, such as field")
     if name in TAKEN:
-        raise ValueError(f"inputs has the name {name!r}, which a run has for something else; choose another one")
+        raise ValueError(f"inputs has the name {name!r}, which is reserved; choose another one")
     return name
 
 

@@ -1,4 +1,4 @@
-"""`integrate`: a system, an initial state, a scheme and times become a solution."""
+"""The function `integrate`."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def integrate(
 
     For many short runs of one system use `prepare`.
 
-    The loop over the steps is compiled. The same inputs give the same bits, whatever `save_every`, `watch` and
-    `threads` are, alone or in an ensemble.
+    The loop over the steps is compiled. Results are bitwise reproducible: they do not depend on `save_every`, `watch`
+    or `threads`, nor on whether a member runs alone or in an ensemble.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def integrate(
     archive : str or Path, optional
         A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. The memory
         does not grow with the length of the run. The folder can be read at any time, and `resume` continues the run
-        after any interruption. The solution reads from the folder only what you use.
+        after any interruption. The solution reads from the folder lazily.
     rtol, atol : None
         Not available: no scheme chooses each step by an estimate of the error. The message says what to use instead.
 
@@ -125,7 +125,7 @@ def integrate(
     >>> sol.drift()["energy"] < 1e-14
     True
 
-    Without a step, but with the accuracy that is wanted:
+    With a wanted accuracy instead of a step:
 
     >>> sol = co.integrate(top, (0.0, 1.0, 0.01), t_span=(0, 50), accuracy=1e-8)
     >>> import numpy as np
@@ -160,14 +160,7 @@ def integrate(
 def chosen_for(
     accuracy: float, system: Any, x0: Any, t_span: tuple[float, float], attitude: Any, method: Method | None
 ) -> Any:
-    """Return the `Choice` that `integrate` takes for an accuracy; parameters are those of `integrate`.
-
-    Raises
-    ------
-    TypeError
-        A batch.
-    ValueError, TypeError
-        As `choose` says.
+    """Return the `Choice` of `choose` for the arguments of `integrate`; a batch raises TypeError.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The compiled loops of a run, made once for a system and a step: which members are advanced by which tables."""
+"""Compiled loops of a run, built once for a system and a step, and the assignment of members to their tables."""
 
 from __future__ import annotations
 
@@ -23,21 +23,16 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 
 NOTHING = Quadratic(0.0)
-"""Stands for an invariant that the loops do not follow."""
+"""Placeholder for an invariant that the loops do not track."""
 OF_THIS_PROCESS = ("prepared", "watch", "_keep", "_given", "_plan")
-"""What loops of a system have addresses in, and what is made of these."""
+"""Attributes of `SystemLoops` that contain addresses, or are built from such; not pickled."""
 Turned = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
 class Plan:
-    """What runs of so many members and saved points have in common.
+    """Array layout and rounds of crews, shared by runs with equal numbers of members and saved points.
 
-    Attributes
-    ----------
-    layout : Layout
-        Of their arrays.
-    rounds : list of list of Crew
-        The crews that are at work together, one round after the other.
+    Crews of one round run concurrently; the rounds run one after the other.
     """
 
     def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[Crew]]) -> None:
@@ -45,30 +40,30 @@ class Plan:
 
 
 class Loops(ABC):
-    """The compiled loops of a run, and what else it needs of its system; runs in several threads may share them.
+    """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
 
     Attributes
     ----------
     order : ndarray or None
-        In which order a run holds the members, where that is not the order in which they were given.
+        Permutation of the members within a run; None if they keep the given order.
     names : list of str
-        The invariants that are followed, the energy first.
+        The tracked invariants, the energy first.
     accounts : tuple of (str, str)
-        What the places behind the coordinates of a state add up: what a force has done to an invariant. Where there are
-        any, each of `names` is followed once more, less what forces have done to it.
+        Accumulators behind the coordinates of a state: the work of a force on an invariant. If there are any, each of
+        `names` is also tracked less the work of the forces.
     size : int
-        How many numbers a state has: the dimension of the system, and the accounts.
+        Numbers of a state: the dimension of the system, and the accounts.
     memory : int
-        How many numbers a member remembers from step to step.
+        Numbers of a member that persist from step to step.
     rows : int
-        Of the matrices that move, or 0.
+        Rows of the matrices of a matrix system, else 0.
     measures : bool
-        Whether `measure` has something to do.
+        Whether `measure` does anything.
     block : int
-        So many members with the same tables go side by side.
+        Members with the same tables that are advanced side by side.
     turned : callable
-        ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from
-        those that the loops left. It does not keep the tables of the loops alive.
+        ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from those
+        that the loops saved. It does not keep the tables of the loops alive.
     """
 
     order: NDArray[np.int64] | None = None
@@ -84,11 +79,11 @@ class Loops(ABC):
 
     @property
     def followed(self) -> int:
-        """How many numbers are followed of a member."""
+        """Number of values tracked for each member."""
         return len(self.names) * (2 if self.accounts else 1)
 
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
-        """Return the plan of a run; that of the last one is kept."""
+        """Return the plan of a run; the last one is cached."""
         key = (members, points, square, workers)
         plan = self._plan
         if plan is None or plan.key != key:
@@ -98,32 +93,32 @@ class Loops(ABC):
 
     @abstractmethod
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return the crews that are at work together, one round after the other."""
+        """Return the rounds of crews; those of a round run concurrently."""
 
     def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[Crew]] | None:
-        """Return the crews of some members, ascending, side by side; None where that is not possible."""
+        """Return the crews of some members, ascending, packed side by side; None if not supported."""
         return None
 
     @abstractmethod
     def pieces(self, watch: Any = None) -> Pieces:
-        """Return the tables of the members, with another watch where one is given."""
+        """Return the tables of the members, with another watch if one is given."""
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
+        """Whether `turned` may return infinite elements although those of the loops are finite."""
         return any(unshift.may_overflow(start, times) for unshift in self.unshifts)
 
     def make_all(self) -> None:
-        """Make now what would be made when it is first needed."""
+        """Build everything that is otherwise built lazily."""
         for unshift in self.unshifts:
             unshift.make()
 
     @property
     def unshifts(self) -> Sequence[Unshift]:
-        """What `turned` takes back, for each system where a Casimir was taken off."""
+        """Corrections applied by `turned`, one for each system whose H was shifted by a Casimir."""
         return [self.turned] if isinstance(self.turned, Unshift) else []
 
     def unshift_of(self, member: int) -> Unshift | None:
-        """Return what `turned` takes back for a member, or None where nothing was taken off."""
+        """Return the correction of `turned` for a member, or None if its H was not shifted."""
         return self.turned if isinstance(self.turned, Unshift) else None
 
     def turned_at(
@@ -139,71 +134,41 @@ class Loops(ABC):
         return found
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the invariants of the only member at a state; multivalued ones are those next to the `last` ones."""
+        """Return the invariants of a single-member run at a state; multivalued ones on the branch nearest to `last`."""
         raise TypeError(f"{type(self).__name__} has many members")
 
     def measure(
         self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
     ) -> None:
-        """Fill in the invariants that the loops do not follow, at saved points; of most systems there are none.
+        """Compute the invariants that the loops do not track (matrix systems) at the new saved `points`, in place.
 
-        Parameters
-        ----------
-        times : Times
-            The steps.
-        start : Start
-            Where the first of them begins.
-        saved : NamedArrays
-            What was saved.
-        worst : (members, tenths, invariants) array
-            The largest deviations in each tenth of the run.
-        points : ndarray of int
-            Those of the saved points that are new.
+        `worst`, (members, tenths, invariants), holds the largest deviations in each tenth of the run.
         """
         return
 
     def measured_at(self, states: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the invariants of states (m, size) at times (m,) that the loops do not follow; None where they do."""
+        """Return the invariants that the loops do not track, of states (m, size) at times (m,), or None."""
         return None
 
     @property
     def can_be_sent(self) -> bool:
-        """Whether it can go to another process, by `pickle`."""
+        """Whether the loops can be pickled."""
         return False
 
     @abstractmethod
     def raised(self) -> BaseException | None:
-        """Return what a function of the user raised in a loop, once, or None."""
+        """Return the exception that a user's function raised in a loop, and clear it; or None."""
 
     @abstractmethod
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements that the loops start from, transposed, (members, d*d) or (d*d,) for all."""
+        """Return the initial group elements of the loops, transposed, (members, d*d), or (d*d,) for all members."""
 
 
 class SystemLoops(Loops):
-    """One system: every member has the same tables.
+    """Loops of one system, with the same tables for every member.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    method : Method
-        The scheme.
-    h : float
-        Step, negative for backward.
-    representation : ndarray of shape (n, d, d), "coadjoint", or None
-        What the group element is carried in.
-    casimirs : mapping, optional
-        The invariants that are followed beside the energy; None is all Casimirs of the system.
-    prepared : CompiledLoop, optional
-        The loop, where it is not that of `method` alone.
-
-    Attributes
-    ----------
-    prepared : CompiledLoop
-        The loop.
-    watch : Watch
-        The invariants.
+    `casimirs` are the invariants tracked beside the energy (None: all Casimirs); `prepared` replaces the loop of
+    `method`; `representation` is an array (n, d, d), "coadjoint" or None; h is negative for backward runs.
     """
 
     def __init__(
@@ -242,18 +207,18 @@ class SystemLoops(Loops):
 
         self._keep = watch.keep
         self.prepared, self.watch = prepared, watch.tables
-        # Made C structures here, once for all plans.
+        # Converted to C structures once for all plans.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 
     @property
     def can_be_sent(self) -> bool:
-        """Whether it can go to another process, by `pickle`: nothing but functions stands at its addresses."""
+        """Whether the loops can be pickled: all addresses in their tables are those of functions."""
         from coadjoint.kernels.sent import can_be_sent, loop_can_be_sent
 
         return loop_can_be_sent(self.prepared) and can_be_sent(self._keep)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the tables and all else, as they go to another process."""
+        """Return the attributes, with the tables in a form that can be pickled."""
         from coadjoint.kernels.sent import sent, sent_loop
 
         other = {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS}
@@ -267,7 +232,7 @@ class SystemLoops(Loops):
         self._read(received_loop(loop), received(watch))
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
+        """Return one round with a crew for each thread; members advanced side by side share a crew."""
         return [[self.crew(*places) for places in shared_out(0, members, workers, self.block)]]
 
     def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[Crew]] | None:
@@ -275,7 +240,7 @@ class SystemLoops(Loops):
         return [[own.among(members[slice(*places)]) for places in shared_out(0, len(members), workers, self.block)]]
 
     def pieces(self, watch: Any = None) -> Pieces:
-        """Return the tables that all members have."""
+        """Return the tables, which all members share."""
         return [(Tables(*self._given[:2], watch or self._given[2]), None)]
 
     def crew(self, first: int, last: int, base: int = 0) -> Crew:
@@ -285,7 +250,7 @@ class SystemLoops(Loops):
     def measure(
         self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
     ) -> None:
-        """Take the energy and the invariants of the saved matrices."""
+        """Compute the energy and the invariants of the saved matrices."""
         if self._matrices is None or not len(points):
             return
         first = self._values(start.momenta, times.t0)
@@ -293,7 +258,7 @@ class SystemLoops(Loops):
             number = int(times.saved[k])
             found = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
             tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
-            with np.errstate(invalid="ignore"):  # infinities of members that are about to fail
+            with np.errstate(invalid="ignore"):  # members may be about to overflow
                 worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -310,14 +275,14 @@ class SystemLoops(Loops):
     def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         system = self._matrices
         assert system is not None
-        # Later states of members that have failed are NaN, and no function is asked about them.
+        # States after a failure are NaN; user functions are not called on them.
         sound = np.isfinite(states[:, : system.dim]).all(axis=-1)
         found = np.full((len(states), len(self.names) * (2 if self.accounts else 1)), np.nan)
         W = system.from_vector(states[sound, : system.dim])
         with np.errstate(all="ignore"):
             values = [system.energy(W, t), *system.casimirs_at(W).values()]
         if self.accounts:
-            # less what forces have done to each, which stands behind the numbers of a state, and not of a start
+            # Less the work of the forces, from the accounts of a state; a start has none.
             done = {name: np.zeros(len(W)) for name in self.names}
             for (_, name), column in zip(self.accounts, states[sound, system.dim :].T, strict=False):
                 done[name] += column
@@ -326,16 +291,16 @@ class SystemLoops(Loops):
         return found
 
     def raised(self) -> BaseException | None:
-        """Return what a function of the user raised in the loop."""
+        """Return the exception that a user's function raised in the loop."""
         return self.prepared.raised()
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the given elements; for a shifted run unit elements, which `turned` multiplies by the given ones."""
+        """Return the given elements; unit elements for a shifted run, which `turned` multiplies by the given ones."""
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
 
 
 def values_of_watch(watch: Any, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the invariants of a watch at a state; multivalued ones are those next to the `last` ones."""
+    """Return the invariants of a watch at a state; multivalued ones on the branch nearest to `last`."""
     from coadjoint.kernels.watching import values_along
 
     found = np.empty((1, 1, len(last)))
@@ -348,10 +313,10 @@ def values_of_watch(watch: Any, state: NDArray[np.float64], t: float, last: NDAr
 
 @lru_cache(maxsize=8)
 def unit_row(size: int) -> NDArray[np.float64]:
-    """Return the unit element as the loops hold it, (d*d,)."""
+    """Return the unit element in the storage of the loops, (d*d,)."""
     return np.eye(size).ravel()
 
 
 def as_rows(groups: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return group elements (members, d, d) as the loops hold them: transposed, (members, d*d)."""
+    """Convert group elements (members, d, d) to the storage of the loops: transposed, (members, d*d)."""
     return np.swapaxes(groups, 1, 2).reshape(len(groups), -1)

@@ -1,4 +1,4 @@
-"""Further quantities along a run: what `observe` asks for, compiled once and evaluated at the saved points."""
+"""Observed quantities (`observe`): compiled once, evaluated at the saved points."""
 
 from __future__ import annotations
 
@@ -20,21 +20,10 @@ from coadjoint.wording import short
 
 
 class Observed:
-    """Quantities to be evaluated along saved points.
+    """Quantities evaluated at saved points; each function is called once at x0, and must return one real number.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        For the number of coordinates.
-    observe : mapping
-        Name -> `Polynomial`, `Quadratic` or function of x; of a matrix where states are matrices.
-    x0 : ndarray, shape (n,)
-        A state; there a function must return one real number.
-
-    Raises
-    ------
-    TypeError
-        Not a mapping of names to functions, or a function that returns something else or cannot be compiled.
+    `observe` maps names to `Polynomial`, `Quadratic` or functions of x (of a matrix for matrix systems). TypeError: any
+    other value, or a function that does not compile.
     """
 
     def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
@@ -69,7 +58,7 @@ class Observed:
         return {name: out[..., i + 1] for i, name in enumerate(self._names)}
 
     def _of_matrices(self, name: str, t: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of a function of a matrix, called in Python; NaN where a member has failed."""
+        """Evaluate a Python function of a matrix at all points; NaN for members that have failed."""
         assert self._matrices is not None
         function, system = self._given[name], self._matrices
         timed = takes_time(function, name)
@@ -91,22 +80,7 @@ def _check_of_matrices(system: MatrixSystem, observe: Mapping[str, Any]) -> None
 
 
 def check_observe(observe: Any) -> dict[str, Any]:
-    """Return a copy of what is to be observed, or refuse it.
-
-    Parameters
-    ----------
-    observe : mapping
-        Name -> `Polynomial`, `Quadratic` or function of x.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    TypeError
-        Something else.
-    """
+    """Validate `observe` and return a copy."""
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
         raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
     for name, given in observe.items():
@@ -118,7 +92,7 @@ def check_observe(observe: Any) -> dict[str, Any]:
 
 
 def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
-    """Return a quantity at the start; NaN where it is not defined there, as the run itself will have it."""
+    """Evaluate a quantity at the start; NaN if it is undefined there, as in the run itself."""
     try:
         return 0.0 if isinstance(given, Polynomial | Quadratic) or takes_time(given, name) else given(x0)
     except (ArithmeticError, ValueError, OSError):

@@ -1,4 +1,4 @@
-"""States between two steps: a part of a step of the same scheme, for any number of states at once."""
+"""Partial steps: states between two steps by a shorter step of the same scheme, for many states at once."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from coadjoint.systems.forced import ForcedSystem
 Floats = NDArray[np.float64]
 
 MOST_NUMBERS = 2**20
-"""Numbers of the arrays that are worked with at a time."""
+"""Array entries processed at a time."""
 FEW_ROWS = 256
-"""Up to so many rows one thread takes in less time than others need to begin."""
+"""Up to this many rows one thread is faster than starting others."""
 
 
 def check_no_noise(system: Any) -> None:
-    """Refuse a system with a random force: what it does in a part of a step is not known from the whole."""
+    """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
     moved = system[0] if isinstance(system, Batch) else system
     if isinstance(moved, ForcedSystem):
         noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]
         if noises:
             raise ValueError(
                 f"{noises[0]} of {moved.name} is a noise, drawn once for a step: there is no state between two steps; "
-                "ask for times that are whole numbers of steps from the start"
+                "give times that are whole numbers of steps from the start"
             )
 
 
 class Taken(NamedTuple):
-    """What a step has made of each row: momenta and group elements; invariants after it, and before it.
+    """Result of one step for each row: momenta, group elements, and the invariants after and before it.
 
-    Where a step has failed these are not numbers, the status is not zero, and the residual says by how much.
+    In rows that failed these are NaN, and `status` is not zero.
     """
 
     momenta: Floats
@@ -55,27 +55,11 @@ class Taken(NamedTuple):
 
 
 class PartsOfSteps:
-    """Steps of any lengths by the scheme of a run, one for each of many states side by side.
+    """Steps of arbitrary lengths by the scheme of a run, one for each of many states.
 
-    A step of the length theta h has all that the scheme has: its order, the invariants that it keeps, the group element
-    beside the momentum. So a part of a step from a saved state is as good as the run. It begins anew: compensated sums
-    owe nothing, and iterations have no earlier ones to go by. The bits of a row depend on nothing but that row.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        The system.
-    method : Method
-        The scheme, for messages.
-    loops : Loops
-        Its compiled loops, for steps in one direction.
-    workers : int
-        How many threads.
-
-    Raises
-    ------
-    ValueError
-        A force is a noise: what it does in a part of a step is not known from what it does in the whole.
+    A step of length theta h has the properties of the scheme: its order, its invariants, the group element. It starts
+    without history: compensated sums are zero, and iterations have no previous values. Each row's bits depend on that
+    row only. `loops` are those of one direction; a system with noise raises ValueError.
 
     Examples
     --------
@@ -104,30 +88,24 @@ class PartsOfSteps:
         lengths: Floats,
         owners: NDArray[np.int64] | None = None,
     ) -> tuple[Floats, Floats]:
-        """Return the states after one step each.
+        """Return the momenta and group elements after one step for each row.
 
         Parameters
         ----------
         momenta : ndarray, shape (m, size)
-            States, as a run saves them: with the accounts of forces behind the coordinates. A row with a number that is
-            not finite, of a member that has failed, is not moved.
+            States as a run saves them, with the accounts of forces behind the coordinates. Rows that are not finite
+            are returned as NaN.
         groups : ndarray, shape (m, d*d) or (m, 0)
-            Group elements, as the loops hold them: transposed, and without what was taken off the Hamiltonian.
+            Group elements as the loops store them: transposed, and without the shift of the Hamiltonian.
         times, lengths : ndarray, shape (m,)
-            When the step of each row begins, and how long it is; negative is backward.
+            Start and length of the step of each row; a negative length is backward.
         owners : ndarray of int, shape (m,), optional
-            The member that each row belongs to, where members differ in their tables; row i belongs to member i
-            by default.
-
-        Returns
-        -------
-        momenta, groups : ndarray
-            As they were given; NaN in rows that are not moved.
+            Member of each row, if tables differ between members; by default row i belongs to member i.
 
         Raises
         ------
         IntegrationError
-            A step failed, which the whole one did not.
+            A partial step failed where the whole step did not.
         """
         found = self.taken(momenta, groups, times, lengths, owners)
         failed = np.flatnonzero(found.status)
@@ -146,7 +124,7 @@ class PartsOfSteps:
         owners: NDArray[np.int64] | None = None,
         watched: bool = False,
     ) -> Taken:
-        """Return the same with the invariants that the run follows, where they are `watched`, and what has failed."""
+        """Like `take`, but return failures instead of raising, and the tracked invariants if `watched`."""
         count, m = self.loops.followed if watched else 0, len(momenta)
         x, group, after, before = (
             np.full((m, width), np.nan) for width in (momenta.shape[1], groups.shape[1], count, count)

@@ -1,7 +1,4 @@
-"""A run that is handed over piece by piece, so that it takes the same memory however long it is.
-
-Between two pieces it can be stored, whole, and gone on from with the same bits: `PiecewiseRun.stored`.
-"""
+"""Runs in pieces, with memory independent of their length; between pieces a run can be stored and resumed bitwise."""
 
 from __future__ import annotations
 
@@ -24,33 +21,16 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
 STATE = "state."
-"""Before the names of the arrays of a `RunState` among those that are stored."""
+"""Prefix of the arrays of a `RunState` among those that are stored."""
 NEVER = np.array([-1.0, np.nan])
-"""Step and time of what has not happened."""
+"""Step and time of an event that has not occurred."""
 
 
 class PiecewiseRun:
-    """A run some of whose saved points are in memory: those since `let_go`, and no more than `most` of them.
+    """A run that holds only its most recent saved points: those since `let_go`, at most `most` of them.
 
-    Parameters
-    ----------
-    ready : PreparedRun
-        What runs, made ready.
-    times : Times
-        All of its steps.
-    start : Start
-        Where the first of them begins.
-    most : int
-        How many saved points are held at a time; of the points of the whole run those up to a multiple of it.
-    stored : mapping, optional
-        Where to go on, as `stored` returned it.
-
-    Attributes
-    ----------
-    run : Run
-        The run.
-    torn : bool
-        Whether an interrupt has left points of which nobody knows whose they are: then there is no further `piece`.
+    Pieces end at multiples of `most` points, counted over the whole run; `stored` resumes a run. `torn` is True if an
+    interrupt has left the saved points of a batch in an undefined order; no further `piece` can be taken.
     """
 
     def __init__(
@@ -59,7 +39,7 @@ class PiecewiseRun:
         self._observed = ready.observed(start)
         state = None if stored is None else state_of(stored)
         if state is not None and state.number == 0:
-            state = None  # nothing was done yet, and the start is taken again
+            state = None  # no step yet: begin at the start
         self._most = most
         passed = 0 if state is None else times.after(state.number).passed
         self.run = ready.begun(times._replace(most=most - passed % most), start, state=state)
@@ -75,17 +55,17 @@ class PiecewiseRun:
 
     @property
     def number(self) -> int:
-        """How many steps were taken."""
+        """Number of steps taken."""
         return self.run.state.number
 
     @property
     def reach(self) -> int:
-        """The last step that can be taken before points must be let go."""
+        """Last step that can be taken before `let_go`."""
         return self.run.times.reach
 
     @property
     def held(self) -> int:
-        """How many saved points are in memory."""
+        """Number of saved points in memory."""
         numbers, state = self.run.times.saved, self.run.state
         if self.run.start.single and state["status"][0] not in (codes("Status")["DONE"], codes("Status")["ENDED"]):
             return int(np.searchsorted(numbers, state["step"][0]))
@@ -93,11 +73,11 @@ class PiecewiseRun:
 
     @property
     def over(self) -> bool:
-        """Whether there are no more steps to be taken: they are done, or the only member has failed."""
+        """Whether no steps remain: all are done, or the only member has failed."""
         return self.number == self.run.times.steps or (self.run.start.single and bool(self.run.state["status"][0]))
 
     def advance(self, until: int) -> None:
-        """Take the steps up to number `until`, no more than `reach`; where that is interrupted none is taken."""
+        """Take the steps up to number `until`, at most `reach`; an interrupt discards all of them."""
         before = self.run.state.copy()
         try:
             self.run.advance(until=until)
@@ -113,10 +93,7 @@ class PiecewiseRun:
                 self.run.initial = first[np.argsort(order)]
 
     def piece(self) -> Solution:
-        """Return the run at the points that are held, with the drifts and the work of all of its steps so far.
-
-        It must be followed by `let_go`.
-        """
+        """Return the points in memory, with drifts and work of all steps so far; must be followed by `let_go`."""
         run, order = self.run, self.run.loops.order
         if order is not None and self.number < run.times.steps:
             run.saved = run.saved.take(np.argsort(order), 1)
@@ -129,11 +106,11 @@ class PiecewiseRun:
 
     @property
     def first(self) -> int:
-        """Which of all saved points is the first one that is held."""
+        """Index, among all saved points, of the first one in memory."""
         return self.run.times.passed
 
     def let_go(self) -> None:
-        """Forget the points that are held, and make room for others; before the first step there is nothing to do."""
+        """Release the saved points in memory; no-op before the first step."""
         run = self.run
         if self.number:
             run.times = run.times._replace(most=self._most - run.times.after(self.number).passed % self._most)
@@ -141,19 +118,14 @@ class PiecewiseRun:
 
     @property
     def worst(self) -> NDArray[np.float64]:
-        """The largest deviations in each tenth of the run so far, (members, tenths, invariants)."""
+        """Largest deviations in each tenth of the run so far, (members, tenths, invariants)."""
         return larger(self._earlier, self.run.state["worst"])
 
     def stored(self, begin_block: bool = False) -> dict[str, Any]:
-        """Return numbers and arrays, by name, from which the run goes on with the same bits.
+        """Return numbers and arrays, by name, from which the run resumes bitwise.
 
-        Its steps are in blocks, of each of which the largest deviations are known: ``block`` (members, invariants) of
-        those since the last block was begun.
-
-        Parameters
-        ----------
-        begin_block : bool
-            Let another block begin here.
+        ``block`` (members, invariants) holds the largest deviations since the last block began; `begin_block` begins
+        another.
         """
         assert self.run.initial is not None
         block = reduce(larger, np.moveaxis(self.run.state["worst"], 1, 0))
@@ -169,7 +141,7 @@ class PiecewiseRun:
         }
 
     def failure(self, partial: Any) -> IntegrationError | None:
-        """Return what has gone wrong of a run that is `over`, with what there is of it."""
+        """Return the error of a run that is `over`, with its partial solution, or None."""
         if self.run.state["status"].any():
             return self.run.failure(partial)
         for name, error in (("energy", self.run.energy_error), ("attitude", self.run.attitude_error)):
@@ -179,7 +151,7 @@ class PiecewiseRun:
         return None
 
     def _note_undefined(self, found: Solution) -> None:
-        """Note where an energy or a group element is first not finite, though the state is."""
+        """Record where an energy or a group element is first not finite although the state is."""
         sound, shape = self.run.state["status"] == 0, (len(found.t), len(self.run.state["status"]))
         series = {"energy": found.energy.reshape(shape)[:, sound]}
         if self._turns and found.attitude is not None:
@@ -191,12 +163,12 @@ class PiecewiseRun:
 
 
 def state_of(stored: Mapping[str, Any]) -> RunState:
-    """Return the state of a run among what is stored of it."""
+    """Extract the `RunState` from the stored arrays of a run."""
     return RunState.from_mapping({name[len(STATE) :]: stored[name] for name in stored if name.startswith(STATE)})
 
 
 def larger(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest deviations of two pieces of a run, one after the other, as the loops take them.
+    """Combine the largest deviations of two successive pieces of a run with the NaN semantics of the loops.
 
     Examples
     --------

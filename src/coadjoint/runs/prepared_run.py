@@ -1,4 +1,4 @@
-"""A run made ready: tables and compiled functions once, for many short calls."""
+"""Prepared runs: tables and compiled functions are built once for many short calls."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ OF_THIS_PROCESS = ("_making", "_ends", "_observed", "_events", "_made")
 class PreparedRun:
     """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
 
-    It does not change. Several threads may run it at the same time, since each run has arrays of its own.
+    It is immutable. Several threads may run it concurrently, since each run has its own arrays.
 
     Attributes
     ----------
     system, method, step, observe
-        What runs, and what is observed. With inputs the method has the parts written out that it chose for the system.
+        The arguments of `prepare`. With inputs, the parts that the method chose for the system are fixed.
     """
 
     most_evaluations: float = math.inf
-    """`end` leaves runs that take more to `run`."""
+    """Runs with more evaluations are passed from `end` to `run`."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class PreparedRun:
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
-        # The loops do not follow what is kept of matrices.
+        # The loops do not track invariants of matrices.
         self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self.observe = check_observe({} if observe is None else observe)
@@ -93,16 +93,16 @@ class PreparedRun:
         self._observed: Observed | None = None
         self._events: WatchedEvents | None = None
         self._making = threading.RLock()
-        # Taken out while a call works in it: another thread finds another one, or none.
+        # A call takes one out while it runs, so that concurrent calls never share one.
         self._ends: list[EndOfRun] = []
 
     def __repr__(self) -> str:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all that was made ready, so that another process derives nothing again.
+        """Return everything prepared, so that another process need not derive it again.
 
-        Loops that take steps of another loop inside, as those with forces do, are laid out again where they run.
+        Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
         """
         made = {h: loops for h, loops in self._made.items() if getattr(loops, "can_be_sent", False)}
         return {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS} | {"_made": made}
@@ -111,16 +111,17 @@ class PreparedRun:
         self.__dict__.update(state, _observed=None, _events=None, _making=threading.RLock(), _ends=[])
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
-        """Return the run of the members `first` to `last` - 1 alone, with the bits that they have among all.
+        """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
+        run.
 
-        Of a batch it has their tables, and derives nothing. Members with noise keep that of their numbers.
+        The tables of a batch are reused. Members with noise keep the noise of their original numbers.
 
         Parameters
         ----------
         first, last : int
-            Members of an ensemble.
+            Range of members of an ensemble.
         threads : int, optional
-            For these members; None is as many as for all.
+            Number of threads for these members; None keeps that of the whole run.
 
         Returns
         -------
@@ -155,33 +156,33 @@ class PreparedRun:
         events: Any = None,
         **inputs: Any,
     ) -> Solution:
-        """Integrate from an initial state; the same bits as `integrate`.
+        """Integrate from an initial state; bitwise equal to `integrate`.
 
         Parameters
         ----------
         x0 : array_like, shape (n,) or (members, n)
             Initial momentum, as in `integrate`.
         t_span : (float, float)
-            Start and end; backward where the end lies before the start. A whole number of steps.
+            Start and end, a whole number of steps apart; the run goes backward if the end is the smaller one.
         save_every : int
-            Keep every k-th step, the start and the end.
+            Save every k-th step, and always the start and the end.
         t_eval : array_like, shape (k,), optional
-            Keep the states at these times instead, as in `integrate`.
+            Save the states at these times instead, as in `integrate`.
         attitude : array_like, shape (d, d) or (members, d, d), optional
-            The initial group element of this run, in place of the one that was prepared.
+            Initial group element of this run, instead of the prepared one.
         progress : bool
             Show a progress bar.
         events : Event or sequence of Event, optional
-            What is looked for, as in `integrate`.
+            Events to locate, as in `integrate`.
         **inputs : array_like
-            The inputs of this run, by the names that they were prepared with: coefficients of the linear term of H, in
-            the shape of their coordinates, or torques, (n,); or with an axis of members before it. What is not given is
-            as the system has it.
+            Inputs of this run, by their prepared names: coefficients of the linear term of H, in the shape of their
+            coordinates, or torques, (n,); optionally with a leading axis of members. Inputs that are not given default
+            to the values of the system.
 
         Returns
         -------
         Solution
-            Its `system` has the linear term and the torques of this run, its `method` the parts that were prepared.
+            Its `system` has the linear term and the torques of this run, and its `method` the prepared parts.
 
         Raises
         ------
@@ -196,34 +197,35 @@ class PreparedRun:
         return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, Moments | None]:
-        """Return the steps of a run, and the moments at which states are kept where these are given; checked."""
+        """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
         times = times_between(span_of(t_span), self.step, save_every)
         moments = None if t_eval is None else moments_of(t_eval, times, save_every)
         if moments is not None and self.method.own_steps:
-            # Where one looks changes no step: as often as states are wanted, so that none is far from a saved one.
+            # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
+            # short.
             times = times.closer(len(moments.t))
             moments = moments_of(t_eval, times)
         return times, moments
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return only the state at the end of a run, in a fifth of the time of a call of `run`.
+        """Return only the final state of a run, with a fifth of the overhead of `run`.
 
-        For shooting, maps and control loops of few steps: beside its steps a call takes about 3 us. It has the bits of
-        ``run(x0, t_span).x[-1]``, and fails where that fails. Ensembles, batches and matrices, and what was
-        prepared with an attitude or with inputs, are run as `run` does it.
+        For shooting methods, maps and control loops of few steps: the overhead of a call is about 3 us. The result is
+        bitwise equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs
+        prepared with an attitude or with inputs fall back to `run`.
 
         Parameters
         ----------
         x0 : array_like, shape (n,) or (members, n)
-            Initial momentum, as in `run`; an array of float64 is read fastest.
+            Initial momentum, as in `run`; fastest for an array of float64.
         t_span : (float, float)
-            Start and end; backward where the end lies before the start. A whole number of steps. The same tuple again
-            is not read again.
+            Start and end, a whole number of steps apart; the run goes backward if the end is the smaller one. An
+            unchanged tuple is not validated again.
 
         Returns
         -------
         ndarray
-            Of the shape of x0.
+            Final state, in the shape of x0.
 
         Raises
         ------
@@ -256,27 +258,27 @@ class PreparedRun:
         return self._representations[0] is not None
 
     def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
-        """Return what a run with inputs needs of them, (m,) or (members, m); None where none were prepared."""
+        """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
         if self._inputs is not None:
             return self._inputs.read(inputs)
         if inputs:
             raise TypeError(
-                f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; say in `prepare` which "
-                "coefficients or torques may change, such as inputs=True"
+                f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; give `prepare` the "
+                "coefficients or torques that may change, such as inputs=True"
             )
         return None
 
     def system_at(self, values: NDArray[np.float64] | None) -> Any:
-        """Return the system of a run with what `values_of` returned."""
+        """Return the system of a run with the values from `values_of`."""
         return self.system if values is None or self._inputs is None else self._inputs.system_of(values)
 
     def start(self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None) -> Start:
-        """Return a checked initial state for `follow`; x0 and attitude as in `run`, and what `values_of` returned."""
+        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`."""
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(
-                "attitude of a run is an initial group element, an array; which matrices are carried is said "
-                f"when it is prepared, with attitude=True or 'coadjoint' (here {short(self._attitude)})"
+                "attitude of a run is an initial group element, an array; the representation must be given "
+                f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self._attitude)})"
             )
         momenta, single = momenta_of(self.system, x0)
         if values is not None and values.ndim > 1:
@@ -296,10 +298,9 @@ class PreparedRun:
         events: tuple[Event, ...] = (),
         moments: Moments | None = None,
     ) -> Solution:
-        """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state.
+        """Take the steps of `times`, whose step is the prepared one or its negative, from a validated state.
 
-        `values` is what `values_of` returned, where the run was prepared with inputs. Moments are kept in place of
-        steps, where there are some.
+        `values` are those of `values_of` for a run with inputs. If `moments` are given, they replace the saved points.
         """
         if moments is not None:
             check_parts(self.system, moments)
@@ -323,7 +324,7 @@ class PreparedRun:
     def begun(
         self, times: Times, start: Start, values: NDArray[np.float64] | None = None, state: RunState | None = None
     ) -> Run:
-        """Return the run of `follow` before its first step, or after those that led to a state."""
+        """Return the run of `follow` before its first step, or resumed at a state."""
         workers = min(len(start.momenta), self._threads)
         system: Any = self.system
         loops = self.loops(times.h)
@@ -333,14 +334,14 @@ class PreparedRun:
         return Run(system, self.method, loops, times, start, self._watching, workers, state)
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
-        """Return events compiled; those of the last run are kept."""
+        """Return the compiled events; those of the last run are cached."""
         with self._making:
             if self._events is None or self._events.events != events:
                 self._events = WatchedEvents(self.system, events, x0, t0)
             return self._events
 
     def loops(self, h: float) -> Loops | InputLoops:
-        """Return the loops of a step or of its negative; those of each direction are made when first needed."""
+        """Return the loops of a step or of its negative, built lazily for each direction."""
         found = self._made.get(h)
         if found is None:
             with self._making:
@@ -356,7 +357,7 @@ class PreparedRun:
         return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
     def observed(self, start: Start) -> Observed | None:
-        """Return the quantities to observe during a run, if any."""
+        """Return the quantities to observe during a run, or None."""
         if not self.observe:
             return None
         with self._making:
@@ -382,7 +383,7 @@ def prepare(
     threads: int | None = None,
     inputs: Any = None,
 ) -> PreparedRun:
-    """Make a run ready once for many short calls: control loops, shooting methods, maps.
+    """Prepare a run once for many short calls: control loops, shooting methods, maps.
 
     `integrate` does the same preparation in each call. The parameters are those of `integrate`, except the initial
     state and the times, which are given to each run.
@@ -394,21 +395,21 @@ def prepare(
     method : Method or None
         The scheme. The default is `Splitting()` of order 2, and for matrices the one of `suggested_scheme`.
     step : float, optional
-        Size of a step, positive. Give either this or `accuracy`. Runs backward in time are made ready at the first such
+        Size of a step, positive. Give either this or `accuracy`. Loops for backward runs are built at the first such
         run.
     accuracy : float, optional
         Wanted error, as in `integrate`. The step, and without `method` the scheme, are chosen once for a sample of
         states. Each run is checked by its first step, which is compared with two steps of half the size. The difference
         may be at most twice as large as along the motions from the sample. If it is larger, scheme and step are chosen
         again for this run alone, which takes some ms. A motion that is slow at its start, and later faster than all
-        motions from the sample, is not foreseen.
+        motions from the sample, is not detected.
     x0 : array_like, shape (n,) or (members, n), optional
-        With `accuracy`: the sample, states like those that will run.
+        With `accuracy`: the sample, representative initial states.
     t_span : (float, float), optional
         With `accuracy`: the longest run, and its direction.
     attitude : bool, "coadjoint", or array_like
-        Whether to compute the group element, as in `integrate`. An array is the initial element of every run that does
-        not give its own.
+        Whether to compute the group element, as in `integrate`. An array is the initial element of every run that is
+        not given another one.
     watch : bool
         Compute the energy and every Casimir after every step; otherwise only at the saved points.
     observe : mapping, optional
@@ -416,15 +417,15 @@ def prepare(
     threads : int, optional
         Number of threads for the members of an ensemble. The default is one for each core.
     inputs : True, sequence of int, or mapping, optional
-        What may change from run to run: coefficients of the linear term of H (such as a field, the weight of a top, the
-        momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True for all;
-        ``run(..., linear=)`` then takes the values. Or give a mapping from a name for each input to coordinates, or to
-        the label of a `Torque` in ``system.labels``. See docs/control.md.
+        Quantities that may change from run to run: coefficients of the linear term of H (such as a field, the weight
+        of a top, the momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True
+        for all; ``run(..., linear=)`` then takes the values. Or give a mapping from a name for each input to
+        coordinates, or to the label of a `Torque` in ``system.labels``. See docs/control.md.
 
     Returns
     -------
     PreparedRun
-        ``run(x0, t_span, save_every=1)`` returns a `Solution`. Threads may share it.
+        Its method ``run(x0, t_span, save_every=1)`` returns a `Solution`. Threads may share it.
 
     Raises
     ------
@@ -442,14 +443,14 @@ def prepare(
     >>> bool(abs(back.x[-1] - there.x[0]).max() < 1e-13)
     True
 
-    The momenta of rotors are others in each run:
+    Rotor momenta as inputs of each run:
 
     >>> steered = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), None, step=0.05, inputs={"rotors": (0, 1, 2)})
     >>> x = (0.1, 1.0, 0.1)
     >>> for k in range(3):
     ...     x = steered.run(x, t_span=(0.5 * k, 0.5 * k + 0.5), rotors=(0.0, -0.1 * k, 0.0)).x[-1]
 
-    Scheme and step are chosen once for states like those of a sample:
+    Scheme and step chosen once for a sample of states:
 
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> ready = co.prepare(body, accuracy=1e-9, x0=[(0.1, 1.0, 0.1), (1.0, 0.2, 0.3)], t_span=(0, 20))
@@ -457,7 +458,7 @@ def prepare(
     >>> bool(abs(ready.end(x0, (0.0, 20.0)) - body.exact(x0, 20.0)).max() < 1e-9)
     True
 
-    The torque of thrusters is another one in each run:
+    A thruster torque as an input of each run:
 
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0)))
     >>> pushed = co.prepare(body, None, step=0.125, inputs={"thrusters": "Torque"})
@@ -482,7 +483,7 @@ def prepare(
         chosen.loops(chosen.signed_step).make_all()
         return chosen
     if x0 is not None or t_span is not None:
-        raise TypeError("prepare takes x0= and t_span= with accuracy=; a step serves all states and times")
+        raise TypeError("prepare takes x0= and t_span= with accuracy=; a given step needs neither")
     ready = PreparedRun(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )

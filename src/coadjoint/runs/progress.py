@@ -1,4 +1,4 @@
-"""How far has a run come? A bar on a terminal; where the standard error goes to a file, a plain line now and then."""
+"""Progress of a run on the standard error: a bar on a terminal, occasional plain lines in a log."""
 
 from __future__ import annotations
 
@@ -8,28 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 SECONDS_BETWEEN_LINES = 30.0
-"""A log of a night has about a thousand lines."""
+"""About a thousand lines in an overnight log."""
 
 
 class progress_bar:
-    """A progress bar over the steps, or over what else is counted; or nothing.
+    """Context manager of a progress bar over `steps` units; its value is called with each increment.
 
-    Where the standard error is no terminal nothing is drawn over what was drawn before: a line is printed every
-    `SECONDS_BETWEEN_LINES`, and one at the end.
-
-    Parameters
-    ----------
-    steps : int
-        How many there are.
-    shown : bool
-        Whether anything is shown.
-    unit : str
-        What is counted.
-
-    Examples
-    --------
-    >>> with progress_bar(10, False) as done:
-    ...     done(10)
+    Without a terminal, a line is printed every `SECONDS_BETWEEN_LINES` and one at the end.
     """
 
     def __init__(self, steps: int, shown: bool, unit: str = "step") -> None:
@@ -50,17 +35,17 @@ class progress_bar:
 
 
 def _is_terminal() -> bool:
-    """Say whether what is printed can be drawn over: on a terminal, or below the cell of a notebook."""
+    """Whether printed output can be overwritten: on a terminal, or below a notebook cell."""
     if type(sys.stderr).__module__.partition(".")[0] == "ipykernel":
         return True
     try:
         return bool(sys.stderr.isatty())
-    except (AttributeError, ValueError):  # there is none, or it is closed
+    except (AttributeError, ValueError):  # no standard error, or closed
         return False
 
 
 class _Lines:
-    """Lines for a log, without control characters."""
+    """Progress lines for a log, without control characters."""
 
     def __init__(self, steps: int, unit: str) -> None:
         self._steps, self._unit, self._done, self._told = steps, unit, 0, -1

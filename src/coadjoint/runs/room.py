@@ -1,4 +1,4 @@
-"""Does what a run saves fit in memory?"""
+"""Memory estimates for runs."""
 
 from __future__ import annotations
 
@@ -9,31 +9,16 @@ from coadjoint.runs.times import Times
 from coadjoint.wording import short
 
 BYTES = 8
-PER_POINT = 24  # its time, its number, and what was asked to be observed
+PER_POINT = 24  # time, number and observed quantities
 
 
 def bytes_of_run(layout: Layout, times: Times) -> int:
-    """Return how many bytes a run holds."""
+    """Estimate the memory of a run's arrays, in bytes."""
     return BYTES * (layout.saved.size + layout.state.size) + PER_POINT * times.points
 
 
 def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
-    """Refuse a run whose arrays do not fit in memory, and say how many of its points would.
-
-    Parameters
-    ----------
-    layout : Layout
-        Of its arrays, which are not made yet.
-    times : Times
-        Its steps, and how many of them are saved.
-    members : int
-        How many there are.
-
-    Raises
-    ------
-    ValueError
-        With the memory that is estimated and that is free, and a `save_every` that fits, where there is one.
-    """
+    """Raise ValueError if a run's arrays exceed the free memory; suggest a `save_every` that fits, if any."""
     need = bytes_of_run(layout, times)
     if need <= SMALL:
         return

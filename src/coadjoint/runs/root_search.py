@@ -1,4 +1,4 @@
-"""Roots and extrema of many functions of one number at once, between 0 and 1."""
+"""Vectorized search for roots and minima of many functions of one variable on [0, 1]."""
 
 from __future__ import annotations
 
@@ -11,33 +11,18 @@ Floats = NDArray[np.float64]
 Values = Callable[[NDArray[np.int64], Floats], Floats]
 
 MOST_ROUNDS = 200
-"""Bisection from 1 to the smallest float takes fewer than six times as many; a root needs about seven."""
+"""Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 NARROW = 2.0**-26
-"""Closer to an extremum values no longer tell points apart."""
+"""Bracket width at a minimum below which function values are indistinguishable, sqrt(2^-52)."""
 
 
 def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Floats:
-    """Return where m functions go through zero, by inverse quadratic interpolation and bisection.
+    """Find a root of each of m functions by inverse quadratic interpolation and bisection, independently of the others.
 
-    Each is bracketed and found by itself, so that its root does not depend on the others.
-
-    Parameters
-    ----------
-    values : callable
-        ``values(which, theta)`` returns those of the functions `which` at theta, one for each.
-    before, after : ndarray, shape (m,)
-        The values at 0 and at 1, of different signs; `after` may be zero.
-    least : ndarray, shape (m,)
-        Points closer than this are not told apart.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-
-    Notes
-    -----
-    T. R. Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149; the first point is where a straight line goes through zero.
+    ``values(which, theta)`` evaluates the functions `which` at theta; `before` and `after` (m,) are their values at 0
+    and 1, of different signs (`after` may be zero); `least` (m,) is the resolution. T. R. Chandrupatla, Adv. Eng.
+    Softw. 28 (1997) 145-149; the first point is that of the secant.
 
     Examples
     --------
@@ -76,20 +61,9 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
 
 
 def lowest(values: Values, count: int) -> tuple[Floats, Floats]:
-    """Return where functions that are positive at 0 and at 1 are smallest, or a point where they are not positive.
+    """Minimize functions that are positive at 0 and at 1 by golden sections; stop at a value that is not positive.
 
-    By golden sections: right for a function with one minimum.
-
-    Parameters
-    ----------
-    values : callable
-        As for `roots`.
-    count : int
-        How many functions there are.
-
-    Returns
-    -------
-    theta, value : ndarray, shape (count,)
+    `values` as for `roots`; exact for unimodal functions. Return theta and value, (count,).
 
     Examples
     --------

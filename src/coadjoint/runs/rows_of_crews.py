@@ -1,4 +1,4 @@
-"""Rows that belong to members, in any number and order: where they stand, and the crews that advance them."""
+"""Assignment of rows, each belonging to a member, to slots of crews."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Whole = NDArray[np.int64]
 
 
 class Rows(NamedTuple):
-    """Which row stands at each place, and the crews of all places.
+    """The row in each slot, and the crews of all slots.
 
-    A place that is not `own` fills a lane beside other rows: it holds a copy of one of them.
+    A slot that is not `own` pads a lane, and holds a copy of another row.
     """
 
     rows: Whole
@@ -27,7 +27,7 @@ class Rows(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """A loop and what it reads. With a stride members have columns of constants, so many side by side."""
+    """A loop and its tables; with a stride, each member has a column of constants."""
 
     loop: str
     tables: Any
@@ -35,20 +35,9 @@ class Tables(NamedTuple):
     stride: int = 0
 
     def rows(self, columns: Whole, workers: int, block: int, begin: int = 0) -> Rows:
-        """Return rows with these columns of constants, or without a stride in their order; places count from `begin`.
+        """Return rows (m,) with these columns of constants, or in the given order without a stride.
 
-        Parameters
-        ----------
-        columns : ndarray of int, shape (m,)
-            The column of each row.
-        workers, block : int
-            Without a stride there is a crew for each worker, and `block` rows go side by side.
-        begin : int
-            The first place.
-
-        Returns
-        -------
-        Rows
+        Slots count from `begin`. Without a stride there is a crew for each worker, and `block` rows go side by side.
         """
         if self.stride:
             return self._in_columns(columns, begin)
@@ -59,7 +48,7 @@ class Tables(NamedTuple):
         return Rows(np.arange(count), np.ones(count, dtype=bool), crews)
 
     def _in_columns(self, columns: Whole, begin: int) -> Rows:
-        # Crews begin where blocks of columns do. A block has one row of each column at a time.
+        # Crews begin at blocks of columns; a block holds one row of each column at a time.
         block = limit("LARGEST_CROWD")
         wide = self.stride // block
         order = np.argsort(columns, kind="stable")
@@ -78,25 +67,11 @@ class Tables(NamedTuple):
 
 
 Pieces = Sequence[tuple[Tables, Whole | None]]
-"""Tables, and the members that share them, ascending, a column for each; None is all members, in the same columns."""
+"""Tables, and the members that share them, ascending, one column each; None: all members, in the same columns."""
 
 
 def rows_of_pieces(pieces: Pieces, owners: Whole, workers: int, block: int) -> Rows:
-    """Return rows whose members have tables of their own, piece after piece.
-
-    Parameters
-    ----------
-    pieces : sequence of (Tables, ndarray of int or None)
-        Tables, and the members that share them.
-    owners : ndarray of int, shape (m,)
-        The member that each row belongs to.
-    workers, block : int
-        As for `Tables.rows`.
-
-    Returns
-    -------
-    Rows
-    """
+    """Return rows of members with different tables, piece after piece; `owners` (m,) holds the member of each row."""
     found: list[Rows] = []
     begin = 0
     for tables, members in pieces:
@@ -112,7 +87,7 @@ def rows_of_pieces(pieces: Pieces, owners: Whole, workers: int, block: int) -> R
 
 
 def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
-    """Return the members first to last - 1 as crews, one for each worker, which begin at multiples of `block`.
+    """Split the members first to last - 1 into crews, one for each worker, that begin at multiples of `block`.
 
     Examples
     --------

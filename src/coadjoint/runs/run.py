@@ -1,4 +1,4 @@
-"""Arrays of one run and the compiled loop that fills them."""
+"""Arrays of a run, and the compiled loops that fill them."""
 
 from __future__ import annotations
 
@@ -32,42 +32,26 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
 
-# A progress bar moves between two calls of the compiled loop.
+# Target time between updates of a progress bar, which happen between two calls of the compiled loop.
 SECONDS_BETWEEN_LOOKS = 0.2
 
 
 class Run:
-    """Arrays of one run, from checked states and times, and the loops that fill them.
+    """Arrays of one run, from validated states and times, and the loops that fill them.
 
-    Parameters
-    ----------
-    system, method
-        What runs, for messages and the solution. A `partial` function in place of the system makes it, when the
-        solution is asked for it.
-    loops : Loops
-        Its compiled loops.
-    times : Times
-        The steps.
-    start : Start
-        Where the first of them begins.
-    watching : bool
-        Whether every step is watched.
-    workers : int
-        How many threads.
-    state : RunState, optional
-        Where to go on, after some of the steps; this object does not change. What was saved until then is not saved
-        again.
+    `system` may be a `partial` that builds it lazily. A given `state` resumes after its steps; it is copied, and
+    earlier points are not saved again.
 
     Attributes
     ----------
     state : RunState
-        After the last step that was taken.
+        State after the last step taken.
     events : Events or None
-        What was found of those that were looked for.
+        Crossings found, if events were given.
     ending : Ending or None
-        How the run of a single member was ended by one.
+        Terminal event that ended a single-member run.
     initial : ndarray or None
-        The invariants at the start, (members, invariants), where it is not the first of the saved points.
+        Invariants at the start, (members, invariants), if they are not those of the first saved point.
     """
 
     initial: NDArray[np.float64] | None = None
@@ -91,7 +75,7 @@ class Run:
         square = start.groups.shape[1] ** 2
         if state is None:
             self.state = RunState(NamedArrays(self.plan.layout.state))
-            # Behind the coordinates stand accounts, which begin at zero.
+            # Accounts follow the coordinates, and start at zero.
             self.state["momenta"][:, : start.momenta.shape[1]] = start.momenta
             if square:
                 self.state["groups"][:] = loops.started(start.groups)
@@ -106,7 +90,7 @@ class Run:
         self.ending: Ending | None = None
 
     def _hold(self, times: Times, events: int = 0) -> None:
-        """Make room for the points that these times save."""
+        """Allocate the arrays for the saved points of these times."""
         members = len(self.start.momenta)
         self.times, self._events_at = times, events
         self.plan = self.loops.plan(members, times.points, self.start.groups.shape[1] ** 2, self.workers)
@@ -115,23 +99,23 @@ class Run:
         self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
 
     def let_go(self) -> None:
-        """Forget what was saved so far, so that there is room for the points after it."""
+        """Release the saved points, and allocate arrays for those that follow."""
         self._hold(self.times.after(self.state.number), self._events_at)
         self.saved.numbers.fill(np.nan)
 
     @property
     def ends(self) -> NDArray[np.float64]:
-        """When events ended the runs of members, (members,); NaN where none did."""
+        """Times at which events ended the runs of members, (members,); NaN where none did."""
         members = len(self.start.momenta)
         return np.full(members, np.nan) if self.events is None else self.events.ends(members)
 
     def look_for(self, events: int) -> None:
-        """Let the loops look for events, at the address of their tables; these must live as long as the run."""
+        """Enable event detection, with the address of the event tables; these must outlive the run."""
         times, self._events_at = self.times, events
         self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
 
     def close(self, last: NDArray[np.int64]) -> None:
-        """Forget what was saved of members after their last steps, where events have ended them before the others."""
+        """Discard points saved after the last steps of members, where events have ended them before the others."""
         order, status = self.loops.order, codes("Status")
         if order is not None and self.state.number < self.times.steps:
             self.saved = self.saved.take(np.argsort(order), 1)
@@ -145,7 +129,7 @@ class Run:
         self.wrong = int(np.count_nonzero((state != status["DONE"]) | undefined.any(axis=0)))
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
-        """Take the steps up to number `until`, or all, one round after the other; an interrupt ends them."""
+        """Take the steps up to number `until`, or all, round by round; an interrupt aborts."""
         order = self.loops.order
         first, last = self.state.number, self.times.steps if until is None else until
         began = time.perf_counter()
@@ -178,12 +162,12 @@ class Run:
                     self.wrong += self._take_in_chunks(crews, first, last, bar)
 
     def _take(self, crews: list[Crew], done: int, target: int) -> int:
-        """Take the steps done + 1 to target of some crews; return how many members have failed."""
+        """Take the steps done + 1 to target of some crews; return the number of members that failed."""
         given = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
         return at_work(crews, given, self.loops, self.workers)
 
     def _take_in_chunks(self, crews: list[Crew], done: int, last: int, bar: Callable[[int], Any]) -> int:
-        """Take the steps done + 1 to last of some crews, some at a time, so that the bar moves."""
+        """Take the steps done + 1 to last of some crews in chunks between updates of the progress bar."""
         chunk = 1
         while True:
             target = min(last, done + chunk)
@@ -197,11 +181,11 @@ class Run:
 
     @property
     def moved(self) -> System | Batch:
-        """What moves; made where a function makes it."""
+        """The system, built if it is given as a function."""
         return self.system() if isinstance(self.system, partial) else self.system
 
     def solution(self, observed: Observed | None) -> Solution:
-        """Return what was saved, or raise the failure with it."""
+        """Return the solution, or raise the failure with the partial solution."""
         kept = self.times.points if self.ending is None else self.ending.points
         if not self.wrong:
             whole = self._solution(kept, observed)
@@ -213,16 +197,16 @@ class Run:
         raise self.failure(self._solution(kept, observed))
 
     def interrupted(self, observed: Observed | None) -> Solution:
-        """Return what was saved before the loops were interrupted; after that the run cannot go on.
+        """Return the points saved before an interrupt, after which the run cannot be resumed.
 
-        Members that were not yet at a point are not a number there. The drifts are those over the saved points.
+        Members that had not reached a point are NaN there. The drifts are those over the saved points.
         """
         order, numbers = self.loops.order, self.times.saved
         if order is not None:
             self.saved = self.saved.take(np.argsort(order), 1)
         x = self.saved["x"]
         if len(numbers):
-            # Of members that the loops have not come to there is nothing in the arrays.
+            # The arrays of members that were not started are uninitialized.
             first = x[0, :, : self.start.momenta.shape[1]]
             waiting = ~((first == self.start.momenta) | np.isnan(first)).all(axis=1)
             for name in ("x", "group", "values"):
@@ -241,7 +225,7 @@ class Run:
         return self._solution(kept, observed)
 
     def failure(self, partial: Any) -> IntegrationError:
-        """Return what went wrong, with what there is of the run."""
+        """Return the error of a failed run, with its partial solution."""
         failed = self.state["status"].nonzero()[0]
         if len(failed):
             return self._error(int(failed[0]), len(failed), partial)
@@ -251,7 +235,7 @@ class Run:
         return self.energy_error(int(self.times.saved[first]), float(whole.t[first]), partial)
 
     def fail(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
-        """Note that a member has failed in a step, which the loops do not know; with a reason that no status tells."""
+        """Mark a member as failed in a step, from outside the loops; `reason` replaces the text of the status."""
         state = self.state
         state["status"][member], state["step"][member] = codes("Status")[status], step
         state["residual"][member] = residual
@@ -260,13 +244,13 @@ class Run:
         self.wrong += 1
 
     def _check_attitude(self, whole: Solution) -> None:
-        """Refuse a group element that overflowed where the momentum did not: the factor of a shift may grow."""
+        """Raise if a group element overflowed although the momentum did not: the factor of a shift may grow."""
         first = first_point_not_finite(whole.attitude)
         if first is not None:
             raise self.attitude_error(int(self.times.saved[first]), float(whole.t[first]), whole)
 
     def attitude_error(self, step: int, when: float, partial: Any) -> IntegrationError:
-        """Return the error for a group element that is not finite after a step, at a time."""
+        """Return the error for a group element that is not finite after a step, at time `when`."""
         return IntegrationError(
             f"the attitude at t = {when:g} is no finite matrix, though the momentum is finite: the group "
             "element grows until it overflows; take a shorter span, or attitude=False",
@@ -298,7 +282,7 @@ class Run:
                 f"in step {step}, {self.reasons[member]}{who}", step=step, time=when, residual=residual, partial=partial
             )
         what = what_failed(status, self.method, self.loops, residual)
-        # The step of a run is none of the scheme where that takes its own.
+        # Schemes with adaptive steps do not use the step of the run.
         instead = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
         message = f"in step {step}, at t = {when:g}, {what}{who}; {instead}"
         if status == "PARALLEL":
@@ -306,7 +290,7 @@ class Run:
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
     def solution_to(self, kept: int) -> Solution:
-        """Return the first of the points that were saved, `kept` of them."""
+        """Return the solution of the first `kept` saved points."""
         return self._solution(kept, None)
 
     def _solution(self, kept: int, observed: Observed | None) -> Solution:
@@ -314,7 +298,7 @@ class Run:
 
 
 def first_point_not_finite(series: Any) -> int | None:
-    """Return the first saved point at which some number of a series is not finite, or None.
+    """Return the index of the first saved point at which a number of a series is not finite, or None.
 
     Examples
     --------
@@ -327,7 +311,7 @@ def first_point_not_finite(series: Any) -> int | None:
 
 
 def read_progress(progress: Any) -> bool:
-    """Return whether a progress bar is wanted; refuse one that cannot be shown."""
+    """Validate `progress`; raise if a progress bar cannot be shown."""
     shown = read_flag(progress, "progress")
     if shown:
         need("progress=True", "tqdm")

@@ -1,4 +1,4 @@
-"""Poincare sections: where the motions of an ensemble go through a surface."""
+"""Poincare sections of ensembles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NEVER = 2**53
-"""Saves the start and the end alone."""
+"""A `save_every` that saves only the start and the end."""
 
 
 class Section:
@@ -31,17 +31,17 @@ class Section:
     Attributes
     ----------
     events : Events
-        All of them, one after the other.
+        All crossings, member after member.
     counts : ndarray of int, shape (members,)
-        How many each member has.
+        Number of crossings of each member.
     t : ndarray, shape (members, c)
-        The times; NaN where a member has fewer.
+        Times, padded with NaN for members with fewer crossings.
     x : ndarray, shape (members, c, n)
-        The states; NaN as well.
+        States, padded with NaN.
 
     Notes
     -----
-    `section` makes it. The two arrays are made when they are asked for.
+    Returned by `section`. The arrays t and x are computed on each access.
 
     Examples
     --------
@@ -61,12 +61,12 @@ class Section:
 
     @property
     def t(self) -> NDArray[np.float64]:
-        """The times."""
+        """Times of the crossings, (members, c), padded with NaN."""
         return self._side_by_side(self.events.t)
 
     @property
     def x(self) -> NDArray[Any]:
-        """The states."""
+        """States at the crossings, (members, c, n), padded with NaN."""
         return self._side_by_side(self.events.x)
 
     def _side_by_side(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -76,19 +76,19 @@ class Section:
         return found
 
     def plot(self, components: Any = None, axes: Any = None) -> Figure:
-        """Return a figure: two components of the states, a colour for each member.
+        """Plot two components of the states at the crossings, with one colour for each member.
 
         Parameters
         ----------
         components : (int or str, int or str), optional
-            Which are drawn, to the right and upwards; by default the two that vary most.
+            Components on the horizontal and the vertical axis; by default the two that vary most.
         axes : Axes, optional
-            Where to draw.
+            Existing axes to draw into.
 
         Returns
         -------
         matplotlib.figure.Figure
-            Not shown, not saved.
+            The figure, neither shown nor saved.
         """
         return self.events.plot(components, axes)
 
@@ -108,7 +108,7 @@ def section(
 ) -> Section:
     """Return the points where motions cross a surface: a Poincare section of an ensemble.
 
-    Nothing else is saved or watched, so that millions of crossings take seconds.
+    Nothing but the crossings is saved or watched, so that millions of crossings take seconds.
 
     Parameters
     ----------
@@ -119,13 +119,13 @@ def section(
     event : Event
         The surface g = 0, and the direction in which it is crossed.
     t_span : (float, float)
-        The time in which crossings are looked for, a whole number of steps.
+        Start and end of the search for crossings, a whole number of steps apart.
     step, method, accuracy
         As for `integrate`.
     crossings : int, optional
-        A member ends at its crossing of this number; None is all until the end of `t_span`.
+        Number of crossings at which a member ends; None finds all crossings within `t_span`.
     threads : int, optional
-        Threads for the members; None is one for each core.
+        Number of threads for the members. The default is one for each core.
     progress : bool
         Show a progress bar.
 

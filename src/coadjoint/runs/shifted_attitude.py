@@ -1,4 +1,4 @@
-"""The attitude of a shifted run: what was taken off the Hamiltonian as a Casimir still turns the group element."""
+"""Attitudes of shifted runs: the correction for the Casimirs subtracted from the Hamiltonian."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 Shift = tuple[tuple[Polynomial, float], ...]
 
 
-# exp is finite up to this.
+# exp overflows beyond 709.
 FINITE_GROWTH = 700.0
 
 
 def plainly(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
-    """Return the group elements (points, members, d, d) that the loops left, transposed back."""
+    """Return the group elements (points, members, d, d) saved by the loops, transposed back."""
     return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
@@ -41,19 +41,11 @@ def _with_tables(system: System, shift: Shift, representation: Representation, t
 
 
 class Unshift:
-    """Group elements for the Hamiltonian H, from those for H - sum c C that started at the unit element.
+    """Conversion of group elements for H - sum c C, started at the unit element, to those for the Hamiltonian H.
 
-    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t): the gradient of a Casimir, carried to space, is constant. The
-    element at a saved point depends on the number of steps to it, x0 and g0 alone; at the start it is g0.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    shift : tuple of (Polynomial, float)
-        Casimirs C and factors c.
-    representation : ndarray of shape (n, d, d), or "coadjoint"
-        What the elements are in.
+    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t), since the gradient of a Casimir in the spatial frame is
+    constant. The result at a saved point depends only on its step number, x0 and g0; at the start it is g0. `shift`
+    holds pairs of a Casimir C and a factor c; `representation` is an array (n, d, d) or "coadjoint".
     """
 
     def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
@@ -61,12 +53,12 @@ class Unshift:
 
     @cached_property
     def _unshifting(self) -> Unshifting:
-        """The tables, when they are first needed."""
+        """Tables, built lazily."""
         from coadjoint.kernels.unshift import Unshifting
 
         system, shift, rate = self._system, self._shift, 1.0
         if len(shift) == 1:
-            # The factor of a single Casimir multiplies the time, so that a scan over factors shares the tables.
+            # The factor of a single Casimir scales the time, so that a scan over factors shares the tables.
             ((casimir, rate),) = shift
             shift = ((casimir, 1.0),)
         rho = None if isinstance(self._representation, str) else self._representation
@@ -74,25 +66,25 @@ class Unshift:
         return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what makes the same in another process, with the tables that were made here."""
+        """Pickle the arguments and the tables."""
         made = self._unshifting
         return _with_tables, (self._system, self._shift, self._representation, made.tables, made.rate)
 
     def make(self) -> None:
-        """Make the tables now."""
+        """Build the tables."""
         _ = self._unshifting
 
     def may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether the exponential might overflow before the end: where it grows it could, far from the start."""
+        """Whether the exponential could overflow within the run, by an upper bound on its growth."""
         most = self._unshifting.most * abs(times.h) * times.steps
         momenta = start.momenta
         if momenta.size <= FEW:
-            # Python finds the largest of few numbers five times quicker than NumPy.
+            # For few numbers Python's max is five times faster than NumPy's.
             return most * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
         return most * float(np.max(np.abs(momenta))) > FINITE_GROWTH
 
     def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
-        """Return group elements (points, members, d, d) from those that the loops left."""
+        """Return group elements (points, members, d, d) from those saved by the loops."""
         found = np.empty((points, *start.groups.shape))
         if not points:
             return found
@@ -100,7 +92,7 @@ class Unshift:
         return found
 
     def at(self, start: Start, member: int, elapsed: float, held: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group element (d, d) of a member a time after its start, from what the loops have then, (d*d,)."""
+        """Return the group element (d, d) of a member at a time after its start, from that of the loops, (d*d,)."""
         own = start._replace(momenta=start.momenta[member : member + 1], groups=start.groups[member : member + 1])
         saved, found = np.array(held), np.empty((1, *own.groups.shape))
         once = Times(0.0, elapsed, 1, 1, marks=np.array([1], dtype=np.int64))
@@ -108,7 +100,7 @@ class Unshift:
         return found[0, 0]
 
     def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:
-        """Fill in the members `first` to `last` - 1 of `out` from what stands at the address `held`."""
+        """Fill in the members `first` to `last` - 1 of `out` from the loops' elements at the address `held`."""
         schedule = schedule_of(*times[:4], False, *times[4:6])
         elapsed = None
         if times.elapsed is not None:

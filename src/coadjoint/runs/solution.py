@@ -1,4 +1,4 @@
-"""What a run leaves: states, invariants, attitude, drifts."""
+"""The result of a run: states, invariants, attitude, drifts."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from coadjoint.runs.state_at import StateAt
     from coadjoint.runs.times import Times
 
-# What a solution needs of the state of a run. Only these are kept of a large state. To copy from a small one would
-# take longer than a step.
+# Arrays of the run's state that a solution keeps if the state is large; copying a small state would take longer than a
+# step.
 REPORTED = ("worst", "status", "evaluations", "iterations")
 FEW_NUMBERS = 2**20
 
@@ -45,11 +45,11 @@ class Statistics:
     steps : int
         Steps of each member.
     evaluations : int
-        Elementary flows (splitting) or evaluations of the vector field, of all members.
+        Elementary flows (splitting) or evaluations of the vector field, summed over members.
     iterations : int
-        Iterations of implicit schemes, of all members.
+        Iterations of implicit schemes, summed over members.
     seconds : float
-        Wall-clock time in the loop, compilation in it included where it was the first call.
+        Wall-clock time in the loop, including compilation at the first call.
     """
 
     steps: int
@@ -59,16 +59,16 @@ class Statistics:
 
 
 class Drift(float):
-    """The largest absolute deviation of an invariant from its start: a float that also knows when and where.
+    """The largest absolute deviation of an invariant from its initial value: a float with the deviations in detail.
 
     Attributes
     ----------
     tenths : ndarray, shape (10,) or (members, 10)
-        The largest deviation in each tenth of the run.
+        Largest deviation in each tenth of the run.
     members : ndarray or None
-        For an ensemble the largest deviation of each member; the float is the largest of all.
+        For an ensemble, the largest deviation of each member; the float is the largest over all members.
     initial : float or ndarray
-        The value at the start.
+        Initial value.
     """
 
     tenths: NDArray[np.float64]
@@ -76,7 +76,7 @@ class Drift(float):
     initial: Any
 
     def __new__(cls, tenths: NDArray[np.float64], initial: Any) -> Drift:
-        """Make the float from its tenths."""
+        """Construct the drift from its tenths."""
         drift = super().__new__(cls, np.max(tenths))
         drift.tenths = tenths
         drift.members = None if tenths.ndim == 1 else tenths.max(axis=-1)
@@ -85,7 +85,7 @@ class Drift(float):
 
     @property
     def growth(self) -> Any:
-        """The last tenth over the first: 1 for a bounded error, 10 for linear growth, infinite where the first is 0."""
+        """Ratio of the last tenth to the first: 1 for bounded error, 10 for linear growth, inf if the first is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.divide(self.tenths[..., -1], self.tenths[..., 0])
 
@@ -104,27 +104,27 @@ class Solution:
     casimirs : dict
         Name -> array of the same shape.
     attitude : ndarray, shape (k, d, d) or (k, members, d, d), or None
-        Group element, if one was carried.
+        Group element, if it was computed.
     observed : dict
-        Name -> array: what `observe` asked for.
+        Name -> array: the quantities of `observe`.
     events : Events or None
-        What was found of the events that were looked for.
+        Crossings of the events given to the run.
     stats : Statistics
         Steps, evaluations, iterations, seconds.
     failed : ndarray of bool, shape (members,), or None
-        For an ensemble: which members failed.
+        For an ensemble, which members failed.
     system, method, t_span, step, save_every, watched
-        What was run.
+        System, scheme and arguments of the run.
     carried : {"representation", "coadjoint"} or None
-        In which matrices the group element is.
+        Matrices in which the group element is stored.
     choice : Choice or None
-        Where `accuracy` was asked for: what `choose` chose, and what it expected.
+        For runs with `accuracy`: the result of `choose`.
     error_estimate : float, or ndarray of shape (members,)
-        Where `accuracy` was asked for: the error of the momentum at the end, relative to its largest size on the way.
+        For runs with `accuracy`: the error of the final momentum, relative to the largest momentum during the run.
 
     Notes
     -----
-    `integrate` makes it. Each part is made when it is first asked for, and kept; the tables of the run are not held.
+    Returned by `integrate`. Attributes are computed lazily and cached; the tables of the run are not kept alive.
 
     Examples
     --------
@@ -178,7 +178,7 @@ class Solution:
             _initial=run.initial,
         )
         if observed is not None:
-            # Behind the coordinates there may be accounts, which nothing that is observed reads.
+            # Accounts may follow the coordinates; observed quantities do not use them.
             series = observed.along(self.t, self._series("x"))
             self.__dict__["observed"] = {name: self._picked(values) for name, values in series.items()}
 
@@ -188,7 +188,7 @@ class Solution:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            # A part that could not be made says itself why.
+            # An attribute whose computation failed raises its own error.
             if name in PARTS or hasattr(type(self), name):
                 return object.__getattribute__(self, name)
             from coadjoint.keywords import no_such_part
@@ -209,14 +209,14 @@ class Solution:
         return table_of_run(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all parts, for copies and for `pickle`."""
+        """Return all attributes, for copies and for `pickle`."""
         return {name: getattr(self, name) for name in PARTS}
 
     def _series(self, name: str) -> NDArray[Any]:
         return self._saved[name][: self._kept]
 
     def _picked(self, series: NDArray[Any]) -> NDArray[Any]:
-        """Return values without the axis of members where there is only one."""
+        """Drop the axis of members for a single run."""
         return series[:, 0] if self._start.single else series
 
     @cached_property
@@ -235,7 +235,7 @@ class Solution:
     @cached_property
     def x(self) -> NDArray[np.float64]:
         """The states (momenta) at the saved times."""
-        # Behind the coordinates there may be accounts of forces.
+        # Accounts of forces may follow the coordinates.
         return self._states(self._picked(self._series("x"))[..., : self._start.momenta.shape[1]])
 
     def _states(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -246,24 +246,24 @@ class Solution:
 
     @cached_property
     def x0(self) -> NDArray[np.float64]:
-        """Momentum at the start, (n,) or (members, n), whether it was saved or not."""
+        """Initial momentum, (n,) or (members, n), whether it was saved or not."""
         return self._states(self._start.momenta[0] if self._start.single else self._start.momenta)
 
     @cached_property
     def attitude0(self) -> NDArray[np.float64] | None:
-        """Group element at the start, (d, d) or (members, d, d), if one was carried."""
+        """Initial group element, (d, d) or (members, d, d), if it was computed."""
         if self._start.representation is None:
             return None
         return self._start.groups[0] if self._start.single else self._start.groups
 
     @cached_property
     def t_eval(self) -> NDArray[np.float64] | None:
-        """The times that were asked for; None where steps were saved."""
+        """Output times given by `t_eval`; None if steps were saved."""
         return None if self._times.between is None else self.t
 
     @cached_property
     def initial(self) -> Mapping[str, NDArray[np.float64]]:
-        """The energy and the Casimirs at the start: "energy" or name -> number, or (members,)."""
+        """Initial energy and Casimirs: "energy" or name -> number, or (members,)."""
         values = self._saved["values"][0] if self._initial is None else self._initial
         return {name: values[0, i] if self._start.single else values[:, i] for i, name in enumerate(self._names)}
 
@@ -280,9 +280,9 @@ class Solution:
 
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
-        """What each force has done since the start: its label -> "energy", or a Casimir -> values.
+        """Work of each force on the invariants since the start: its label -> "energy", or a Casimir -> values.
 
-        A force that keeps the Casimirs has done nothing to them, and does not list them. Empty without forces.
+        A force that keeps the Casimirs does not list them. Empty without forces.
         """
         done, dim = self._series("x"), self._start.momenta.shape[1]
         found: dict[str, dict[str, NDArray[np.float64]]] = {}
@@ -302,7 +302,7 @@ class Solution:
 
     @cached_property
     def stats(self) -> Statistics:
-        """The work done, such as numbers of steps and evaluations."""
+        """Work of the run, such as numbers of steps and evaluations."""
         return Statistics(
             steps=int(self._times.steps if self._ending is None else self._ending.steps),
             evaluations=int(self._state["evaluations"].sum()),
@@ -346,7 +346,7 @@ class Solution:
         return worst[0] if self._start.single else worst
 
     def drift(self) -> dict[str, Drift]:
-        """Return how far each invariant deviated from its initial value.
+        """Return the largest deviation of each invariant from its initial value.
 
         Returns
         -------
@@ -392,7 +392,7 @@ class Solution:
         return {name: drift for name, drift in found.items() if every or name in accounted}
 
     def change(self) -> dict[str, Drift]:
-        """Return how far forces and scheme have moved each invariant from its start.
+        """Return the largest change of each invariant from its initial value, by forces and scheme.
 
         Returns
         -------
@@ -405,21 +405,20 @@ class Solution:
     def error_estimate(self) -> Any:
         """The estimated error of the last state, relative to the largest momentum during the run.
 
-        It is computed when it is first used, by a second run of one and a half times as many steps. If both agree to
-        rounding, a third run of one and three quarters times as many steps is compared. This takes 1.5 or 3.25 times as
-        long as the run. The estimate is right within a factor of 10. If the error is below the expected rounding, the
-        estimate is that rounding. If a finer run fails, another is tried, four at most; if all fail, the estimate is
-        infinite.
+        It is computed lazily, by a second run of 1.5 times as many steps. If both agree to rounding, a third run of
+        1.75 times as many steps is compared. This takes 1.5 or 3.25 times as long as the run. The estimate is accurate
+        within a factor of 10. If the error is below the expected rounding, the estimate is that rounding. If a finer
+        run fails, another is tried, four at most; if all fail, the estimate is infinite.
 
         Returns
         -------
         float, or ndarray of shape (members,)
-            Relative in the same way as `accuracy`.
+            Error relative to the same scale as `accuracy`.
 
         Raises
         ------
         TypeError
-            The run was made without `accuracy`.
+            The run was not given an `accuracy`.
 
         Examples
         --------
@@ -437,21 +436,21 @@ class Solution:
         return float(found[0]) if self.failed is None else found
 
     def _deviations(self, first: int) -> dict[str, Drift]:
-        # Balances begin where their invariants do.
+        # Balances have the initial values of their invariants.
         return {name: Drift(self._worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
 
     def spectrum(self) -> NDArray[Any]:
-        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, which an isospectral scheme keeps.
+        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
 
         Returns
         -------
         ndarray, shape (k, N) or (k, members, N)
-            As `MatrixSystem.spectrum` says; NaN where a member has failed.
+            As returned by `MatrixSystem.spectrum`; NaN where a member has failed.
 
         Raises
         ------
         TypeError
-            The states are no matrices.
+            The states are not matrices.
 
         Examples
         --------
@@ -480,7 +479,8 @@ class Solution:
         Parameters
         ----------
         order : int
-            The terms below step^order; see `coadjoint.modified_hamiltonian`. 2 gives `energy` for a scheme of order 2.
+            Terms below step^order are included; see `coadjoint.modified_hamiltonian`. For a scheme of order 2, order=2
+            gives `energy`.
 
         Returns
         -------
@@ -490,7 +490,7 @@ class Solution:
         Raises
         ------
         TypeError, ValueError
-            The scheme or the system has none, as `coadjoint.modified_hamiltonian` says.
+            The scheme or the system has no modified Hamiltonian; see `coadjoint.modified_hamiltonian`.
 
         Examples
         --------
@@ -512,10 +512,10 @@ class Solution:
     def at(self, t: Any) -> StateAt:
         """Return the states at any times within the run, as accurate as those at its steps.
 
-        From the saved point before a time, whole steps are computed again, and then a part of a step of the same
-        scheme. So the state has the order of the scheme and keeps what the scheme keeps, which an interpolating
-        polynomial would not. For many times it is faster to give them beforehand, by ``integrate(..., t_eval=times)``.
-        Members of an ensemble that were ended by events are NaN after their ends.
+        From the saved point before a time, whole steps are recomputed, followed by a partial step of the same scheme.
+        So the state has the order and the conservation properties of the scheme, unlike an interpolating polynomial.
+        For many times, ``integrate(..., t_eval=times)`` is faster. Members of an ensemble that were ended by events are
+        NaN after their ends.
 
         Parameters
         ----------
@@ -532,9 +532,9 @@ class Solution:
         ------
         ValueError
             A time outside the run or after the ends of all members; too many steps from the saved points; a member that
-            has failed; a force that is a noise, which is known for whole steps only.
+            has failed; a force that is a noise, which is defined for whole steps only.
         IntegrationError
-            A step fails, as in a run that failed.
+            A step fails.
 
         Examples
         --------
@@ -551,7 +551,7 @@ class Solution:
         return state_at(self, t)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return the run as an xarray dataset, with everything that is needed to repeat it.
+        """Return the run as an xarray dataset, with everything needed to repeat it.
 
         Returns
         -------
@@ -563,7 +563,7 @@ class Solution:
         return dataset_of(self)
 
     def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
-        """Return a figure: drift, components, and the pictures that the system declares.
+        """Plot drift, components, and the pictures that the system declares.
 
         Lines are drawn only where the motion between the points is known. If the saved points are too far apart, `at`
         computes states between them, at most 10 000 and for about 1.5 s. If that is not enough, dots are drawn. If
@@ -572,14 +572,14 @@ class Solution:
         Parameters
         ----------
         panels : sequence of str or Picture, optional
-            Kinds of pictures instead, such as ``["drift", "body axis"]``; `coadjoint.pictures.solution.draw_solution`
-            says more.
+            Kinds of pictures instead, such as ``["drift", "body axis"]``; see
+            `coadjoint.pictures.solution.draw_solution`.
         components : sequence of int or str, optional
-            The coordinates that are drawn over time, by number from 0 or by name.
+            Coordinates plotted over time, by number from 0 or by name.
         axes : Axes or sequence of Axes, optional
-            Where to draw, one for each panel.
+            Existing axes to draw into, one for each panel.
         members : sequence of int, optional
-            Which members of an ensemble are drawn, from 0; at most 20.
+            Members of an ensemble to draw, from 0; at most 20.
 
         Returns
         -------
@@ -589,7 +589,7 @@ class Solution:
         Raises
         ------
         TypeError, ValueError
-            No such panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
+            Unknown panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
 
         Examples
         --------
@@ -619,11 +619,11 @@ class Solution:
             ``.mp4``, which needs the program ffmpeg, or ``.gif``.
         picture : str or Picture, optional
             The picture to show, such as ``Picture("vorticity", part="large")``. The default is the first picture of one
-            time that the system declares. `coadjoint.pictures.movie.frames_of` says more.
+            time that the system declares. See `coadjoint.pictures.movie.frames_of`.
         frames : int
             Largest number of frames, from 2 to 5000. They show saved times, evenly spread, and are drawn one by one.
         fps : float
-            Frames a second; for a GIF no more than 50.
+            Frames per second; at most 50 for a GIF.
         size : (int, int)
             Width and height in pixels, even numbers.
 
@@ -634,7 +634,7 @@ class Solution:
         Raises
         ------
         TypeError, ValueError
-            The system has nothing that a movie shows, ffmpeg is missing, or a value is wrong.
+            The system has no picture for a movie, ffmpeg is missing, or an argument is invalid.
 
         Examples
         --------
@@ -654,14 +654,14 @@ class Solution:
 
 
 def with_choice(solution: Solution, choice: Any) -> Solution:
-    """Return the solution with the choice that its scheme and step come from; None where they were given."""
+    """Attach the `Choice` of scheme and step to a solution; None if they were given."""
     if choice is not None:
         solution.__dict__.update(choice=choice, _began=solution._start.momenta)
     return solution
 
 
 def check_solution(solution: Any) -> None:
-    """Refuse what is no solution of a run, before it fails somewhere else."""
+    """Raise TypeError unless the argument is a `Solution`."""
     if not isinstance(solution, Solution):
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
@@ -669,4 +669,4 @@ def check_solution(solution: Any) -> None:
 PARTS = ("method", "watched", "observed", "events", "choice", "_error", "_began", "_accounts") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
-"""What a copy of a solution has."""
+"""Attributes of a copied or pickled solution."""

@@ -1,4 +1,4 @@
-"""The state at the start of a run: momenta of all members, and the group element where an attitude is asked for."""
+"""Initial state of a run: momenta of all members, and the group element if an attitude is computed."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Representation = NDArray[np.float64] | str | None
 
 
 class Start(NamedTuple):
-    """Initial momenta (members, n), group elements (members, d, d), and how they were given.
+    """Initial momenta (members, n) and group elements (members, d, d).
 
-    `representation` is what the elements are in; of a batch, what those of its first member are in. `shape` is that of
-    a state.
+    `representation` is that of the group elements (for a batch, of its first member); `single` means no axis of
+    members; `shape` is the shape of a state.
     """
 
     momenta: NDArray[np.float64]
@@ -37,61 +37,23 @@ class Start(NamedTuple):
 
     @property
     def carried(self) -> str | None:
-        """In which matrices the group element is: "representation", "coadjoint", or None where there is none."""
+        """Matrices of the group element: "representation", "coadjoint", or None."""
         if self.representation is None:
             return None
         return "coadjoint" if isinstance(self.representation, str) else "representation"
 
 
 def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> Start:
-    """Check the initial state and the attitude.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
-        The system.
-    method : Method
-        The scheme; it refuses an attitude that it cannot keep.
-    x0 : array_like, shape (n,) or (members, n)
-        Initial momentum.
-    attitude : bool, "coadjoint", or array_like of shape (d, d) or (members, d, d)
-        What to carry beside the momentum.
-
-    Returns
-    -------
-    Start
-        Copies.
-
-    Raises
-    ------
-    ValueError
-        Naming what does not fit.
-    """
+    """Validate x0 and attitude, as in `integrate`, for a system and a scheme; return copies."""
     check_system(system)
     momenta, single = momenta_of(system, x0)
     return with_group(system, momenta, single, representations_of(system, method, attitude)[0], attitude)
 
 
 def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
-    """Return initial momenta (members, n), and whether one state was given for one system.
+    """Validate x0, (n,) or (members, n); return a copy (members, n), and whether it is a single state.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
-        The system; of a batch every member has its own state, or all have the same one.
-    x0 : array_like, shape (n,) or (members, n)
-        Initial momentum.
-
-    Returns
-    -------
-    momenta : ndarray, shape (members, n)
-        A copy.
-    single : bool
-
-    Raises
-    ------
-    ValueError
-        Of another shape, empty, or not finite.
+    A batch takes one state for each member, or one for all.
     """
     plain = unforced(system)
     if isinstance(plain, MatrixSystem):
@@ -128,29 +90,10 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 def with_group(
     system: System | Batch, momenta: NDArray[np.float64], single: bool, representation: Any, attitude: Any
 ) -> Start:
-    """Return the start of a run from checked momenta and a checked representation.
+    """Return the start of a run from validated momenta (members, n) and a representation of `representations_of`.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
-        For messages, and its dimension.
-    momenta : ndarray, shape (members, n)
-        Initial momenta.
-    single : bool
-        Whether the solution has no axis of members.
-    representation : ndarray of shape (n, d, d), "coadjoint", or None
-        From `representations_of`.
-    attitude : bool, "coadjoint", or array_like of shape (d, d) or (members, d, d)
-        The initial element, the unit where it is no array.
-
-    Returns
-    -------
-    Start
-
-    Raises
-    ------
-    ValueError
-        The initial element has another shape, is not finite, singular, or no element of the group.
+    ValueError: an array `attitude`, (d, d) or (members, d, d), is singular, not finite, or no element of the group.
+    Otherwise the initial element is the unit element.
     """
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, shape_of(system))
@@ -188,15 +131,15 @@ def _check_elements(system: System | Batch, groups: NDArray[np.float64], represe
 
 @lru_cache(maxsize=4)
 def _unit(size: int) -> NDArray[np.float64]:
-    """Return one unit element. Nobody writes to the start of a run, so that many runs may share it."""
+    """Return a cached unit element; starts are read-only, so that runs may share it."""
     return np.eye(size)[None]
 
 
 def _surely_regular(matrices: NDArray[np.float64]) -> bool:
-    """Return whether determinants tell that no matrix is singular, in a tenth of the time that a rank takes.
+    """Whether determinants prove that no matrix is singular, in a tenth of the time of a rank.
 
-    With entries of at most 1 singular values are at most d. The least is then |det| / d^(d - 1) or more, and a rank
-    counts those above 2 d^2 round-offs. A determinant is right to 2^(d - 1) d^(d + 2) round-offs. Both are far below.
+    With entries of at most 1, singular values are at most d, so the least is >= |det| / d^(d - 1). A rank counts those
+    above 2 d^2 round-offs; a determinant is accurate to 2^(d - 1) d^(d + 2) round-offs. The bound exceeds both by far.
     """
     d = matrices.shape[-1]
     largest = max(map(abs, matrices.ravel().tolist())) if matrices.size <= FEW else 0.0
@@ -207,31 +150,16 @@ def _surely_regular(matrices: NDArray[np.float64]) -> bool:
 
 
 def _ranks(matrices: NDArray[np.float64]) -> NDArray[np.int64]:
-    # A multiple has the same rank, and the squares of its entries do not overflow.
+    # Scaling preserves the rank, and keeps the squares of the entries from overflowing.
     size = np.max(np.abs(matrices), axis=(-2, -1), keepdims=True)
     return np.asarray(np.linalg.matrix_rank(matrices / np.where(size > 0.0, size, 1.0)), dtype=np.int64)
 
 
 def representations_of(system: System | Batch, method: Method, attitude: Any) -> tuple[Representation, ...]:
-    """Return what the group element of each system is carried in, one for a system and one for each of a batch.
+    """Return the representation of the group element, (n, d, d), "coadjoint" or None, for each system.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
-        The system.
-    method : Method
-        The scheme.
-    attitude : bool, "coadjoint", or array_like
-        What was asked for.
-
-    Returns
-    -------
-    tuple of (ndarray of shape (n, d, d), "coadjoint", or None)
-
-    Raises
-    ------
-    ValueError
-        There is none, the scheme cannot keep it, or the members of a batch have matrices of different sizes.
+    One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
+    support it.
     """
     if not isinstance(system, Batch):
         return (_representation(system, method, attitude),)

@@ -1,4 +1,4 @@
-"""What a run is between two steps: everything that its loops read and write, for all members."""
+"""State of a run between two steps: all arrays that its loops read and write, for all members."""
 
 from __future__ import annotations
 
@@ -14,22 +14,11 @@ from coadjoint.wording import short
 
 
 class RunState:
-    """The state of a run after some of its steps; what it has saved until then is not part of it.
+    """The state of a run after some of its steps, without the points saved so far.
 
-    The next steps depend on it, and on the system, the scheme, the times and the start of the run. They have the same
-    bits whether the run goes on or begins again from a copy. Two states are equal where all their bits are.
-
-    Parameters
-    ----------
-    arrays : NamedArrays
-        The arrays of `coadjoint.kernels.arrays.Layout`, of all members in the order in which they were given.
-    number : int
-        How many steps were taken.
-
-    Attributes
-    ----------
-    version : int
-        Of the meaning of the arrays; kernels of another version do not go on from the state.
+    A run resumed from a copy is bitwise equal to an uninterrupted one, given the same system, scheme, times and start.
+    States are equal if all their bits are. `arrays` follow `coadjoint.kernels.arrays.Layout`, members in the given
+    order.
     """
 
     __slots__ = ("arrays", "number")
@@ -40,7 +29,7 @@ class RunState:
 
     @property
     def version(self) -> int:
-        """The version of the kernels that are in use."""
+        """Format version of the arrays; kernels of another version cannot resume from the state."""
         return limit("STATE_VERSION")
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -61,45 +50,22 @@ class RunState:
         return f"<state of {members} member{'s' if members > 1 else ''} after step {self.number}>"
 
     def copy(self) -> RunState:
-        """Return another state with the same numbers."""
+        """Return a deep copy."""
         return RunState(self.arrays.copy(), self.number)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return plain numbers and copies of the arrays, by name, with the version.
-
-        Returns
-        -------
-        dict
-            "version" and "number", whole numbers, and an ndarray for each array.
-        """
+        """Return "version" and "number", and copies of the arrays, by name."""
         arrays = {name: self[name].copy() for name in self.arrays.places.shapes}
         return {"version": self.version, "number": self.number, **arrays}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> RunState:
-        """Return the state that a mapping was made of.
-
-        Parameters
-        ----------
-        mapping : mapping
-            As `to_mapping` returns it.
-
-        Returns
-        -------
-        RunState
-            With copies.
-
-        Raises
-        ------
-        ValueError
-            The state is of another version, or something is missing, unknown, or of another shape or type than the rest
-            asks for.
-        """
+        """Restore a state from the mapping of `to_mapping`; ValueError for another version or inconsistent arrays."""
         version, number = (_whole(mapping, name) for name in ("version", "number"))
         if version != limit("STATE_VERSION"):
             raise ValueError(
-                f"the state of the run is of version {version}, and this library goes on from version "
-                f"{limit('STATE_VERSION')}; go on with the library that wrote it"
+                f"the state of the run is of version {version}, and this library resumes from version "
+                f"{limit('STATE_VERSION')}; resume with the library that wrote it"
             )
         if number < 0:
             raise ValueError(f"number of the state is {number}; it must be a whole number from 0 up")
@@ -110,19 +76,13 @@ class RunState:
         return cls(arrays, number)
 
     def check_fits(self, places: Places) -> None:
-        """Refuse a state that is not of a run with these arrays.
-
-        Raises
-        ------
-        ValueError
-            Naming the first array of another shape, and both.
-        """
+        """Raise ValueError unless the arrays have these shapes."""
         for name, shape in places.shapes.items():
             own = self.arrays.places.shapes[name]
             if own != shape:
                 raise ValueError(
-                    f"the state of the run has {name} of shape {own}, and this run needs {shape}; a state goes on with "
-                    "the system, scheme, attitude and members that it came from"
+                    f"the state of the run has {name} of shape {own}, and this run needs {shape}; resume with "
+                    "the system, scheme, attitude and members of the original run"
                 )
 
 
@@ -136,7 +96,7 @@ def _whole(mapping: Mapping[str, Any], name: str) -> int:
 
 
 def _places_of(mapping: Mapping[str, Any]) -> Places:
-    """Return where the arrays of a mapping stand in one piece of memory, their sizes read from their shapes."""
+    """Return the layout of the arrays in one block of memory, with sizes from their shapes."""
     described_arrays = described().arrays["state"]
     names = set(mapping) - {"version", "number"}
     if names != set(described_arrays):

@@ -1,4 +1,4 @@
-"""The state of a solution at any time, from the saved point before it."""
+"""States of a solution at arbitrary times, recomputed from the preceding saved point."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MOST_STEPS = 10**7
-"""Steps that one call takes again."""
+"""Limit on the steps recomputed by one call."""
 
 
 class StateAt(NamedTuple):
-    """States at given times, as `Solution` has them at its saved points; without the first axis for a single time.
+    """States at given times, in the shapes of `Solution` at its saved points; without the first axis for a single time.
 
     Parameters
     ----------
     t : float or ndarray, shape (k,)
-        The times.
+        Times.
     x : ndarray, shape (n,) or (k, n), or with an axis of members before the last
         Momentum.
     energy : float or ndarray
@@ -37,7 +37,7 @@ class StateAt(NamedTuple):
     casimirs : mapping
         Name -> values.
     attitude : ndarray or None
-        The group element, if one was carried.
+        Group element, if it was computed.
     """
 
     t: Any
@@ -54,7 +54,7 @@ class StateAt(NamedTuple):
 
 
 def _shown(value: Any) -> str:
-    """Return what is short enough for a line, and of a large array its shape."""
+    """Format a short value for one line; of a large array, its shape."""
     if isinstance(value, dict):
         return (
             "{"
@@ -66,27 +66,7 @@ def _shown(value: Any) -> str:
 
 
 def state_at(solution: Solution, t: Any) -> StateAt:
-    """Return the states of a solution at times within its run; `Solution.at` says how.
-
-    Parameters
-    ----------
-    solution : Solution
-        The run.
-    t : float or array_like, shape (k,)
-        Times, in any order.
-
-    Returns
-    -------
-    StateAt
-
-    Raises
-    ------
-    ValueError
-        A time outside the run, or after the ends of all members; too many steps from the saved points; a member that
-        has failed; or a noise.
-    IntegrationError
-        A step fails, as it did in a run that ended early.
-    """
+    """Return the states of a solution at times within its run, (k,) or a single one; see `Solution.at`."""
     given = read_numbers(t, "t")
     if given.ndim > 1 or not given.size:
         raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
@@ -95,8 +75,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     wanted, way = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     ends = _ends(solution)
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
-        raise ValueError("members of the run have failed; integrate those alone that have not, to see them at any time")
-    known = np.append(solution.t_span[0], solution.t)  # the start may not have been saved
+        raise ValueError("members of the run have failed; integrate the others alone for states at any time")
+    known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
     saved = way * known
     near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
@@ -116,7 +96,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     last = [int(steps[before == j].max()) for j in pieces]
     if sum(last) > MOST_STEPS:
         raise ValueError(
-            f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are computed again; "
+            f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
     order = np.lexsort((way * wanted, before))
@@ -138,9 +118,9 @@ def state_at(solution: Solution, t: Any) -> StateAt:
 def _from_point(
     solution: Solution, j: int, start: float, count: int, wanted: Floats, way: float, until: Floats
 ) -> StateAt:
-    """Return the states at times up to `count` steps after saved point j, in their order; -1 is the start.
+    """Return the states at ascending times up to `count` steps after saved point j; -1 is the start.
 
-    Members have them `until` a time, in the direction of the run; NaN is no end.
+    `until` holds the end of each member in the direction of the run, or NaN; later states are NaN.
     """
     x, element, values = solution.x0, solution.attitude0, solution.initial
     if j >= 0:
@@ -151,16 +131,16 @@ def _from_point(
     t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
     gone = way * t_eval[:, None] > until
     if gone[0].any():
-        # Members that were ended before have no part in this; a start of theirs is as good as any.
+        # Members that have ended need any valid start; their results are discarded.
         x, element = _where(gone[0], solution.x0, x), _where(gone[0], solution.attitude0, element)
     try:
         run = _prepared(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
     except IntegrationError as error:
         run = error.partial
-        # After its end a member may go where it fails, which nobody has asked for.
+        # A failure after the end of a member is irrelevant.
         if run.failed is None or len(run.t) < len(t_eval) or not gone[-1][run.failed].all():
             raise
-    # What has several values goes on from the value that was followed to the saved point, by whole periods.
+    # Multivalued invariants continue from the branch at the saved point, by whole periods.
     turned = {name: values[name] - own[0] for name, own in run.casimirs.items()}
     casimirs = {name: np.where(turned[name] == 0.0, own, own + turned[name]) for name, own in run.casimirs.items()}
     x, energy, attitude = run.x, run.energy, run.attitude
@@ -172,21 +152,21 @@ def _from_point(
 
 
 def _ends(solution: Solution) -> Floats:
-    """Return when events ended the runs of members; NaN where none did, and for a run of one state."""
+    """Return the times at which events ended the members; NaN where none did, and for a single run."""
     if solution.failed is None or solution.events is None:
         return np.full(1 if solution.failed is None else len(solution.failed), np.nan)
     return solution.events.ends(len(solution.failed))
 
 
 def _where(chosen: NDArray[np.bool_], these: Any, others: Any) -> Any:
-    """Return these where members are chosen, and the others elsewhere; axes may follow theirs. None is none."""
+    """Like np.where over members and trailing axes; None if `others` is None."""
     if others is None:
         return None
     return np.where(chosen.reshape(chosen.shape + (1,) * (others.ndim - chosen.ndim)), these, others)
 
 
 def _prepared(solution: Solution) -> PreparedRun:
-    """Return the run of a solution made ready again, once; copies of the solution make their own."""
+    """Return the prepared run of a solution, cached; copies of the solution build their own."""
     from coadjoint.runs.prepared_run import PreparedRun
 
     found: PreparedRun | None = solution.__dict__.get("_ready")

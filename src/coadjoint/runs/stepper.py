@@ -1,4 +1,4 @@
-"""One step as a function, with its exact tangent and its group element."""
+"""One step of a scheme as a function, with its exact tangent and its group element."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from coadjoint.waiting import waiting
 
 
 class Stepper:
-    """The map that a scheme makes of one step; see `stepper`.
+    """One step of a scheme as a map; see `stepper`.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Stepper:
     h : float
         The step; negative for a step backward in time.
     inputs : True, sequence of int, or mapping, optional
-        What each call may bring, as for `prepare`.
+        Inputs of each call, as for `prepare`.
     """
 
     def __init__(
@@ -83,19 +83,19 @@ class Stepper:
         t : float
             Time at the start of the step, for a Hamiltonian that depends on it.
         **inputs : array_like
-            What was prepared to change, as in `PreparedRun.run`.
+            Values of the prepared inputs, as in `PreparedRun.run`.
 
         Returns
         -------
         ndarray
-            Of the same shape; the same bits as the first step of `integrate`.
+            Momentum in the shape of x; bitwise equal to the first step of `integrate`.
         """
         return np.asarray(self._advance(x, t, False, None, inputs).x[-1])
 
     def both(
         self, x: Any, g: Any = None, t: float = 0.0, *, attitude: bool | str | None = None, **inputs: Any
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return momentum and group element after one step, which is taken once.
+        """Return momentum and group element after one step, computed together.
 
         Parameters
         ----------
@@ -106,17 +106,17 @@ class Stepper:
         t : float
             Time at the start of the step.
         attitude : True or "coadjoint", optional
-            Which matrices the group elements are: those of the system, or the coadjoint ones. None is the former where
-            the system has a representation.
+            Representation of the group elements: that of the system, or the coadjoint one. None is the former if the
+            system has a representation.
         **inputs : array_like
-            What was prepared to change, as in `PreparedRun.run`.
+            Values of the prepared inputs, as in `PreparedRun.run`.
 
         Returns
         -------
         x : ndarray
-            Of the shape of x; the same bits as without the group element.
+            Momentum in the shape of x; bitwise equal to a step without the group element.
         g : ndarray
-            The group element; the same bits as those of `group`.
+            Group element; bitwise equal to that of `group`.
 
         Examples
         --------
@@ -131,13 +131,13 @@ class Stepper:
         """
         kind = self._matrices(attitude)
         if not isinstance(kind, bool | str):
-            raise TypeError("attitude of `both` says which matrices, True or 'coadjoint'; give the element before as g")
+            raise TypeError("attitude of `both` must be True or 'coadjoint'; give the initial group element as g")
         sol = self._advance(x, t, kind, g, inputs)
         assert sol.attitude is not None
         return np.asarray(sol.x[-1]), np.asarray(sol.attitude[-1])
 
     def _matrices(self, attitude: Any) -> Any:
-        """Return which matrices a group element is, where None is what the system has."""
+        """Resolve `attitude`: None is True if the system has a representation, else "coadjoint"."""
         if attitude is None:
             return True if self.system.representation is not None else "coadjoint"
         if attitude is False:
@@ -145,7 +145,7 @@ class Stepper:
         return attitude
 
     def group(self, x: Any, t: float = 0.0, attitude: Any = None, **inputs: Any) -> NDArray[np.float64]:
-        """Return the group element g of the step: attitude after it, for the unit element before it.
+        """Return the group element g of the step: the attitude after it, from the unit element before it.
 
         Parameters
         ----------
@@ -154,15 +154,15 @@ class Stepper:
         t : float
             Time at the start of the step.
         attitude : bool, "coadjoint", or array_like, optional
-            As in `integrate`; None is the system's own representation where it has one, else the coadjoint matrix K
+            As in `integrate`; None is the system's own representation if it has one, else the coadjoint matrix K
             (with K step(x) = x).
         **inputs : array_like
-            What was prepared to change, as in `PreparedRun.run`.
+            Values of the prepared inputs, as in `PreparedRun.run`.
 
         Returns
         -------
         ndarray, shape (d, d)
-            The element.
+            Group element.
         """
         kind = self._matrices(attitude)
         given = not isinstance(kind, bool | str)
@@ -181,7 +181,7 @@ class Stepper:
         t : float
             Time at the start of the step.
         **inputs : array_like
-            What was prepared to change, as in `PreparedRun.run`.
+            Values of the prepared inputs, as in `PreparedRun.run`.
 
         Returns
         -------
@@ -191,7 +191,7 @@ class Stepper:
         Raises
         ------
         TypeError
-            If the Hamiltonian was given without second derivatives.
+            The Hamiltonian was given without second derivatives.
         """
         method, system = self._scheme(inputs)
         with waiting("tangent"):
@@ -199,23 +199,25 @@ class Stepper:
 
     @QUIET
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:
-        """Return how `tangent` is found at x: by its "formula", by "complex step", or by "differences".
+        """Return how `tangent` is computed at x: "formula", "complex step", or "differences".
 
         Parameters
         ----------
         x, t
             As for `tangent`.
+        **inputs : array_like
+            As for `tangent`.
 
         Returns
         -------
         str
-            The first two are exact to round-off; differences have some nine digits.
+            The first two are exact to round-off; differences have about nine digits.
         """
         method, system = self._scheme(inputs)
         return method.tangent_by(system, *self._place(x, t), self.h)
 
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
-        """Return the scheme and the system of a step with these inputs, as they are read in Python."""
+        """Return the scheme and the system of a step with these inputs, for evaluation in Python."""
         ready = self._ready(False)
         values = ready.values_of(inputs)
         if values is not None and values.ndim > 1:
@@ -248,17 +250,18 @@ def stepper(
     h : float
         The step; negative for a step backward in time.
     inputs : True, sequence of int, or mapping, optional
-        What may change from call to call, as for `prepare`: coefficients of the linear term of H, and constant torques.
+        Inputs that may change from call to call, as for `prepare`: coefficients of the linear term of H, and constant
+        torques.
 
     Returns
     -------
     Stepper
-        ``step(x)``, ``step.both(x, g)``, ``step.tangent(x)``, ``step.group(x)``.
+        To be called as ``step(x)``; methods ``step.both(x, g)``, ``step.tangent(x)``, ``step.group(x)``.
 
     Raises
     ------
     ValueError, TypeError
-        If the scheme cannot be used for the system, or h is zero.
+        The scheme cannot be used for the system, or h is zero.
 
     Examples
     --------

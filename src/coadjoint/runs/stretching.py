@@ -1,4 +1,4 @@
-"""By how much tangent vectors are stretched along a run: in the compiled loop, or by `Method.tangent`, step by step."""
+"""Stretching of tangent vectors along a run, in the compiled loop or step by step by `Method.tangent`."""
 
 from __future__ import annotations
 
@@ -21,22 +21,16 @@ from coadjoint.systems.kinds import System
 from coadjoint.waiting import at
 from coadjoint.wording import short
 
-NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: below it half of the digits are round-off
+NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits are lost
 _said: set[type] = set()
 
 
 class Stretching(NamedTuple):
-    """What a run has found.
+    """Result of `stretching`.
 
-    Parameters
-    ----------
-    logarithms : ndarray, shape (points, members, k)
-        Logarithm of the factor by which each vector was stretched from the start to each saved time; NaN after a
-        failure.
-    by : str
-        How the tangent was found: "compiled", or in Python by its "formula", by "complex step" or by "differences".
-    run : Run
-        The run, for its failures.
+    `logarithms` (points, members, k) holds the logarithm of the stretching factor of each vector from the start; NaN
+    after a failure. `by` is "compiled", or "formula", "complex step" or "differences" for tangents in Python. `run` has
+    the failures.
     """
 
     logarithms: NDArray[np.float64]
@@ -47,31 +41,10 @@ class Stretching(NamedTuple):
 def stretching(
     system: System | Batch, method: Method, times: Times, start: Start, frame: Frame, workers: int
 ) -> Stretching:
-    """Carry tangent vectors along a run.
+    """Carry the orthonormal tangent vectors of `frame` along a run of every member.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
-        The system.
-    method : Method
-        The scheme.
-    times : Times
-        The times, with the saved steps as marks.
-    start : Start
-        The start, without a group element.
-    frame : Frame
-        The vectors of every member, orthonormal.
-    workers : int
-        How many threads.
-
-    Returns
-    -------
-    Stretching
-
-    Raises
-    ------
-    ValueError, TypeError
-        The scheme cannot be used for the system, or a derivative is not known.
+    `times` has the saved steps as marks; `start` has no group element. ValueError or TypeError: the scheme cannot be
+    used for the system, or a derivative is unknown.
     """
     systems = list(system) if isinstance(system, Batch) else [system]
     prepared = []
@@ -102,7 +75,7 @@ def stretching(
 def _step_by_step(
     system: System | Batch, systems: Sequence[System], method: Method, times: Times, start: Start, frame: Frame
 ) -> Stretching:
-    """Take the steps in the loop of the scheme, and then their tangents one after the other."""
+    """Take the steps in the loop of the scheme, then evaluate their tangents in Python."""
     numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
     check_room(8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,")
     _say_once(type(method))
@@ -125,7 +98,7 @@ def _step_by_step(
 def _follow(
     system: System, method: Method, times: Times, states: NDArray[Any], frame: Frame, found: NDArray[np.float64]
 ) -> int:
-    """Fill in the logarithms of one member. Return the step after which vectors are dependent, or 0."""
+    """Fill in the logarithms of one member; return the step after which vectors are dependent, or 0."""
     total, owed = np.zeros(len(frame.vectors)), np.zeros(len(frame.vectors))
     vectors = frame.vectors.T.copy()
     saved = {number: point for point, number in enumerate(times.saved.tolist())}
@@ -148,12 +121,10 @@ def _follow(
 
 
 def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Make the columns of (n, k) orthonormal in place, in their order, by the modified process of Gram and Schmidt.
+    """Orthonormalize the columns of (n, k) in place by modified Gram-Schmidt.
 
-    Returns
-    -------
-    ndarray of shape (k,), or None
-        The length that was left of each; None where a column depends on those before it, or is not finite.
+    Return the length of each column after the projections, (k,); None if a column depends on those before it or is not
+    finite.
 
     Examples
     --------
@@ -161,7 +132,7 @@ def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None
     >>> make_orthonormal(vectors).tolist(), vectors.tolist()
     ([3.0, 2.0], [[1.0, 0.0], [0.0, 1.0]])
     """
-    # Sums by cumsum go in the order of the indices, on every machine.
+    # cumsum adds in the order of the indices on every machine.
     lengths = np.sqrt(np.cumsum(vectors**2, axis=0)[-1])
     for r in range(vectors.shape[1]):
         own = vectors[:, r]
@@ -180,8 +151,8 @@ def _say_once(scheme: type) -> None:
         return
     _said.add(scheme)
     warnings.warn(
-        f"the tangents of {scheme.__name__} are calls of Python, some hundred times slower than those of flow and "
-        "Runge-Kutta methods, which are compiled",
+        f"the tangents of {scheme.__name__} are computed in Python, about a hundred times slower than those of flow "
+        "and Runge-Kutta methods, which are compiled",
         RuntimeWarning,
         stacklevel=2,
     )

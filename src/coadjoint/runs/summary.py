@@ -1,4 +1,4 @@
-"""A run as a small table, for notebooks: what was run, and how far its invariants went."""
+"""HTML summary of a run for notebooks."""
 
 from __future__ import annotations
 
@@ -11,26 +11,17 @@ if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
 
 MOST = 4
-"""Casimirs that are shown: those that went farthest."""
+"""Number of Casimirs shown, largest drift first."""
 
 
 def is_driven(system: Any) -> bool:
-    """Say whether the Hamiltonian depends on time, so that the energy changes as it should, and does not drift."""
+    """Whether the Hamiltonian depends on time, so that a change of the energy is no drift."""
     first = system[0] if isinstance(system, Batch) else system
     return bool(getattr(first.hamiltonian, "timed", False))
 
 
 def table_of_run(solution: Solution) -> str:
-    """Return a run as a table in HTML.
-
-    Parameters
-    ----------
-    solution : Solution
-        The run.
-
-    Returns
-    -------
-    str
+    """Return a summary table of a run in HTML.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What does one read of a ready-made system before one runs it?"""
+"""Plain-text description of ready-made systems."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ATTITUDES = {
 
 
 def told_of(name: str) -> dict[str, Any]:
-    """Return the description of a ready-made system with the scheme and the step to begin with.
+    """Return the description of a ready-made system with a suggested scheme and step.
 
     Parameters
     ----------
@@ -32,13 +32,13 @@ def told_of(name: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        As `coadjoint.systems.description.description`, with ``"scheme"``, ``"step"`` (None where no telling run is
-        declared) and ``"command"``; for `json`.
+        As `coadjoint.systems.description.description`, with ``"scheme"``, and ``"step"`` and ``"command"`` (None if
+        the system has no gallery entry); serializable by `json`.
 
     Raises
     ------
     ValueError
-        No such system; the nearest name is given.
+        Unknown system; the message has the nearest name.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def told_of(name: str) -> dict[str, Any]:
 
 
 def system_text(told: Mapping[str, Any]) -> str:
-    """Return a description as text.
+    """Format a description as text.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def system_text(told: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        Lines of at most 100 letters.
+        Lines of at most 100 characters.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The compiled loops of runs with tangent vectors: those of one system, or of each member of a batch."""
+"""Compiled loops of runs with tangent vectors, for one system or for each member of a batch."""
 
 from __future__ import annotations
 
@@ -18,29 +18,16 @@ from coadjoint.systems.kinds import System
 
 
 def each_its_own(systems: Sequence[System], method: Method, h: float, prepared: Sequence[CompiledLoop | None]) -> Loops:
-    """Return the loops of a run that follows the energy alone.
+    """Return loops that track the energy only, for one system or one for each member.
 
-    Parameters
-    ----------
-    systems : sequence of LiePoissonSystem or PoissonSystem
-        One for all members, or one for each.
-    method : Method
-        The scheme.
-    h : float
-        Step, negative for backward.
-    prepared : sequence of (CompiledLoop or None)
-        What `Method.tangent_loop` returned for each system; for None the loop without tangent vectors is taken.
-
-    Returns
-    -------
-    Loops
+    `prepared` are those of `Method.tangent_loop`; None uses the loop without tangent vectors.
     """
     found = [SystemLoops(one, method, h, None, {}, own) for one, own in zip(systems, prepared, strict=True)]
     return found[0] if len(found) == 1 else EachItsOwn(found)
 
 
 class EachItsOwn(Loops):
-    """Loops of members that each have tables of their own, and go one after the other."""
+    """Loops of members with individual tables, one crew for each member."""
 
     turned = staticmethod(plainly)
 
@@ -57,9 +44,9 @@ class EachItsOwn(Loops):
         return [(own.pieces(watch)[0][0], np.array([m])) for m, own in enumerate(self._members)]
 
     def raised(self) -> BaseException | None:
-        """Return what a function of the user raised in the loop of any member."""
+        """Return the exception that a user's function raised in the loop of any member."""
         return next((error for own in self._members if (error := own.raised())), None)
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements as they are: none is carried."""
+        """Return the group elements unchanged; none are computed."""
         return as_rows(groups)

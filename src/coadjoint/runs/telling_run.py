@@ -1,4 +1,4 @@
-"""The run of a ready-made system that tells what it does."""
+"""Example runs of ready-made systems, as declared for the gallery."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from coadjoint.systems.ready_made import telling_of
 
 
 def telling_run(name: str) -> Solution:
-    """Run a ready-made system over its declared span, by the suggested scheme.
+    """Run a ready-made system over the span of its gallery entry, by the suggested scheme.
 
     Parameters
     ----------
@@ -21,12 +21,12 @@ def telling_run(name: str) -> Solution:
     Returns
     -------
     Solution
-        ``telling_run(name).plot()`` is its picture of the gallery.
+        ``telling_run(name).plot()`` is its figure in the gallery.
 
     Raises
     ------
     ValueError
-        No such system (the nearest name is given), or it declares no telling run.
+        Unknown system (the message has the nearest name), or a system without a gallery entry.
 
     Examples
     --------

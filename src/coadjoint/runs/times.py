@@ -1,4 +1,4 @@
-"""The times of a run: a whole number of steps, in the direction of the span."""
+"""Times of a run: a whole number of steps, in the direction of the span."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from coadjoint.wording import short
 class Times(NamedTuple):
     """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
 
-    The first `passed` of the saved steps are left out: a run that goes on has taken them before. No more than `most`
-    of the others are held at a time, where that is given. Where states are saved at the times `between`, `elapsed`
-    after the start, the marks are the steps that were taken to them, whole or in part.
+    The first `passed` saved steps are skipped, since a resumed run has taken them before; at most `most` of the others
+    are in memory at once. With output times `between`, `elapsed` after the start, marks are the steps that end there,
+    whole or partial.
     """
 
     t0: float
@@ -38,12 +38,12 @@ class Times(NamedTuple):
 
     @property
     def every_point(self) -> int:
-        """How many steps are saved in all, by the whole run."""
+        """Number of saved steps of the whole run."""
         return -(-self.steps // self.save_every) + 1 if self.marks is None else len(self.marks)
 
     @property
     def points(self) -> int:
-        """How many steps are saved."""
+        """Number of saved steps in memory."""
         left = self.every_point - self.passed
         return left if self.most is None else min(left, self.most)
 
@@ -57,7 +57,7 @@ class Times(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """The last step before the first saved one that is not held any more.
+        """Last step before the first saved step that exceeds `most`.
 
         Examples
         --------
@@ -67,11 +67,11 @@ class Times(NamedTuple):
         last = self.passed + self.points
         if last == self.every_point:
             return self.steps
-        # The last point may come sooner than save_every steps after the one before.
+        # The last interval may be shorter than save_every steps.
         return (min(last * self.save_every, self.steps) if self.marks is None else int(self.marks[last])) - 1
 
     def marking(self, numbers: Any) -> Times:
-        """Return the same times with the saved steps given, ascending: any of 0 to `steps`.
+        """Return the same times with the given saved steps, ascending, from 0 to `steps`.
 
         Examples
         --------
@@ -88,7 +88,7 @@ class Times(NamedTuple):
         return self._replace(passed=0, marks=np.ascontiguousarray(marks, dtype=np.int64))
 
     def closer(self, count: int) -> Times:
-        """Return times of at least so many steps, every one of them saved: the same, halved as often as that takes.
+        """Halve the step until there are at least `count` steps, and save every step.
 
         Examples
         --------
@@ -99,7 +99,7 @@ class Times(NamedTuple):
         return Times(self.t0, math.ldexp(self.h, -halvings), self.steps << halvings, 1)
 
     def after(self, number: int) -> Times:
-        """Return the same times with the saved steps after step `number` alone.
+        """Return the same times with only the saved steps after step `number`.
 
         Examples
         --------
@@ -107,7 +107,7 @@ class Times(NamedTuple):
         array([ 8, 10])
         """
         if not 0 <= number <= self.steps:
-            raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot go on from it")
+            raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot resume there")
         if self.marks is not None:
             passed = int(np.searchsorted(self.marks, number, side="right"))
         else:
@@ -116,7 +116,7 @@ class Times(NamedTuple):
 
     @property
     def seen(self) -> NDArray[np.float64]:
-        """Times of what is saved."""
+        """Times of the saved points."""
         return self.at(self.saved) if self.between is None else self.between
 
     def at(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -125,26 +125,9 @@ class Times(NamedTuple):
 
 
 def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
-    """Check the times of a run.
+    """Validate span, step and `save_every`; h has the sign of the span's direction.
 
-    Parameters
-    ----------
-    t_span : (float, float)
-        Start and end; the end may lie before the start.
-    step : float
-        Positive; it divides the span.
-    save_every : int
-        Positive.
-
-    Returns
-    -------
-    Times
-        With h = step or -step.
-
-    Raises
-    ------
-    ValueError
-        Naming what is wrong, and for a step that does not divide the span the two nearest that do.
+    ValueError: among others, for a step that does not divide the span, with the two nearest that do.
 
     Examples
     --------
@@ -156,7 +139,7 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
 
 
 def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Times:
-    """Return the times of a run between checked ends, with a checked step; see `times_of`."""
+    """Return the times of a run between validated ends, with a validated step; see `times_of`."""
     every = read_whole(save_every, "save_every", floats=True)
     first, last = ends
     span = last - first
@@ -166,7 +149,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     if not quotient < 2.0**53:
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
-    # The ends, the span, the step and their quotient are each rounded: 8 round-offs cover them all.
+    # Ends, span, step and quotient are each rounded: 8 round-offs cover all of them.
     if abs(quotient - steps) > 8 * UNIT_ROUNDOFF * max(quotient, abs(first) / size):
         count = max(1, math.floor(quotient))
         raise ValueError(
@@ -175,14 +158,14 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
         )
     if steps and math.ulp(max(abs(first), abs(last))) > size / 4:
         raise ValueError(
-            f"step {size!r} is too small beside the times {list(ends)}: neighbouring ones would be the same number; "
+            f"step {size!r} is too small beside the times {list(ends)}: neighbouring times would be the same number; "
             "shift t_span towards zero"
         )
     return Times(first, math.copysign(size, span), steps, min(every, max(1, steps)))
 
 
 def checked_step(step: Any) -> float:
-    """Return a step as a float, or refuse one that is not a positive number."""
+    """Validate a step and return it as a positive float."""
     size = read_number(step, "step")
     if size <= 0.0:
         raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
@@ -190,14 +173,14 @@ def checked_step(step: Any) -> float:
 
 
 def span_of(t_span: Any) -> tuple[float, float]:
-    """Return the start and the end of a run, checked.
+    """Validate t_span and return the start and the end.
 
     Examples
     --------
     >>> span_of([0, 2])
     (0.0, 2.0)
     """
-    # A tuple can be unpacked at once; anything else is read entry by entry first.
+    # Fast path: a tuple is unpacked directly.
     ends = t_span if type(t_span) is tuple else read_numbers(t_span, "t_span").tolist()
     if not isinstance(ends, list | tuple) or len(ends) != 2 or any(isinstance(end, list) for end in ends):
         raise ValueError(f"t_span is {short(t_span)}; it must be two numbers, the start and the end")
