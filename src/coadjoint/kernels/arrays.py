@@ -93,11 +93,9 @@ class Layout:
 
     `state`, everything a run carries from one step to the next: `momenta` (M, n) and `groups` (M, d*d), with the
     carries of their compensated sums, `errors` and `group_errors`; the `memory` (M, remembered) of a scheme; `first`
-    and
-    `last` (M, I), invariants at the start and after the previous step; `worst` (M, 10, I), their largest deviation in
-    each
-    tenth of the run; and for each member, (M,): `status`, the `step` that failed, the `residual` of its last iteration,
-    and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field) and
+    and `last` (M, I), invariants at the start and after the previous step; `worst` (M, 10, I), their largest deviation
+    in each tenth of the run; and for each member, (M,): `status`, the `step` that failed, the `residual` of its last
+    iteration, and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field) and
     `iterations`.
     """
 

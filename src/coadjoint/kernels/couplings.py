@@ -21,8 +21,7 @@ def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[
     coordinate.
 
     The ordering is reverse Cuthill-McKee; the `stages` unknowns of a coordinate are adjacent. The Jacobian of the
-    solver
-    is sign (D_u + J(x) H'') for "implicit", J(x) H'' for "structure", D_u for "gradient".
+    solver is sign (D_u + J(x) H'') for "implicit", J(x) H'' for "structure", D_u for "gradient".
     """
     if system.algebra is None:
         return NO_BAND

@@ -1,8 +1,7 @@
 """The interface of the kernels to Python, as the library describes it, and the check that it matches this package.
 
 Tables, arrays of a run, codes and limits are defined in the headers of `source/boundary`. `program` works without
-compiled
-code and therefore defines some of them again; these are compared by name when the description is first read.
+compiled code and therefore defines some of them again; these are compared by name when the description is first read.
 """
 
 from __future__ import annotations

@@ -62,11 +62,9 @@ class EventArrays:
     """Arrays with which the loops detect events, for all members in the order of the loops.
 
     `direction` (E,) is 1 for rising zeros, -1 for falling, 0 for both. `left` (members, E) is the number of crossings
-    after
-    which an event ends the run of a member, 0 if it does not. `size` and `square` are the numbers of a state and of a
-    group
-    element. A loop takes at most `chunk` steps between two calls of `take`. `limit` (members,) is the last step of each
-    member and may be set.
+    after which an event ends the run of a member, 0 if it does not. `size` and `square` are the numbers of a state and
+    of a group element. A loop takes at most `chunk` steps between two calls of `take`. `limit` (members,) is the last
+    step of each member and may be set.
     """
 
     def __init__(

@@ -20,8 +20,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
     """Return the vector field of a system with its functions compiled, and the owners of the compiled functions.
 
     `called` means that the field is a call into Python, so that the bracket is not read. Raise TypeError if a function
-    of
-    the user cannot be compiled.
+    of the user cannot be compiled.
     """
     table = TermTable()
     for term in system.hamiltonian.terms():

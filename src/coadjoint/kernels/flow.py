@@ -16,14 +16,11 @@ class FlowTables(NamedTuple):
     them.
 
     A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, else -1. bent[p] is 1
-    if the
-    blocks of part p on the group have other frequencies, frequency[row], than on the momentum, so that they need the
-    angle
-    itself. Rational rotations are marked in the kinds of the actions. called[k] is the index of the free body of share
-    k, else
-    -1; `body_column` has its triple and the other triple of a bond (the same one without a bond), `body` its constants.
-    direct[p] has bit 1 if all blocks of a body part rotate by the angle itself, bit 2 if it consists of bonds of unit
-    scale.
+    if the blocks of part p on the group have other frequencies, frequency[row], than on the momentum, so that they need
+    the angle itself. Rational rotations are marked in the kinds of the actions. called[k] is the index of the free body
+    of share k, else -1; `body_column` has its triple and the other triple of a bond (the same one without a bond),
+    `body` its constants. direct[p] has bit 1 if all blocks of a body part rotate by the angle itself, bit 2 if it
+    consists of bonds of unit scale.
     """
 
     longest: int

@@ -100,8 +100,7 @@ def _copied(
     made: dict[int, tuple[Any, Any]],
     promise: Callable[[types.FunctionType], None] | None = None,
 ) -> types.FunctionType:
-    """Return a copy of a function that reads fresh dispatchers; recursive functions read the copy passed to `promise`.
-    """
+    """Return a copy of a function that reads fresh dispatchers; recursive functions read what `promise` registers."""
     cells = tuple(types.CellType() for _ in function.__closure__ or ())
     names = dict(function.__globals__)
     copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells or None)
@@ -123,8 +122,7 @@ def _copied(
 
 
 def _module(value: Any, attributes: set[str], made: dict[int, tuple[Any, Any]]) -> Any:
-    """Return a copy of a module with fresh dispatchers if it has any that are read; return any other value unchanged.
-    """
+    """Return a copy of a module with fresh dispatchers if it has any that are read; return other values unchanged."""
     if not isinstance(value, types.ModuleType):
         return value
     new = {name: _renewed(vars(value)[name], made, False) for name in attributes & vars(value).keys()}

@@ -47,8 +47,7 @@ def contents_of(value: Any, written: bool = False) -> Contents:
     """Return the digest of a value with everything that the functions in it read.
 
     With `written`, the source text of functions is digested instead of their code, for the same digest under other
-    versions
-    of Python; functions without a source that matches their code are unknown.
+    versions of Python; functions without a source that matches their code are unknown.
 
     Examples
     --------

@@ -17,10 +17,8 @@ class CompiledFunction:
     """A user function compiled to a C address; the object keeps the machine code alive.
 
     The function takes ``y``, an array of `size` numbers, or one number if `scalar`, and the time if `timed`. It returns
-    a number,
-    or if `flat` an array of `results` numbers in C order. Error messages call it `what`. Raise MissingPackageError if
-    Numba
-    is not installed, TypeError with Numba's reason if it cannot compile the function.
+    a number, or if `flat` an array of `results` numbers in C order. Error messages call it `what`. Raise
+    MissingPackageError if Numba is not installed, TypeError with Numba's reason if it cannot compile the function.
     """
 
     def __init__(

@@ -1,10 +1,8 @@
 """Tables with inputs: numbers given with each call, written into a copy of the few arrays that contain them.
 
 The positions of inputs are found by comparison of the tables of two systems that differ in the inputs only, each input
-a
-number with random digits: each entry that differs must be equal, bit for bit, to an input in both tables, or to an
-exact
-sum of inputs that the scheme declares.
+a number with random digits: each entry that differs must be equal, bit for bit, to an input in both tables, or to an
+exact sum of inputs that the scheme declares.
 """
 
 from __future__ import annotations
@@ -148,9 +146,8 @@ class InputTables:
 
     `loops` and `watches` are those of two systems that differ in `inputs` (m,) only, the linear term first; inputs that
     differ have random digits, so that no other number equals them by chance. `apart` is set if members with different
-    inputs
-    need separate tables: tables refer to other tables, or an input is a number that the kernels read once for all
-    members. Raise `NotPlaced` if the tables differ in anything but inputs and exact sums of inputs.
+    inputs need separate tables: tables refer to other tables, or an input is a number that the kernels read once for
+    all members. Raise `NotPlaced` if the tables differ in anything but inputs and exact sums of inputs.
     """
 
     def __init__(

@@ -100,8 +100,8 @@ def kernels() -> ctypes.CDLL:
     """Return the library of kernels for this processor, on x86-64 the highest level that is built and supported.
 
     The environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read on first use, selects another level for
-    comparison; all
-    levels give the same bits. Raise ImportError if the library is missing, cannot be loaded, or has no such level.
+    comparison; all levels give the same bits. Raise ImportError if the library is missing, cannot be loaded, or has no
+    such level.
     """
     level = level_in_use()
     return _load("_kernels" if level is None else f"_kernels_v{level}")
@@ -112,8 +112,7 @@ def listening_kernels() -> ctypes.PyDLL:
     """Return the same library with its loops, which are called while Python's global lock is held.
 
     The loops release the lock while they work, and acquire it periodically to check for signals; exceptions of handlers
-    are
-    raised by the call. In a daemon thread they suspend the thread once the interpreter is finalizing.
+    are raised by the call. In a daemon thread they suspend the thread once the interpreter is finalizing.
     """
     library = kernels()
     python = ctypes.pythonapi

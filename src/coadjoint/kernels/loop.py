@@ -17,8 +17,8 @@ from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
 from coadjoint.program.parts import Parts
 
-# Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All are
-# passed as C types: conversion by declared argtypes takes half as long as a short call.
+# Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
+# are passed as C types: conversion by declared argtypes takes half as long as a short call.
 number: Any = ctypes.c_int64
 
 
@@ -39,13 +39,12 @@ class CompiledLoop:
     memory : int
         Numbers of scheme memory per member, carried from step to step.
     accounts : tuple of (str, str)
-        Force and invariant of each entry after the coordinates of a state, which accumulates the work of the force.
+        Force and invariant of each entry after the coordinates of a state, which accumulates the change by the force.
     parts : Parts or None
         The parts whose flows it computes, if the scheme consists of flows.
     held : mapping of int to CompiledLoop or NamedTuple
         Objects that the step reads by address: position of the address among the integers of its tables -> an inner
-        loop,
-        or a table.
+        loop, or a table.
     """
 
     name: str
@@ -130,10 +129,8 @@ class Crew:
         failed members.
 
         Members whose energy is not finite after the last step count as failed. Signals are handled several times a
-        second in the
-        main thread, other threads check `stop`; the resulting exception, such as KeyboardInterrupt, invalidates the
-        arrays
-        of the crew. Raise MemoryError if there is no memory for the working arrays.
+        second in the main thread, other threads check `stop`; the resulting exception, such as KeyboardInterrupt,
+        invalidates the arrays of the crew. Raise MemoryError if there is no memory for the working arrays.
         """
         wrong: int = self._advance(
             layout.address, schedule, saved.address, state.address, number(k0), number(k1), stop.address

@@ -22,8 +22,7 @@ class MatrixFunction:
     """A stream function for the loops, on matrices of this `shape`, complex128 if `complex_entries`, else float64.
 
     `address` is that of ``void(const double* W, double t, double* P)``. `compiled` is set if Numba compiled it;
-    otherwise each
-    call is a Python call, which only one thread at a time can make.
+    otherwise each call is a Python call, which only one thread at a time can make.
     """
 
     def __init__(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> None:
@@ -136,6 +135,6 @@ def _made(
                 out[i * N + j] = found[i, j]
 
     with warnings.catch_warnings():
-        # Suppress the warning that products of transposed matrices are slower: users cannot avoid them here.
+        # Suppress Numba's warning that products of transposed matrices are slower.
         warnings.simplefilter("ignore", numba.NumbaPerformanceWarning)
         return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(of_complex if complex_entries else of_real)

@@ -40,10 +40,8 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
     functions.
 
     The integers are the size, the layers, the kinds of `stream` and `second_stream` (the map of the first of two
-    layers, -1
-    without one), whether there is a constant `linear`, and the address of a function. The numbers are the constant and
-    the
-    tables of the maps.
+    layers, -1 without one), whether there is a constant `linear`, and the address of a function. The numbers are the
+    constant and the tables of the maps.
     """
     kinds = codes("StreamKind")
     stream, second = system.stream, getattr(system, "second_stream", None)

@@ -1,9 +1,8 @@
 """Steps compiled by Numba to C functions, and the methods that their systems have in compiled code.
 
 A step receives its scheme as a tuple of the parameters, and its system as a tuple whose methods call the compiled
-kernels:
-``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``hamiltonian.value(x, t)``,
-``hamiltonian.gradient(x, t)``; if the system has no function of the user also ``jacobian(x, t)`` and
+kernels: ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``hamiltonian.value(x,
+t)``, ``hamiltonian.gradient(x, t)``; if the system has no function of the user also ``jacobian(x, t)`` and
 ``hamiltonian.hessian(x, t)``.
 """
 

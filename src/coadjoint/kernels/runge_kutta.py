@@ -16,11 +16,11 @@ class RungeKuttaTables(NamedTuple):
     The stages are X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j
     L_j. `iterations` is the number of function iterations before the output, or before the linear system. If `direct`,
     linear systems are solved by LU factors, with `quadratic` the dense M if needed; otherwise by iteration. If the
-    iteration
-    fails, and for implicit steps, large systems are solved by a banded factorization in the order `position`, in which
-    coupled coordinates are at most `band` apart; if `band` is -1, they are solved without a matrix. A step consists of
-    substeps of the lengths `fraction`, at the moments `moment`, in units of the step. The initial guess of an implicit
-    substep is x + sum_j forecast_ij L_j, with the slopes L of the previous substep, and one such matrix per substep.
+    iteration fails, and for implicit steps, large systems are solved by a banded factorization in the order `position`,
+    in which coupled coordinates are at most `band` apart; if `band` is -1, they are solved without a matrix. A step
+    consists of substeps of the lengths `fraction`, at the moments `moment`, in units of the step. The initial guess of
+    an implicit substep is x + sum_j forecast_ij L_j, with the slopes L of the previous substep, and one such matrix per
+    substep.
     """
 
     field: Field

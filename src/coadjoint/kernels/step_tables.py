@@ -83,8 +83,7 @@ def places_of(inner: CompiledLoop, system: System, representation: Any) -> tuple
     alive.
 
     They are the addresses of the loop, of its tables and of an empty watch, the size of its memory, and the address of
-    the
-    tables that rotate the group element by the shift of the Hamiltonian, or 0.
+    the tables that rotate the group element by the shift of the Hamiltonian, or 0.
     """
     loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
     none = invariants_table([], system.dim)

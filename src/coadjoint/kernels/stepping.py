@@ -30,8 +30,7 @@ class Stepping(NamedTuple):
     """A compiled step, by address, and its tables; a step of the run consists of `substeps` of it.
 
     They have the lengths `fraction`, at the moments `moment`, in units of the step. `serial` is the number that the
-    loop
-    assigns to the tables when it first reads them.
+    loop assigns to the tables when it first reads them.
     """
 
     step: NDArray[np.int64]

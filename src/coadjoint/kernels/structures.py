@@ -66,8 +66,7 @@ def pointed(table: Any) -> Any:
     """Return a named tuple as the C structure of its name, which keeps the arrays alive; return a structure unchanged.
 
     Raise TypeError if an array is not C-contiguous or has another type than the kernels read, ImportError if the
-    library has
-    no such table or one with other fields.
+    library has no such table or one with other fields.
     """
     if isinstance(table, ctypes.Structure):
         return table

@@ -40,8 +40,7 @@ def addresses_of(
     """Compile the values, gradients or Hessians of FUNCTION terms, given by term number, out of `count` terms.
 
     Return the addresses (count,), 0 for other terms, and the owners of the machine code. Messages call the functions
-    those of
-    `owner`.
+    those of `owner`.
     """
     addresses = np.zeros(count, dtype=np.int64)
     keep: list[CompiledFunction | TabledFunction | CalledFunction] = []

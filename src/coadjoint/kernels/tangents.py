@@ -68,8 +68,7 @@ def with_tangents(
     computed.
 
     `functions` are the functions of the user by term number. The memory of a member ends with the data of
-    `stretches_in`.
-    Raise TypeError if a second derivative is unknown or cannot be compiled.
+    `stretches_in`. Raise TypeError if a second derivative is unknown or cannot be compiled.
     """
     name, kind = LOOPS[type(loop.tables)]
     check_differentiable(system)
@@ -112,7 +111,7 @@ def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Kept]:
 
 
 def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
-    """Return the tangent vectors (members, count, size) in the memory of members, not orthonormalized at the end."""
+    """Return the tangent vectors (members, count, size) stored in the memory of members between calls of the loop."""
     own = memory[:, memory.shape[1] - count * (size + 2 * NUMBERS_OF_A_STRETCH) :]
     return own[:, : count * size].reshape(-1, count, size)
 

@@ -1,4 +1,7 @@
-"""Left multiplication of group elements by exp(t X), X the gradient of a Casimir subtracted from the Hamiltonian."""
+"""The factor exp(t X) of a Casimir subtracted from the Hamiltonian in group elements, g = g0 exp(t X) g_shifted(t).
+
+X = -sign rho(grad C(x0)) is constant and linear in the initial momentum.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,7 @@ class Unshifted(NamedTuple):
     """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points.
 
     X is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and
-    member,
-    instead of those of a schedule.
+    member, instead of those of a schedule.
     """
 
     momenta: int
@@ -70,10 +72,9 @@ class Unshifting:
         """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
 
         `held` is the address of the transposed elements (k, members, d*d) of the shifted run, started at the unit
-        element.
-        `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal `initial` to the
-        bit.
-        `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays are C-contiguous.
+        element. `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal `initial`
+        to the bit. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays are
+        C-contiguous.
         """
         x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
         points, members = out.shape[:2]

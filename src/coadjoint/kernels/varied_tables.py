@@ -46,8 +46,7 @@ def stacked(members: Sequence[Tables]) -> Tables:
 
     Integers and functions are those of the first member. Each array of constants (count,) becomes (count, columns),
     C-contiguous, one column per member; the last column is repeated up to a multiple of the limit LARGEST_CROWD, since
-    lanes
-    may read beyond the last member.
+    lanes may read beyond the last member.
     """
     first = members[0]
     columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
