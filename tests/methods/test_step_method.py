@@ -281,7 +281,7 @@ def test_what_is_no_scheme_is_not_registered():
     class Plain(OwnKahan):
         pass
 
-    with pytest.raises(TypeError, match="no scheme"):
+    with pytest.raises(TypeError, match="not a scheme"):
         co.methods.register(int)
     with pytest.raises(TypeError, match="StepMethod has no"):
         co.methods.register(co.methods.StepMethod)

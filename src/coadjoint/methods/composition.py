@@ -152,6 +152,6 @@ def _fractions_given(coefficients: Any, base: Method) -> tuple[float, ...]:
         raise ValueError(f"coefficients has shape {found.shape}; give a sequence of numbers")
     if found.size * len(base.fractions) > MOST_SUBSTEPS:
         raise ValueError(
-            f"a step of the Composition has {found.size * len(base.fractions)} substeps; there may be {MOST_SUBSTEPS}"
+            f"a step of the Composition has {found.size * len(base.fractions)} substeps; the limit is {MOST_SUBSTEPS}"
         )
     return tuple(found.tolist())

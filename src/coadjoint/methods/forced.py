@@ -28,7 +28,7 @@ def serving(system: Any, method: Method) -> Method:
     Raise TypeError if the given scheme is already `Forced`.
     """
     if isinstance(method, Forced):
-        raise TypeError(f"{method} is made by runs themselves for a system with forces; give {method.base}")
+        raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
     one = system[0] if isinstance(system, Batch) else system
     return Forced(method) if isinstance(one, ForcedSystem) else method
 

@@ -38,7 +38,7 @@ class FormalNumber:
     def __init__(self, value: Any = 0) -> None:
         found = self._operand(value)
         if found is None:
-            raise TypeError(f"a {type(value).__name__} is no rational number, which formal series are made of")
+            raise TypeError(f"a {type(value).__name__} is not a rational number; formal series need rational numbers")
         self.terms = found.terms
 
     @classmethod

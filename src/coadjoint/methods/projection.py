@@ -76,7 +76,7 @@ def project(
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
     if unit == 0:
-        raise TypeError("a projection iterates, and does not end in exact fractions; take projected=False")
+        raise TypeError("a projection iterates, which does not terminate in exact fractions; take projected=False")
     wanted = [C.value(x) for C in invariants]
     sizes = [max(_terms_of(C, y) for y in (x, z)) for C in invariants]
     # Constant gradients are fractions, from which mpmath before 1.4 cannot subtract.

@@ -64,12 +64,12 @@ def register(scheme: Scheme) -> Scheme:
     >>> co.methods.registry.forget("ForwardEuler")
     """
     if not (isinstance(scheme, type) and issubclass(scheme, Method)):
-        raise TypeError(f"{short(scheme)} is no scheme; register a class that derives from coadjoint.methods.Method")
+        raise TypeError(f"{short(scheme)} is not a scheme; register a class that derives from coadjoint.methods.Method")
     missing = sorted(getattr(scheme, "__abstractmethods__", ()))
     if missing:
-        raise TypeError(f"{scheme.__name__} has no {missing[0]}; a scheme says its order, what it keeps, and its step")
+        raise TypeError(f"{scheme.__name__} has no {missing[0]}; a scheme must define its order, properties and step")
     if not dataclasses.is_dataclass(scheme):
-        raise TypeError(f"{scheme.__name__} is no dataclass, so its parameters could not be written down; make it one")
+        raise TypeError(f"{scheme.__name__} is not a dataclass, so its parameters cannot be stored; make it one")
     name = scheme.__name__
     known = _own().get(name) or _registered.get(name)
     if known is not None and (known.__module__, known.__qualname__) != (scheme.__module__, scheme.__qualname__):
@@ -110,7 +110,7 @@ def _of_entry_points() -> dict[str, type[Method]]:
             found[scheme.__name__] = _registered.pop(scheme.__name__)
         except Exception as error:
             # A broken package must not prevent the use of the others.
-            warnings.warn(f"the scheme {point.name} ({point.value}) is left out: {error}", RuntimeWarning, stacklevel=2)
+            warnings.warn(f"the scheme {point.name} ({point.value}) is skipped: {error}", RuntimeWarning, stacklevel=2)
     return found
 
 
@@ -225,7 +225,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
     name, inside = beside.pop("name", None), beside.pop("parameters", {})
     if not isinstance(name, str) or not isinstance(inside, Mapping):
         raise ValueError(
-            f"{short(dict(description))} is no scheme; "
+            f"{short(dict(description))} is not a scheme; "
             "give its name and parameters, such as name = 'Splitting', order = 2"
         )
     twice = sorted(beside.keys() & inside.keys())
@@ -338,7 +338,7 @@ def description_of(method: Method) -> dict[str, Any]:
     True
     """
     if not dataclasses.is_dataclass(method):
-        raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be written down")
+        raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be stored; make it one")
     fields = [field.name for field in dataclasses.fields(method) if field.init]
     return {"name": type(method).__name__, "parameters": {key: _plain(getattr(method, key)) for key in fields}}
 

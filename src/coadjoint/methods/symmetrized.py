@@ -100,7 +100,7 @@ class PairOfFlows(FlowsOfBase):
 
     def __post_init__(self) -> None:
         if len(self.base.processor()):
-            raise TypeError(f"{self.base} has a processor, so its adjoint is no list of sweeps; take another scheme")
+            raise TypeError(f"{self.base} has a processor, so its adjoint is not a list of sweeps; take another scheme")
 
     @property
     def order(self) -> int:

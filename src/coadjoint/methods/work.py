@@ -115,8 +115,7 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
 
 
 def iteration_work(system: System, stages: float, group: Any) -> float:
-    """Return the cost of an iteration of an implicit scheme, in rotations: the field at all stages, and their mixing.
-    """
+    """Return the cost of one iteration of an implicit scheme, in rotations: the field at all stages, and mixing."""
     multiplications, functions = field_work(system)
     vectors = multiplications + stages * system.dim
     if group is not None and isinstance(system, LiePoissonSystem):
