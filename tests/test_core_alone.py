@@ -233,4 +233,4 @@ def test_a_step_of_ones_own_is_a_call_of_python_then():
     """
     first, second = printed(code)
     assert first == "(11, 2, 3) 1"
-    assert "steps of Euler are calls of Python" in second and 'pip install "coadjoint[functions]"' in second
+    assert "steps of Euler are Python calls" in second and 'pip install "coadjoint[functions]"' in second

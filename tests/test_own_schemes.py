@@ -129,7 +129,7 @@ def told(folder, *command):
 def test_a_package_brings_schemes_to_the_command_and_to_files(installed):
     listed, warned = told(installed, "-m", "coadjoint", "methods")
     assert "Kutta3(part=1.0)\n    A scheme of another package." in listed
-    assert "the scheme Missing (no_such_module_anywhere:Missing) is left out" in warned
+    assert "the scheme Missing (no_such_module_anywhere:Missing) is skipped" in warned
     told(installed, "-m", "coadjoint", "run", "run.toml")
     again = (
         "import json, xarray; from coadjoint.files.export import rebuild; "

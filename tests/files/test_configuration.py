@@ -119,7 +119,7 @@ def test_catalogue_attitude_ensemble_and_observed(written):
         ([("order", "oder")], "method.oder: unknown key; did you mean 'order'?"),
         ([("order = 4", "order = 3")], "method: Splitting has the orders 1, 2, 4, 6, 8 and 10, not 3"),
         ([("order = 4", "parts = [[0, 1], [2]]")], "method: "),
-        ([('name = "Splitting"', "")], "method: {'order': 4} is no scheme; "),
+        ([('name = "Splitting"', "")], "method: {'order': 4} is not a scheme; "),
         ([("step = 0.1", "step =")], "line 13, column 7: invalid value"),
         ([("step = 0.1", "step = [")], "line 14, column 1: invalid value"),
         ([("step = 0.1", "step = 0.1\nstep = 0.1")], "line 14, column 11: cannot overwrite a value"),

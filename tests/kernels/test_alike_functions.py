@@ -134,7 +134,7 @@ def test_a_module_that_has_changed_is_compiled_again():
 def test_many_functions_are_told_of_beforehand(monkeypatch):
     monkeypatch.setattr(callbacks, "MANY", 4)
     system = spins([times(5.0 + k) for k in range(4)])
-    with pytest.warns(UserWarning, match="4 different functions of Python are compiled one by one, about 0 s in all"):
+    with pytest.warns(UserWarning, match="4 different Python functions are compiled one by one, about 0 s in all"):
         co.prepare(system, co.Splitting(), 0.1)
     few = spins([times(50.0), times(51.0), times(52.0), times(52.0)])
     with warnings.catch_warnings():

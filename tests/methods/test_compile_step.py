@@ -277,7 +277,7 @@ def test_no_compiler_is_installed(monkeypatch):
     ("text", "said"),
     [
         ("int main() {}", "has no STEP_SCHEME"),
-        ("STEP_SCHEME(one, One)\nSTEP_SCHEME(two, Two)", "has the steps one, two; say which"),
+        ("STEP_SCHEME(one, One)\nSTEP_SCHEME(two, Two)", "has the steps one, two; select one by name"),
         ('#include "steps/step_scheme.hpp"\nSTEP_SCHEME(one, Unknown)', "the compiler c.. refuses it: .*Unknown"),
         ("STEP_SCHEME(one, One)\n#include <no_such_header>", "the compiler c.. refuses it: .*no_such_header"),
     ],

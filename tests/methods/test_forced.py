@@ -353,7 +353,7 @@ def test_what_makes_no_sense_is_refused_by_name():
             judge(crowd)
     with pytest.raises(TypeError, match="no closed form is known for rigid_body with LinearDamping"):
         damped.exact(x0, 1.0)
-    with pytest.raises(TypeError, match="is made by runs themselves"):
+    with pytest.raises(TypeError, match="is applied by runs"):
         co.integrate(damped, x0, (0, 1), 0.125, Forced(co.Splitting()))
     with pytest.raises(TypeError, match="rigid_body has no forces; take Splitting alone"):
         Forced(co.Splitting()).properties(body)

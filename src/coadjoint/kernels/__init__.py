@@ -1,1 +1,1 @@
-"""How fast? The only compiled code: block actions, the loops over steps, saving, watching, members."""
+"""All compiled code and its calls: flows of blocks, loops over steps, recording, and ensembles."""

@@ -1,4 +1,4 @@
-"""The arrays of a run: what it leaves, and what it works with, each in one piece of memory that the loops read."""
+"""Arrays of a run, results and working state, each group contiguous in memory for the compiled loops."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from coadjoint.kernels.description import described
 from coadjoint.kernels.structures import pointed
 
-# The first number of an array, as ctypes has it; the array is contiguous and writable. Twenty times quicker than
-# the attribute `ctypes` of the array.
+# First number of a contiguous, writable array as a ctypes object; twenty times faster than `array.ctypes`.
 number_at: Any = ctypes.c_double.from_buffer
 
 
 class Extent(NamedTuple):
-    """The sizes of a run: K saved points, M members, dimension n, d*d entries of a group element, I invariants, and how
-    many numbers a member remembers from step to step.
+    """Sizes of a run: K saved points, M members, dimension n, d*d entries of a group element, I invariants, and the
+    numbers of scheme memory of a member.
     """
 
     members: int
@@ -32,14 +31,8 @@ class Extent(NamedTuple):
 
 
 class Places:
-    """Where arrays of numbers of eight bytes stand in one piece of memory, one after the other.
-
-    Parameters
-    ----------
-    shapes : mapping
-        Name -> shape.
-    whole : set
-        The names of those of whole numbers; all others are of float64.
+    """Offsets of named arrays of 8-byte numbers in one contiguous allocation; names in `whole` are int64, all others
+    float64.
     """
 
     def __init__(self, shapes: Mapping[str, tuple[int, ...]], whole: Set[str]) -> None:
@@ -52,13 +45,13 @@ class Places:
 
 
 class NamedArrays:
-    """Arrays in one piece of memory, zero at first, by name: `arrays["x"]` is a view."""
+    """Arrays in one contiguous allocation, initially zero; `arrays["x"]` is a view."""
 
     __slots__ = ("address", "numbers", "places")
 
     def __init__(self, places: Places) -> None:
         self.places = places
-        # At least one number, so that there is an address.
+        # At least one number: an empty array has no address.
         self.numbers = np.zeros(places.size or 1)
         self.address = ctypes.byref(number_at(self.numbers))
 
@@ -68,11 +61,11 @@ class NamedArrays:
         return (found.view(np.int64) if name in places.whole else found).reshape(places.shapes[name])
 
     def place_of(self, name: str) -> int:
-        """Return where an array stands in memory."""
+        """Return the memory address of an array."""
         return ctypes.addressof(number_at(self.numbers)) + 8 * self.places.slices[name].start
 
     def take(self, members: NDArray[np.int64], axis: int) -> NamedArrays:
-        """Return arrays of these members in their order, along an axis that all arrays have."""
+        """Return the arrays of these members, in this order, along an axis common to all arrays."""
         other = NamedArrays(self.places)
         for name in self.places.shapes:
             self[name].take(members, axis=axis, out=other[name])
@@ -87,7 +80,7 @@ class NamedArrays:
         return other
 
     def copy(self) -> NamedArrays:
-        """Return arrays of their own with the same numbers."""
+        """Return an independent copy."""
         other = NamedArrays(self.places)
         other.numbers[:] = self.numbers
         return other
@@ -96,15 +89,14 @@ class NamedArrays:
 class Layout:
     """The arrays of a run, in the order, types and shapes that the library describes.
 
-    What is `saved`, at K points: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), of the
-    invariants.
+    `saved`, at K points: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), invariants.
 
-    The `state`, what a run is between two steps: `momenta` (M, n) and `groups` (M, d*d), each with what compensated
-    sums owe, `errors` and `group_errors`; the `memory` (M, remembered) of a scheme; `first` and `last` (M, I), the
-    values of the invariants at the start and at the step before; `worst` (M, 10, I), their largest deviation in each
-    tenth of the run; and of every member how it fares, (M,): `status`, the `step` that failed, the `residual` of its
-    last iteration, and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field)
-    and `iterations`.
+    `state`, everything a run carries from one step to the next: `momenta` (M, n) and `groups` (M, d*d), with the
+    carries of their compensated sums, `errors` and `group_errors`; the `memory` (M, remembered) of a scheme; `first`
+    and `last` (M, I), invariants at the start and after the previous step; `worst` (M, 10, I), their largest deviation
+    in each tenth of the run; and for each member, (M,): `status`, the `step` that failed, the `residual` of its last
+    iteration, and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field) and
+    `iterations`.
     """
 
     def __init__(self, extent: Extent) -> None:

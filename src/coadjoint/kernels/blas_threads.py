@@ -1,4 +1,4 @@
-"""How many threads BLAS takes while matrices move, so that it and the threads of a run do not wait for each other."""
+"""Limits on BLAS threads for matrix states, so that BLAS and the threads of a run do not compete for cores."""
 
 from __future__ import annotations
 
@@ -11,51 +11,26 @@ from typing import Any
 from coadjoint.systems.kinds import shape_of
 
 ALONE = 128
-"""Up to so many rows one thread takes a product in less time than two need to find each other on a busy machine."""
+"""Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""
 
 
 def rows_of(system: Any) -> int:
-    """Return how many rows the matrices of a system have; 0 where its states are vectors.
-
-    Parameters
-    ----------
-    system : System
-        The system.
-
-    Returns
-    -------
-    int
-    """
+    """Return the number of rows of the matrices of a system; 0 if its states are vectors."""
     shape = shape_of(system)
     return 0 if len(shape) == 1 else int(shape[-1])
 
 
 def members_at_once(rows: int) -> int:
-    """Return how many members of a crowd are best taken at a time, each by a thread of its own.
-
-    Parameters
-    ----------
-    rows : int
-        Of the matrices that move, or 0: for the products of large ones BLAS takes threads itself.
-
-    Returns
-    -------
-    int
-        The number of cores; or 1 for large matrices.
+    """Return the number of members to advance concurrently, one thread each: the number of cores, or 1 for matrices of
+    more than `ALONE` rows, whose products BLAS distributes over threads itself.
     """
     return 1 if rows > ALONE else os.cpu_count() or 1
 
 
 @contextmanager
 def threads_of_blas(rows: int, workers: int) -> Iterator[None]:
-    """Hold BLAS to one thread inside, where matrices are small or several members move at a time.
-
-    Parameters
-    ----------
-    rows : int
-        Of the matrices that move; nothing happens where there are none.
-    workers : int
-        How many threads take members.
+    """Limit BLAS to one thread within the context, if matrices are small or there are several `workers`; do nothing if
+    `rows` is 0 (vector states).
     """
     if not rows or (rows > ALONE and workers == 1):
         yield
@@ -66,7 +41,7 @@ def threads_of_blas(rows: int, workers: int) -> Iterator[None]:
 
 @cache
 def _pools() -> Any:
-    import scipy.linalg.blas  # noqa: F401, so that its BLAS is there to be found
+    import scipy.linalg.blas  # noqa: F401, loads SciPy's BLAS so that threadpoolctl finds it
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")

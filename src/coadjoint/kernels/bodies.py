@@ -1,4 +1,6 @@
-"""Free bodies in the tables of a compiled loop: principal axes, triples, and which blocks turn by the angle itself."""
+"""Tables of free rigid bodies for the compiled loops: principal axes, coordinate triples, and rotations by the plain
+angle.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ DIRECT, TOGETHER = 1, 2  # bits of `direct`
 
 
 class BodyTables(NamedTuple):
-    """The fields of `FlowTables` that tell of free bodies."""
+    """The fields of `FlowTables` for free bodies."""
 
     called: NDArray[np.int64]
     body_column: NDArray[np.uint32]
@@ -28,19 +30,9 @@ class BodyTables(NamedTuple):
 
 
 def body_tables(program: Program) -> BodyTables:
-    """Return the free bodies of a program as arrays.
-
-    Parameters
-    ----------
-    program : Program
-        With float64 constants.
-
-    Returns
-    -------
-    BodyTables
-    """
+    """Return the free bodies of a program as arrays; its constants are float64."""
     parts, bodies = program.parts, program.parts.bodies
-    # A table of flows may have parts beyond those of the Hamiltonian.
+    # A flow table may contain parts that are not in the Hamiltonian.
     called = np.full(int(program.share[-1]), -1, dtype=np.int64)
     direct = np.zeros(len(parts), dtype=np.uint8)
     called[list(bodies)] = np.arange(len(bodies))
@@ -68,26 +60,17 @@ def _turns_directly(action: Action, part: int) -> bool:
 
 
 def _constants(share: BodyShare) -> list[float]:
-    """Return moments, principal axes by rows of components, and the scale."""
+    """Return principal moments, principal axes row by row, and the scale."""
     scaled = [[v / (share.scale[a] * share.scale[b]) for b, v in enumerate(row)] for a, row in enumerate(share.matrix)]
     moments, axes = principal_axes(scaled)
     return [*moments, *(entry for row in axes for entry in row), *share.scale]
 
 
 def principal_axes(matrix: Sequence[Sequence[float]]) -> tuple[list[float], list[list[float]]]:
-    """Return eigenvalues and eigenvectors of a symmetric matrix by Jacobi's rotations, the same bits on every machine.
+    """Return eigenvalues (unsorted) and eigenvectors (columns, a rotation) of a symmetric 3x3 matrix by Jacobi
+    rotations.
 
-    Parameters
-    ----------
-    matrix : sequence of rows
-        Symmetric, (3, 3).
-
-    Returns
-    -------
-    moments : list of float
-        Not sorted: a diagonal matrix keeps its order.
-    axes : list of list of float
-        Axis c is column c; a rotation.
+    The bits are the same on every machine. A diagonal matrix keeps its order.
 
     Examples
     --------

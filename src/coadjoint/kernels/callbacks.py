@@ -1,4 +1,4 @@
-"""How does Numba compile a function of the user? Imported only where Numba is known to be installed."""
+"""Compilation of user functions by Numba; imported only if Numba is installed."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPoin
 def callback_of(
     function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str
 ) -> Any:
-    """Return a function as a C callback, or refuse it with Numba's reason; see `CompiledFunction`."""
+    """Return a function as a C callback; raise TypeError with Numba's reason if it cannot be compiled. See
+    `CompiledFunction`.
+    """
 
     def make() -> Any:
         try:
             return _compiled(function, size, results, scalar, flat, timed)
-        except Exception as error:  # Numba raises errors of many kinds
+        except Exception as error:  # Numba raises exceptions of many types
             raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
 
     return compiled_once(function, (size, results, scalar, flat, timed), what, make)
@@ -37,20 +39,14 @@ SECONDS_EACH = 0.05
 
 
 def tell_of_many(functions: Sequence[Callable[..., Any]]) -> None:
-    """Warn beforehand where so many functions are to be compiled that it takes seconds.
-
-    Parameters
-    ----------
-    functions : sequence of callable
-        Those of a Hamiltonian.
-    """
+    """Warn before compilation if there are so many functions of a Hamiltonian that compiling them takes seconds."""
     if len(functions) < MANY:
         return
     count = len({key_of(function) for function in functions} - compiled_digests())
     if count >= MANY:
         warnings.warn(
-            f"{count} different functions of Python are compiled one by one, about {SECONDS_EACH * count:.0f} s in "
-            "all; it is faster to write one function of many commuting coordinates, with an array of numbers in it: "
+            f"{count} different Python functions are compiled one by one, about {SECONDS_EACH * count:.0f} s in "
+            "all; it is faster to write one function of many commuting coordinates, with an array of constants: "
             "SplitHamiltonian([((0, 3, 6), Hamiltonian(value, gradient))])",
             UserWarning,
             stacklevel=2,
@@ -63,13 +59,13 @@ def _compiled(function: Callable[..., Any], size: int, results: int, scalar: boo
 
 
 def _inner(function: Any) -> Any:
-    """Return a function as compiled code calls it."""
+    """Return a function in the form that compiled code calls."""
     if isinstance(function, MultipleOf):
         return _multiple(_inner(function.function), function.factor, function.scalar)
     return numba.njit(boundscheck=True, **_WITHIN)(fresh(function)) if inspect.isfunction(function) else fresh(function)
 
 
-# Compiled code alone calls it, so that no ways in from Python are compiled.
+# Called by compiled code only: no Python wrappers are compiled.
 _WITHIN: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -80,7 +76,7 @@ def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
 
 
 def reason_of(error: Exception) -> str:
-    """Return the lines of a Numba error that say what is wrong, on one line."""
+    """Return the informative lines of a Numba error, joined to one line."""
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
     telling = [
         line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
@@ -142,7 +138,7 @@ def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
     return call
 
 
-# A function that raises leaves the NaN that stands in its place, and the run stops there.
+# The result is NaN until the function returns: if it raises, the NaN remains and stops the run.
 _BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., None]]] = {
     (True, False, False): _numbers,
     (True, False, True): _timed_numbers,

@@ -1,4 +1,4 @@
-"""How the kernels are compiled, as `source/options.json` says it to the build of the package and to everyone else."""
+"""Compiler options of the kernels, read from `source/options.json`, which the build of the package also uses."""
 
 from __future__ import annotations
 
@@ -15,50 +15,18 @@ def _said(source: Path) -> Any:
 
 
 def levels(source: Path = SOURCE) -> tuple[int, ...]:
-    """Return the levels of the x86-64 instructions that the kernels can be built for, the highest first.
-
-    Parameters
-    ----------
-    source : Path
-        The folder of the C++ sources; those of this package by default.
-
-    Returns
-    -------
-    tuple of int
+    """Return the x86-64 levels that the kernels can be built for, highest first; `source` is the folder of the C++
+    sources.
     """
     return tuple(sorted((int(name.removeprefix("v")) for name in _said(source)["levels"]), reverse=True))
 
 
 def tuning(level: int | None, source: Path = SOURCE) -> list[str]:
-    """Return what the compiler is told for one of the levels alone.
-
-    Parameters
-    ----------
-    level : int or None
-        Of `levels`; None where the processor is no x86-64.
-    source : Path
-        The folder of the C++ sources; those of this package by default.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return the compiler options of one of `levels`; None is a processor that is not x86-64."""
     said = _said(source)
     return list(said["elsewhere"] if level is None else said["levels"][f"v{level}"])
 
 
 def options(own: Sequence[str], source: Path = SOURCE) -> list[str]:
-    """Return how a source is compiled for a library.
-
-    Parameters
-    ----------
-    own : sequence of str
-        The `tuning` of a level, or what takes its place.
-    source : Path
-        The folder of the C++ sources; those of this package by default.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return all compiler options for a source file; `own` are the options of `tuning`, or a replacement for them."""
     return [*_said(source)["always"], *own, "-DNDEBUG", "-fPIC", f"-I{source}"]

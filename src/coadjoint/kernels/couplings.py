@@ -1,4 +1,4 @@
-"""Which coordinates of a large system are coupled, and an order in which those stand near to each other."""
+"""Coupling pattern of the coordinates of large systems, and an ordering of narrow bandwidth for their Jacobian."""
 
 from __future__ import annotations
 
@@ -9,31 +9,19 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.kinds import System
 
-WIDEST = 48  # diagonals on either side; an unknown costs two multiplications for each pair of them
-MOST_NUMBERS = 2**25  # numbers that the factors may hold
-MOST_COUPLINGS = 64  # couplings of a coordinate, on average; with more there is no narrow band
+WIDEST = 48  # diagonals on either side; each unknown costs two multiplications per pair of diagonals
+MOST_NUMBERS = 2**25  # largest number of entries of the factors
+MOST_COUPLINGS = 64  # average couplings per coordinate; with more there is no narrow band
 
 NO_BAND: tuple[int, NDArray[np.uint32]] = (-1, np.zeros(0, dtype=np.uint32))
 
 
 def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[np.uint32]]:
-    """Return how far coupled coordinates stand apart at most, and where each stands.
+    """Return the bandwidth of a Jacobian, -1 if no ordering has a narrow band, and the position (n,) of each
+    coordinate.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    stages : int
-        Unknowns of a coordinate: its stages, next to each other.
-    solver : {"implicit", "structure", "gradient"}
-        Whether the whole Jacobian sign (D_u + J(x) H'') is meant, J(x) H'' or D_u.
-
-    Returns
-    -------
-    band : int
-        -1 if there is no order with a narrow band.
-    position : ndarray of uint32, shape (n,)
-        Place of each coordinate, by the algorithm of Cuthill and McKee, reversed.
+    The ordering is reverse Cuthill-McKee; the `stages` unknowns of a coordinate are adjacent. The Jacobian of the
+    solver is sign (D_u + J(x) H'') for "implicit", J(x) H'' for "structure", D_u for "gradient".
     """
     if system.algebra is None:
         return NO_BAND
@@ -70,7 +58,7 @@ def _pattern(n: int, rows: Any, columns: Any) -> Any:
 
 
 def _hessian(system: System, n: int) -> Any:
-    """Return which second derivatives of the Hamiltonian may not vanish; None if they are too many."""
+    """Return the sparsity pattern of the Hessian of the Hamiltonian; None if it has too many entries."""
     rows: list[Any] = [np.zeros(0, dtype=np.int64)]
     columns: list[Any] = [np.zeros(0, dtype=np.int64)]
     for term in system.hamiltonian.terms():

@@ -1,8 +1,7 @@
-"""What the kernels and Python share, as the library itself describes it, and whether this package agrees.
+"""The interface of the kernels to Python, as the library describes it, and the check that it matches this package.
 
-Tables, arrays of a run, codes and limits are written in the headers of `source/boundary`. The plain reading of a
-program works without compiled code, so that `program` writes what it needs of them again. That is compared, name by
-name, when the description is first read.
+Tables, arrays of a run, codes and limits are defined in the headers of `source/boundary`. `program` works without
+compiled code and therefore defines some of them again; these are compared by name when the description is first read.
 """
 
 from __future__ import annotations
@@ -24,23 +23,15 @@ BUILT_AGAIN = "they were built for another version; build them again, for instan
 
 
 class Array(NamedTuple):
-    """An array of a run: its type, and its axes by name, those of `Extent` and limits."""
+    """An array of a run: its type, and the names of its axes, which are fields of `Extent` or limits."""
 
     kind: str
     axes: tuple[str, ...]
 
 
 class Description(NamedTuple):
-    """What the library says of its boundary.
-
-    Parameters
-    ----------
-    tables : mapping
-        Name -> pairs of the type and the name of a field, in their order.
-    arrays : mapping
-        "saved" or "state" -> name -> `Array`, in their order.
-    codes : mapping
-        Name of a list -> name -> code. The limits are the list "Limit".
+    """The interface that the library describes: `tables` by name as pairs (type, field) in order; `arrays` by "saved"
+    or "state" and name, in order; `codes` by list and name, with the limits in the list "Limit".
     """
 
     tables: Mapping[str, Fields]
@@ -63,7 +54,7 @@ WRITTEN: Mapping[str, Mapping[str, int]] = {
     "Turn": {turn.name: int(turn) for turn in Turn},
     "Limit": {"CUBIC_HEADER": CUBIC_HEADER, "MOST_SUBSTEPS": MOST_SUBSTEPS},
 }
-"""Codes that Python writes as well: of each list all, of the limits those that the plain reading needs."""
+"""Codes that Python also defines: complete lists, except for the limits, of which `program` needs some."""
 
 USED: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
@@ -89,7 +80,7 @@ USED: Mapping[str, Iterable[str]] = {
         "GROWTH_BITS",
     ),
 }
-"""Codes whose values Python asks for, by name."""
+"""Codes whose values Python looks up by name."""
 
 ARRAYS: Mapping[str, frozenset[str]] = {
     "saved": frozenset(("x", "group", "values")),
@@ -100,24 +91,15 @@ ARRAYS: Mapping[str, frozenset[str]] = {
         )
     ),
 }
-"""The arrays of a run, which Python uses by name; their order, types and axes are those of the library."""
+"""The arrays of a run that Python uses by name; their order, types and axes come from the library."""
 
 
 TYPES = ("numbers", "integers")
-"""Types of the arrays of a run: float64, and whole numbers of as many bytes."""
+"""Types of the arrays of a run: float64 and int64."""
 
 
 def parsed(text: str) -> Description:
-    r"""Return what a description says.
-
-    Parameters
-    ----------
-    text : str
-        A line for each table, each kind of arrays and each list of codes: what it is, its name, and its entries.
-
-    Returns
-    -------
-    Description
+    r"""Parse a description: one line for each table, kind of arrays and list of codes, with its kind, name and entries.
 
     Examples
     --------
@@ -140,17 +122,8 @@ def parsed(text: str) -> Description:
 
 
 def check(description: Description) -> None:
-    """Refuse kernels whose codes or arrays are not those of this package.
-
-    Parameters
-    ----------
-    description : Description
-        What they say.
-
-    Raises
-    ------
-    ImportError
-        With the first difference: its name, both values, and the remedy.
+    """Raise ImportError, with the first difference and the remedy, if the kernels have other codes or arrays than this
+    package.
     """
     codes, arrays = description.codes, description.arrays
     for what, values in WRITTEN.items():
@@ -174,20 +147,7 @@ def check(description: Description) -> None:
 
 
 def check_fields(name: str, fields: Iterable[str]) -> None:
-    """Refuse kernels whose table of this name has other fields than the one in Python.
-
-    Parameters
-    ----------
-    name : str
-        Of the table.
-    fields : iterable of str
-        Those in Python, which are given by name.
-
-    Raises
-    ------
-    ImportError
-        The library has no such table, or one with other fields.
-    """
+    """Raise ImportError if the kernels have no table of this name, or one with other fields than in Python."""
     there = described().tables.get(name)
     if there is None:
         raise ImportError(f"the compiled kernels have no table {name}: {BUILT_AGAIN}")
@@ -212,7 +172,7 @@ def _listed(names: list[str]) -> str:
 
 
 def text_of_kernels() -> str:
-    """Return the description as the loaded library gives it."""
+    """Return the description as text from the loaded library."""
     describe = kernels().description
     describe.restype = ctypes.c_char_p
     return str(describe().decode())
@@ -220,12 +180,8 @@ def text_of_kernels() -> str:
 
 @cache
 def described() -> Description:
-    """Return what the loaded kernels say of their boundary, checked once.
-
-    Raises
-    ------
-    ImportError
-        They are missing, or of another version than this package.
+    """Return the description of the loaded kernels, checked once; raise ImportError if they are missing or of another
+    version.
     """
     try:
         description = parsed(text_of_kernels())
@@ -236,22 +192,10 @@ def described() -> Description:
 
 
 def codes(name: str) -> Mapping[str, int]:
-    """Return the codes of a list, by name.
-
-    Examples
-    --------
-    >>> codes("Status")["DONE"]
-    0
-    """
+    """Return the codes of a list, by name."""
     return described().codes[name]
 
 
 def limit(name: str) -> int:
-    """Return a limit or a count that the kernels have.
-
-    Examples
-    --------
-    >>> limit("TENTHS")
-    10
-    """
+    """Return a limit or a count of the kernels."""
     return described().codes["Limit"][name]

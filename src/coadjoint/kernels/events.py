@@ -1,4 +1,4 @@
-"""Events as the loops look for them, and what they note of them."""
+"""Arrays for the detection of events in the compiled loops, and the crossings that the loops record."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.watching import Watch
 
 ROWS, SPARE = 4, 2**14
-"""So many rows may be noted of each step, and beside these."""
+"""Rows that can be recorded: `ROWS` per step and member, plus `SPARE`."""
 STEPS_BACK = 3
-"""So many values of each event a loop keeps."""
+"""Number of past values of each event that a loop keeps."""
 
 
 class EventTables(NamedTuple):
-    """What a loop reads and writes for E events; see `source/boundary/tables.hpp`."""
+    """Input and output of a loop for E events; see `source/boundary/tables.hpp`."""
 
     watch: Watch
     direction: NDArray[np.int64]
@@ -33,10 +33,10 @@ class EventTables(NamedTuple):
 
 
 class Noted(NamedTuple):
-    """What the loops have noted, r rows: for each a step of a member in which something may have happened.
+    """Rows recorded by the loops, r of them, each a step of a member with a possible crossing.
 
-    `codes` (r, E) says what, as `Crossing` of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the
-    step, and `before` and `after` (r, E) the values of the events.
+    `codes` (r, E) are `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step;
+    `before` and `after` (r, E) are the values of the events.
     """
 
     members: NDArray[np.int64]
@@ -48,44 +48,31 @@ class Noted(NamedTuple):
     after: NDArray[np.float64]
 
     def in_order_of(self, members: NDArray[np.int64]) -> Noted:
-        """Return the rows in the order of other numbers of their members, and of steps."""
+        """Return the rows with these member numbers, sorted by member and step."""
         return self._replace(members=members).chosen(np.lexsort((self.steps, members)))
 
     def chosen(self, places: NDArray[Any]) -> Noted:
-        """Return some of the rows, by a mask or by their places."""
+        """Return some of the rows, by a mask or by indices."""
         members, steps, codes = self.members[places], self.steps[places], self.codes[places]
         states, groups = self.states[places], self.groups[places]
         return Noted(members, steps, codes, states, groups, self.before[places], self.after[places])
 
 
 class EventArrays:
-    """The arrays that loops look for events with, of all members in the order of the loops.
+    """Arrays with which the loops detect events, for all members in the order of the loops.
 
-    Parameters
-    ----------
-    watch : Watch
-        The functions whose zeros are looked for.
-    direction : ndarray of int, shape (E,)
-        1 where only rising zeros are wanted, -1 for falling ones, 0 for both.
-    left : ndarray of int, shape (members, E)
-        After so many crossings an event ends the run of a member; 0 where it does not.
-    size, square : int
-        How many numbers a state and a group element have.
-    chunk : int
-        A loop takes at most so many steps before `take` is called.
-
-    Attributes
-    ----------
-    limit : ndarray of int, shape (members,)
-        The last step of the run of each member; it may be set.
+    `direction` (E,) is 1 for rising zeros, -1 for falling, 0 for both. `left` (members, E) is the number of crossings
+    after which an event ends the run of a member, 0 if it does not. `size` and `square` are the numbers of a state and
+    of a group element. A loop takes at most `chunk` steps between two calls of `take`. `limit` (members,) is the last
+    step of each member and may be set.
     """
 
     def __init__(
         self, watch: Watch, direction: NDArray[np.int64], left: NDArray[np.int64], size: int, square: int, chunk: int
     ) -> None:
         members, count = left.shape
-        # A step is noted when it ends, or after the next one, and by a series as often as there are crossings. Memory
-        # that is not touched is not taken from the machine.
+        # A step is recorded at its end or after the next one, by a series once per crossing. Untouched pages of the
+        # allocation take no memory.
         capacity = ROWS * members * chunk + SPARE
         self.limit = np.full(members, np.iinfo(np.int64).max)
         self.tables = EventTables(
@@ -106,12 +93,12 @@ class EventArrays:
 
     @staticmethod
     def bytes_of(members: int, count: int, size: int, square: int) -> tuple[int, int]:
-        """Return how many bytes are needed for the members, and for each step of a chunk."""
+        """Return the bytes needed for the members, and for each step of a chunk."""
         width = size + square
         return 8 * members * (2 * width + 4 * count + 1), 8 * ROWS * members * (width + 3 * count + 2)
 
     def take(self) -> Noted:
-        """Return what was noted since the last time, in any order."""
+        """Return and clear the rows recorded since the last call, in any order."""
         count, size, width = self._count, self._size, self._size + self._square
         rows = int(self.tables.noted[0])
         if rows > self.tables.capacity:
@@ -131,12 +118,12 @@ class EventArrays:
         )
 
     def copy(self) -> list[NDArray[Any]]:
-        """Return what must be put back for the loops to go on from here once more."""
+        """Return copies of the arrays that `put_back` restores to repeat the steps from here."""
         tables = self.tables
         return [array.copy() for array in (tables.left, tables.limit, tables.before, tables.values)]
 
     def put_back(self, copies: list[NDArray[Any]]) -> None:
-        """Go back to where a copy was made."""
+        """Restore the arrays from `copy`."""
         tables = self.tables
         for array, copied in zip((tables.left, tables.limit, tables.before, tables.values), copies, strict=True):
             array[...] = copied

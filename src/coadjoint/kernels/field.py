@@ -1,4 +1,4 @@
-"""The vector field, sign * J(x) u, and its group equation, -sign * g rho(u)."""
+"""Tables of the vector field sign * J(x) u and of the group equation g' = -sign * g rho(u)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Field(NamedTuple):
     """The field x' = sign * J(x) grad H(x, t) in `size` coordinates.
 
     On a Lie algebra row i of J has the entries first[i] to first[i + 1], each a nonzero structure constant:
-    `constant` = sign * c_ij^k with j = `column`, k = `state`; where `nonlinear`, `structure` holds the address of the
-    compiled function x -> J(x). `longest` is the most rows of a term of H.
+    `constant` = sign * c_ij^k with j = `column`, k = `state`. If `nonlinear`, `structure` holds the address of the
+    compiled function x -> J(x). `longest` is the largest number of rows of a term of H.
     """
 
     size: int
@@ -32,10 +32,10 @@ class Field(NamedTuple):
 
 
 class GroupField(NamedTuple):
-    """The equation g' = -sign * g rho(u) for d x d matrices; `size` is d, or 0 where no group element is carried.
+    """The equation g' = -sign * g rho(u) for d x d matrices; `size` is d, or 0 if no group element is computed.
 
-    Entry by entry, `entries` of them: (rho_i)_ab is nonzero for i = `element`, a = `row`, b = `column`, and `value` =
-    -sign * (rho_i)_ab.
+    There are `entries` nonzeros: (rho_i)_ab with i = `element`, a = `row`, b = `column`, and `value` = -sign *
+    (rho_i)_ab.
     """
 
     size: int

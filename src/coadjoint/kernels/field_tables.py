@@ -1,4 +1,4 @@
-"""From a system to the arrays of its vector field and of its group equation."""
+"""Construction of the arrays of a vector field and of its group equation from a system."""
 
 from __future__ import annotations
 
@@ -17,26 +17,10 @@ from coadjoint.systems.kinds import System, tabulated
 
 
 def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
-    """Return the vector field of a system, its functions compiled.
+    """Return the vector field of a system with its functions compiled, and the owners of the compiled functions.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    called : bool
-        Whether the field is a call of Python, and its bracket is not read.
-
-    Returns
-    -------
-    field : Field
-        Arrays and addresses.
-    keep : tuple of CompiledFunction
-        What must live as long as the addresses.
-
-    Raises
-    ------
-    TypeError
-        A function of the user cannot be compiled.
+    `called` means that the field is a call into Python, so that the bracket is not read. Raise TypeError if a function
+    of the user cannot be compiled.
     """
     table = TermTable()
     for term in system.hamiltonian.terms():
@@ -54,7 +38,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
             "written in Python, a StepMethod"
         )
     i, j, k, c = read
-    # Both orders of every pair, row by row, and within a row as they are listed.
+    # Both orders of each pair (i, j), sorted by row, stable within a row.
     order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
     row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
     structure = none
@@ -81,25 +65,14 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
 
 
 def group_of(system: System, representation: Any) -> GroupField:
-    """Return the group equation of a system.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    representation : None, "coadjoint" or (n, d, d) array
-        What is carried along: nothing, the coadjoint matrix, or an element in this representation.
-
-    Returns
-    -------
-    GroupField
-        Its size is zero for None.
+    """Return the group equation for None, "coadjoint" (the coadjoint matrix) or a representation (n, d, d); size 0 for
+    None.
     """
     none = np.zeros(0, dtype=np.int64)
     if representation is None or system.algebra is None:
         return GroupField(0, 0, _indices(none), _indices(none), _indices(none), np.zeros(0))
     if isinstance(representation, str):
-        # (D_u)_ac = sum_i u_i c_ai^c, from both orders of every listed pair
+        # (D_u)_ac = sum_i u_i c_ai^c, from both orders of each listed pair
         i, j, k, c = system.algebra.triples
         element, row, column = np.concatenate([j, i]), np.concatenate([i, j]), np.concatenate([k, k])
         value, size = np.concatenate([c, -c]), system.dim
@@ -111,7 +84,7 @@ def group_of(system: System, representation: Any) -> GroupField:
 
 
 def substeps(fractions: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lengths of the substeps of a step, and the moments at which they start, in units of the step.
+    """Return the lengths of the substeps of a step, and their start times, in units of the step.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The loop over steps for programs: flow methods read from their table."""
+"""Tables of the loop over steps for flow methods."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from coadjoint.program.term_table import Terms
 
 
 class FlowTables(NamedTuple):
-    """The arrays of a program, the rows' coefficients already multiplied by the step.
+    """The arrays of a program; the coefficients of the rows are already multiplied by `step`, and the loops rescale
+    them.
 
-    A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, and -1 for the others.
-    Rational rotations are marked in the kinds of the actions; bent[p] is 1 where the blocks of a part on the group have
-    other frequencies than on the momentum, frequency[row], so that they need the angle itself. called[k] is the number
-    of the free body that share k calls, -1 where it calls none; `body_column` has its triple and the other one of
-    a bond (else the same again), `body` its constants.
-    direct[p] has the bit 1 where all blocks of such a part turn by the angle itself, and the bit 2 where it is made of
-    bonds between triples of unit scale.
-    `step` is the step that `tau` belongs to; the loops scale it for steps of another length.
+    A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, else -1. bent[p] is 1
+    if the blocks of part p on the group have other frequencies, frequency[row], than on the momentum, so that they need
+    the angle itself. Rational rotations are marked in the kinds of the actions. called[k] is the index of the free body
+    of share k, else -1; `body_column` has its triple and the other triple of a bond (the same one without a bond),
+    `body` its constants. direct[p] has bit 1 if all blocks of a body part rotate by the angle itself, bit 2 if it
+    consists of bonds of unit scale.
     """
 
     longest: int
@@ -46,6 +45,6 @@ class FlowTables(NamedTuple):
 
 
 FLOW_LOOP = "flow_advance"
-"""The name of the loop. The state is unfinished between its calls: the outer flow of a step is merged with the next
-one, and *finish* acts on a copy.
+"""Name of the loop. Between calls the state is unfinished: the last flow of a step is merged with the first of the
+next, and *finish* acts on a copy.
 """

@@ -1,4 +1,4 @@
-"""From forces to the tables of their flows, functions compiled."""
+"""Tables of the flows of forces, with their functions compiled."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ NO_NUMBERS = np.zeros(1)
 
 
 class ForceTable(NamedTuple):
-    """A force as the kernels read it; `account` is where what it has done begins, `accounts` how many invariants.
+    """A force as the kernels read it; `account` is the index of its first account, `accounts` the number of invariants.
 
-    The directions of a noise fall into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
+    The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
     """
 
     kind: int
@@ -51,7 +51,7 @@ class ForceTable(NamedTuple):
 
 
 class Account(NamedTuple):
-    """What a force has changed of an invariant since the start: an entry behind the coordinates of a state."""
+    """The accumulated change of an invariant by a force: an entry after the coordinates of a state."""
 
     force: str
     invariant: str
@@ -81,9 +81,8 @@ def _of_matrices(function: Callable[..., Any], arguments: str, shape: tuple[int,
 
 
 def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces: of each force the energy, and the Casimirs where it breaks them.
-
-    Of a system of matrices these are the Casimirs of degree two.
+    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it does not keep
+    (for a system of matrices, those of degree two).
     """
     found, plain = [], system.system
     accounted = plain.quadratic_casimirs if isinstance(plain, MatrixSystem) else plain.casimirs
@@ -94,7 +93,7 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
 
 
 class _Reader:
-    """Makes the table of a force; `keep` holds the machine code of its function."""
+    """Builder of the table of a force; `keep` holds the machine code of its function."""
 
     def __init__(self, system: Any, account: int, accounts: int) -> None:
         self.n, self._accounts = system.dim, (account, accounts)
@@ -168,9 +167,10 @@ class _Reader:
 
 
 def _taking(function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None) -> Callable[..., Any]:
-    """Return a function of (y) or (y, t), as the kernels call it, from one of other arguments.
+    """Return a function of (y) or (y, t), as the kernels call it, from one with other arguments.
 
-    Of a system of matrices `shape` is that of a state, and whether entries are complex; the function takes such states.
+    For a system of matrices `shape` is the shape of a state and whether entries are complex; the function takes such
+    states.
     """
     if shape is not None:
         return _of_matrices(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
@@ -190,7 +190,7 @@ def _taking(function: Callable[..., Any], arguments: str, shape: tuple[int, ...]
 
 
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
-    """Return what the energy and the quadratic Casimirs of a system of matrices are found by; zero for another one."""
+    """Return the tables for energy and quadratic Casimirs of a system of matrices; a zero for other systems."""
     if not isinstance(system, MatrixSystem):
         return [0], [], ()
     whole, numbers, made = stream_tables(system)
@@ -200,21 +200,8 @@ def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
 
 
 def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
-    """Return the loop over steps of another loop between half flows of forces.
-
-    Parameters
-    ----------
-    system : ForcedSystem
-        The system.
-    inner : CompiledLoop
-        The loop of its Hamiltonian part, of one member.
-    representation : None, "coadjoint" or (n, d, d) array
-        The group element that is carried along.
-
-    Returns
-    -------
-    CompiledLoop
-        With a `Stepping`, and the accounts of the forces.
+    """Return a loop whose steps are those of `inner`, the Hamiltonian part for one member, between half flows of the
+    forces; it has a `Stepping` and the accounts of the forces.
     """
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []

@@ -1,4 +1,4 @@
-"""Compiling functions of users: nothing that Numba has compiled before is reused unless what it read is the same."""
+"""Compilation of user functions; machine code is reused only if everything that the function read is unchanged."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _warned: set[str] = set()
 
 
 def compiled_once(read: Any, more: tuple[Any, ...], name: str, make: Callable[[], Any]) -> Any:
-    """Return what `make` compiles; the same again while `read`, with all that its functions read, is the same.
+    """Return the cached result of `make`, valid while `read` and everything its functions read is unchanged.
 
-    What cannot be followed is compiled each time, with a warning.
+    Values that cannot be compared are compiled again on each call, with a warning.
     """
     found = contents_of(read)
     if found.unknown:
@@ -42,14 +42,14 @@ def compiled_once(read: Any, more: tuple[Any, ...], name: str, make: Callable[[]
 
 
 def compiled_digests() -> set[str]:
-    """Return the digests of what is compiled."""
+    """Return the digests of all compiled functions."""
     return {digest for digest, _ in _COMPILED}
 
 
 def fresh(function: Any) -> Any:
-    """Return a function for Numba to compile, in which every dispatcher is one without machine code.
+    """Return a function for Numba to compile in which each dispatcher is replaced by one without machine code.
 
-    Numba takes globals as constants when it compiles, and a dispatcher keeps its machine code when they change.
+    Numba treats globals as constants, and a dispatcher does not recompile when they change.
     """
     if isinstance(function, types.FunctionType):
         return _copied(function, {})
@@ -63,9 +63,9 @@ def _keep(kept: dict[Any, Any], key: Any, value: Any) -> None:
 
 
 def _renewed(value: Any, made: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
-    """Return the same of a value; `compiles` says that plain functions are compiled too.
+    """Return a value with fresh dispatchers; if `compiles`, plain functions are compiled too.
 
-    `made` holds each dispatcher beside its fresh one, so that no other object gets its id meanwhile.
+    `made` holds each dispatcher with its fresh copy, so that ids are not reused.
     """
     if id(value) in made:
         return made[id(value)][1]
@@ -100,7 +100,7 @@ def _copied(
     made: dict[int, tuple[Any, Any]],
     promise: Callable[[types.FunctionType], None] | None = None,
 ) -> types.FunctionType:
-    """Return a copy of a function that reads fresh dispatchers; functions that call themselves get the `promise`."""
+    """Return a copy of a function that reads fresh dispatchers; recursive functions read what `promise` registers."""
     cells = tuple(types.CellType() for _ in function.__closure__ or ())
     names = dict(function.__globals__)
     copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells or None)
@@ -113,7 +113,7 @@ def _copied(
     for new, old in zip(cells, function.__closure__ or (), strict=True):
         try:
             new.cell_contents = _renewed(old.cell_contents, made, own)
-        except ValueError:  # a name that has no value yet
+        except ValueError:  # an empty cell
             pass
     attributes = _attributes(function.__code__)
     for name in attributes & names.keys():
@@ -122,7 +122,7 @@ def _copied(
 
 
 def _module(value: Any, attributes: set[str], made: dict[int, tuple[Any, Any]]) -> Any:
-    """Return a copy of a module with fresh dispatchers, where it has some that are read; anything else as it is."""
+    """Return a copy of a module with fresh dispatchers if it has any that are read; return other values unchanged."""
     if not isinstance(value, types.ModuleType):
         return value
     new = {name: _renewed(vars(value)[name], made, False) for name in attributes & vars(value).keys()}

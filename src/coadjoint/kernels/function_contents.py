@@ -1,4 +1,4 @@
-"""Digests of functions by everything that they read: the same digest means the same machine code and the same run."""
+"""Digests of functions and everything they read: equal digests imply equal machine code and equal runs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from coadjoint.algebra.polynomial import Polynomial
 
 PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), type(NotImplemented), Fraction, range)
 LARGEST = 10**6
-"""Objects with more entries than this are not followed."""
+"""Largest number of objects in one digest."""
 PACKAGES = frozenset({"numpy", "scipy", "numba", "llvmlite"})
-"""Packages whose functions and classes are known by their names, like those of the standard library."""
+"""Packages whose functions and classes are identified by name, like those of the standard library."""
 DYNAMIC = frozenset({"globals", "locals", "vars", "eval", "exec", "__import__", "open", "input"})
-"""Builtins by which a function reads what its code does not name."""
+"""Builtins with which a function can read values that its code does not name."""
 SCALARS = (bool, int, float, complex, str, bytes)
 NOT_CONTENT = frozenset(
     "__dict__ __weakref__ __doc__ __module__ __qualname__ __annotations__ __annotate__ __annotate_func__ "
@@ -35,14 +35,8 @@ NOT_CONTENT = frozenset(
 
 
 class Contents(NamedTuple):
-    """The digest of a value, and the names of what could not be followed.
-
-    Parameters
-    ----------
-    digest : str
-        The same in every process, for the same minor version of Python.
-    unknown : tuple of str
-        C functions and objects whose state is hidden, and values that are too large.
+    """The digest of a value, the same in every process of one minor version of Python, and the names of what could not
+    be digested: C functions, objects with hidden state, values that are too large.
     """
 
     digest: str
@@ -52,17 +46,8 @@ class Contents(NamedTuple):
 def contents_of(value: Any, written: bool = False) -> Contents:
     """Return the digest of a value with everything that the functions in it read.
 
-    Parameters
-    ----------
-    value : object
-        A function, or numbers, arrays and containers with functions in them.
-    written : bool
-        Digest the source text of functions in place of their code, which another version of Python compiles to
-        something else. Functions without a source that matches their code are unknown.
-
-    Returns
-    -------
-    Contents
+    With `written`, the source text of functions is digested instead of their code, for the same digest under other
+    versions of Python; functions without a source that matches their code are unknown.
 
     Examples
     --------
@@ -78,7 +63,7 @@ def contents_of(value: Any, written: bool = False) -> Contents:
 
 
 class _Walk:
-    """One traversal: objects with an identity are numbered as they are met, data are added by content."""
+    """One traversal: objects with an identity are numbered in order of first visit, data are added by content."""
 
     def __init__(self, written: bool) -> None:
         self.digest, self.unknown = hashlib.blake2b(digest_size=32), list[str]()
@@ -86,7 +71,7 @@ class _Walk:
         self._met: dict[Any, int] = {}
         self._arrays: dict[int, bytes] = {}
         self._open: list[Any] = []
-        self._held: list[Any] = []  # so that no other object gets the id of one that was met
+        self._held: list[Any] = []  # keeps visited objects alive, so that ids are not reused
 
     def _say(self, *words: Any) -> None:
         self.digest.update("".join(f"{len(text)}:{text};" for text in map(str, words)).encode("utf-8", "surrogatepass"))
@@ -96,7 +81,7 @@ class _Walk:
         self._say("unknown", what)
 
     def _is_new(self, value: Any, *more: Any) -> bool:
-        """Return whether an object is met for the first time; else add its number."""
+        """Return whether an object is visited for the first time; otherwise add its number."""
         key = (id(value), *more)
         if key in self._met:
             self._say("again", self._met[key])
@@ -106,7 +91,7 @@ class _Walk:
         return True
 
     def add(self, value: Any) -> None:
-        """Add a value by its type."""
+        """Add a value according to its type."""
         kind = type(value)
         self._left -= 1
         if self._left < 0:
@@ -201,7 +186,7 @@ class _Walk:
             self._add_instance(value)
 
     def _add_named(self, value: Any) -> None:
-        """Add a C function or a descriptor by its name; only those of known packages are known by it."""
+        """Add a C function or a descriptor by its name, which identifies it only in known packages."""
         owner = getattr(value, "__objclass__", None)
         module = getattr(value, "__module__", None) or getattr(owner, "__module__", None) or "builtins"
         self._say("named", module, value.__qualname__)
@@ -232,7 +217,7 @@ class _Walk:
         self.add({name: kept[name] for name in sorted(kept) if not isinstance(getattr(kind, name, None), cached)})
 
     def _reduce(self, value: Any) -> None:
-        """Add an object of a C type by what `pickle` would keep of it."""
+        """Add an object of a C type by its pickled state."""
         try:
             found = value.__reduce_ex__(4)
             made = found if isinstance(found, str) else [found[0], *found[1:3], *map(list, filter(None, found[3:5]))]
@@ -282,7 +267,7 @@ class _Walk:
                     self._give_up(f"the module {name}")
 
     def _add_read(self, value: Any, attributes: frozenset[str]) -> None:
-        """Add a value that a function reads; of a module those attributes that the function names."""
+        """Add a value that a function reads; of a module only the attributes that the function names."""
         if not isinstance(value, types.ModuleType):
             return self.add(value)
         self._say("module", value.__name__)
@@ -303,7 +288,7 @@ class _Walk:
 
 
 class _Read(NamedTuple):
-    """The global names that a function reads, the attributes that it names, and the modules that it imports."""
+    """The global names that a function reads, the attributes it names, and the modules it imports."""
 
     names: tuple[str, ...]
     attributes: frozenset[str]
@@ -325,14 +310,14 @@ def _read_by(code: types.CodeType) -> _Read:
             attributes |= inner.attributes
             imports |= set(inner.imports)
         elif isinstance(constant, str):
-            attributes.add(constant)  # as by getattr
+            attributes.add(constant)  # possibly an argument of getattr
     return _Read(tuple(sorted(names)), frozenset(attributes), tuple(sorted(imports)))
 
 
 def _inside(cell: types.CellType) -> list[Any]:
     try:
         return [cell.cell_contents]
-    except ValueError:  # a name that has no value yet
+    except ValueError:  # an empty cell
         return []
 
 
@@ -347,7 +332,7 @@ def _is_own(module: str) -> bool:
 
 @functools.lru_cache(maxsize=4096)
 def _is_known(module: str) -> bool:
-    """Return whether a module belongs to the standard library or to `PACKAGES`; files of its name are others."""
+    """Return whether a module belongs to the standard library or to `PACKAGES`; files that shadow its name do not."""
     top = module.partition(".")[0]
     if top in PACKAGES:
         return True
@@ -358,7 +343,7 @@ def _is_known(module: str) -> bool:
 
 
 def _source(function: types.FunctionType) -> str | None:
-    """Return the text of a function; None where no file has the text of its code, or has another one by now."""
+    """Return the source text of a function; None if its file is missing or no longer matches the code."""
     code = function.__code__
     try:
         linecache.checkcache(code.co_filename)
@@ -381,6 +366,6 @@ def _codes_in(text: str, name: str) -> frozenset[types.CodeType]:
 
 
 def key_of(function: Any) -> Any:
-    """Return what is equal for functions that compile to the same code; unlike anything else where that is unknown."""
+    """Return a key that is equal for functions that compile to the same code; a unique object if that is unknown."""
     found = contents_of(function)
     return object() if found.unknown else found.digest

@@ -1,4 +1,4 @@
-"""Functions behind an address: those of a user, compiled to one fixed signature, and formulas that the kernels know."""
+"""Functions that the kernels call by address: user functions compiled to a fixed signature, and tabulated formulas."""
 
 from __future__ import annotations
 
@@ -14,31 +14,11 @@ from coadjoint.kernels.structures import pointed
 
 
 class CompiledFunction:
-    """A user function behind a C address; keeps the machine code alive as long as the address is in use.
+    """A user function compiled to a C address; the object keeps the machine code alive.
 
-    Parameters
-    ----------
-    function : callable
-        Pure Python function of ``y`` (array of ``size`` numbers, or one number when `scalar`), or of ``(y, t)``.
-    size : int
-        Number of coordinates that it reads.
-    results : int
-        Number of values that it returns.
-    scalar : bool
-        Whether it takes and returns plain numbers.
-    flat : bool
-        Whether it returns an array (flattened in C order) rather than a number.
-    timed : bool
-        Whether it takes the time as a second argument.
-    what : str
-        What the function is, for the error message.
-
-    Raises
-    ------
-    MissingPackageError
-        Numba is not installed.
-    TypeError
-        If Numba cannot compile the function; the message carries its reason.
+    The function takes ``y``, an array of `size` numbers, or one number if `scalar`, and the time if `timed`. It returns
+    a number, or if `flat` an array of `results` numbers in C order. Error messages call it `what`. Raise
+    MissingPackageError if Numba is not installed, TypeError with Numba's reason if it cannot compile the function.
     """
 
     def __init__(
@@ -60,13 +40,13 @@ class CompiledFunction:
         self.address: int = self._callback.address
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what compiles the function again, in another process."""
+        """Return arguments that compile the function again in another process."""
         return _compiled_again, self._given
 
 
 def tell_of_compiling(functions: Iterable[Callable[..., Any]]) -> None:
-    """Warn beforehand where functions of Python are so many that compiling them takes seconds; without Numba say
-    nothing here.
+    """Warn before compilation if there are so many Python functions that compiling them takes seconds; do nothing
+    without Numba.
     """
     if installed("numba"):
         from coadjoint.kernels.callbacks import tell_of_many
@@ -79,14 +59,14 @@ def _compiled_again(function: Any, size: int, results: int, scalar: bool, flat: 
 
 
 class TabledFunction:
-    """A formula as the kernels read it, known by the negative of its address; it is kept alive while it is in use."""
+    """A formula table for the kernels, identified by the negative of its address; the object keeps the table alive."""
 
     def __init__(self, forms: Forms) -> None:
         self._table = pointed(forms)
         self.address: int = -ctypes.addressof(self._table)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what makes the same of the formula in another process."""
+        """Return arguments that build the formula again in another process."""
         return TabledFunction, (self._table.source,)
 
 
@@ -94,14 +74,8 @@ CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINT
 
 
 class CalledFunction:
-    """A function of (y, t) that is called in Python, some microseconds at a time.
-
-    Parameters
-    ----------
-    function : callable
-        Takes an array of `size` numbers and a time, and returns a number.
-    size : int
-        Number of coordinates that it reads.
+    """A function of (y, t), y an array of `size` numbers, that returns a number and is called in Python, at some
+    microseconds per call.
     """
 
     def __init__(self, function: Callable[..., Any], size: int) -> None:
@@ -115,21 +89,21 @@ class CalledFunction:
                 if self._raised is None:
                     out[0] = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
             except BaseException as error:
-                # NaN says that something is wrong, and what was raised is raised again where the run is.
+                # NaN stops the loop, and the exception is raised again in the thread of the run.
                 self._raised = error
 
         self._callback = CALLBACK(call)
         self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what makes the function callable in another process."""
+        """Return arguments that make the function callable in another process."""
         return CalledFunction, self._given
 
     def raised(self) -> BaseException | None:
-        """Return what the function raised, once, if it did."""
+        """Return and clear the exception that the function raised, if any."""
         found, self._raised = self._raised, None
         return found
 
 
 Kept = tuple[CompiledFunction | TabledFunction | CalledFunction, ...]
-"""The owners of what stands at addresses: they must live as long as the addresses are in use."""
+"""Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

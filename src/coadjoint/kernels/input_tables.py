@@ -1,8 +1,8 @@
-"""Tables with inputs: numbers that each call brings, written into a copy of the few arrays that hold them.
+"""Tables with inputs: numbers given with each call, written into a copy of the few arrays that contain them.
 
-Where they stand is not written down by any scheme. It is seen in the tables of two systems that differ in the inputs
-alone, each input a number with random digits: what is not equal in the two must be an input in both, to the bit, or an
-exact sum of inputs that the scheme has told.
+The positions of inputs are found by comparison of the tables of two systems that differ in the inputs only, each input
+a number with random digits: each entry that differs must be equal, bit for bit, to an input in both tables, or to an
+exact sum of inputs that the scheme declares.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from coadjoint.program.parts import Parts
 
 Floats = NDArray[np.float64]
 
-# The numbers that can be written into a copy, the whole numbers that addresses stand among, and the offsets of angles:
-# row after row of its terms stand the angles of the parts.
+# Types of fields that can be written into a copy, the field of integers that contains addresses, and the offsets of
+# angles: the angles of the parts, in the order of the rows of their terms.
 WRITTEN = ("constants", "numbers")
 WHOLE, OFFSETS = "tables.whole", "terms.offset"
 
 
 class NotPlaced(ValueError):
-    """The tables depend on the inputs in a way that cannot be written into them; the message says which."""
+    """The tables depend on the inputs in a way that cannot be written into them; the message names the field."""
 
 
 class Field(NamedTuple):
-    """A field of a table: its name, its type, where it stands in bytes, and its value."""
+    """A field of a table: name, type, offset in bytes, and value."""
 
     name: str
     token: str
@@ -45,7 +45,7 @@ class Field(NamedTuple):
 
 
 def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[Field]:
-    """Yield the fields of a table and of the tables in it, as they stand in its C structure."""
+    """Yield the fields of a table and of nested tables, in the order of the C structure."""
     for (label, inner), token in zip(kind._fields_, kind.kinds, strict=True):
         offset, value = base + getattr(kind, label).offset, getattr(table, label)
         if token in SCALARS or token in ARRAYS:
@@ -55,9 +55,9 @@ def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[
 
 
 class _Table:
-    """One table of a run, beside the same of another system.
+    """A table of a run, paired with the same table of another system.
 
-    It stands at the address that the table number `holder` has at a place of its whole numbers; or nothing holds it.
+    Its address is entry `place` of the integers of table number `holder`; -1 if no table refers to it.
     """
 
     def __init__(self, one: Any, other: Any, parts: Parts | None = None, holder: int = -1, place: int = -1) -> None:
@@ -66,10 +66,12 @@ class _Table:
         self.pairs = list(zip(fields_of(one, self.kind), fields_of(other, self.kind), strict=True))
 
     def changed(self, holding: bool) -> Iterator[tuple[Field, NDArray[np.int64], Floats]]:
-        """Yield the fields that are not the same in both, where they are not, and what the other table has."""
+        """Yield the fields that differ between the two tables, the positions that differ, and the values of the other
+        table.
+        """
         for mine, theirs in self.pairs:
             if mine.token == "addresses" or (holding and mine.name == WHOLE):
-                continue  # functions that were compiled twice, and tables that are compared themselves
+                continue  # functions compiled twice, and tables that are compared separately
             if mine.token in WRITTEN and mine.value.shape == theirs.value.shape:
                 places = np.flatnonzero(mine.value.view(np.int64) != theirs.value.view(np.int64))
                 if len(places):
@@ -79,7 +81,7 @@ class _Table:
 
 
 def _tables_of(one: CompiledLoop, other: CompiledLoop, watches: tuple[Any, Any]) -> list[_Table]:
-    """Return the tables of a loop, of the invariants, and those at addresses in them."""
+    """Return the tables of a loop, of the invariants, and all tables that they refer to by address."""
     tables = [_Table(one.tables, other.tables, one.parts), _Table(*watches)]
     waiting = [(0, one, other)]
     while waiting:
@@ -95,7 +97,7 @@ def _tables_of(one: CompiledLoop, other: CompiledLoop, watches: tuple[Any, Any])
 
 
 class _Block:
-    """Arrays of several tables one after the other, and copies of the tables that read them there."""
+    """Arrays of several tables in one allocation, and copies of the tables that point into it."""
 
     def __init__(self, tables: Sequence[_Table], chosen: Sequence[Sequence[Field]]) -> None:
         self.kinds = [table.kind for table in tables]
@@ -117,7 +119,7 @@ class _Block:
         ]
 
     def structures(self, block: Floats, columns: int) -> tuple[Any, Any]:
-        """Return copies of the first two tables, which read the block; each of its rows has so many columns."""
+        """Return copies of the first two tables that point into a block with this number of columns per row."""
         raw, here = self.raw.copy(), ctypes.addressof(number_at(block))
         for place, start in self.pointers:
             raw[place] = here + columns * start
@@ -126,13 +128,13 @@ class _Block:
         scheme, watch = (
             kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds[:2], self.words, strict=False)
         )
-        # A structure keeps the memory alive that it stands in, and now also what it points to.
+        # A structure keeps its own memory alive; this adds the memory that it points to.
         scheme.source = watch.source = block
         return scheme, watch
 
 
 class _Written(NamedTuple):
-    """Which rows of a block are which inputs, and which are sums of inputs."""
+    """Rows of a block that are inputs, the indices of these inputs, and rows that are sums of inputs."""
 
     rows: NDArray[np.int64]
     inputs: NDArray[np.int64]
@@ -140,28 +142,12 @@ class _Written(NamedTuple):
 
 
 class InputTables:
-    """The tables of a scheme and of the invariants that are followed, for inputs that each call brings.
+    """The tables of a scheme and of the watched invariants, for inputs given with each call.
 
-    Parameters
-    ----------
-    loops : pair of CompiledLoop
-        The scheme on two systems that differ in the inputs alone.
-    watches : pair of Watch
-        Their invariants.
-    inputs : pair of ndarray, shape (m,)
-        The inputs of the two, the linear term first. Those that differ have random digits, so that none is met by
-        chance.
-
-    Attributes
-    ----------
-    apart : bool
-        Whether members with inputs of their own need tables of their own: other tables stand at addresses in them, or
-        an input stands where the kernels read one number for all members.
-
-    Raises
-    ------
-    NotPlaced
-        The tables differ in something else than numbers that are inputs, or exact sums of inputs.
+    `loops` and `watches` are those of two systems that differ in `inputs` (m,) only, the linear term first; inputs that
+    differ have random digits, so that no other number equals them by chance. `apart` is set if members with different
+    inputs need separate tables: tables refer to other tables, or an input is a number that the kernels read once for
+    all members. Raise `NotPlaced` if the tables differ in anything but inputs and exact sums of inputs.
     """
 
     def __init__(
@@ -202,7 +188,7 @@ class InputTables:
             self._in_each = _written(self._each, copies, sums)
 
     def shared(self, inputs: Floats) -> tuple[Any, Any]:
-        """Return the structures of the scheme and of the invariants for inputs (m,) that all members have."""
+        """Return the structures of the scheme and of the invariants for inputs (m,) common to all members."""
         block, written = self._shared.template.copy(), self._in_shared
         block[written.rows] = inputs[written.inputs]
         for rows, rule in written.rules:
@@ -210,13 +196,15 @@ class InputTables:
         return self._shared.structures(block, 1)
 
     def each(self, inputs: Floats) -> tuple[Any, Any, int]:
-        """Return them for inputs (members, m), and how many columns the constants have; not where members are apart."""
+        """Return the structures for inputs (members, m), and the number of columns of the constants; not valid if
+        `apart`.
+        """
         members, crowd = len(inputs), limit("LARGEST_CROWD")
         columns = -(-members // crowd) * crowd
         template, written = self._each.template, self._in_each
         check_room(8 * columns * len(template), f"the tables of {members} members with inputs of their own")
         block = np.repeat(template, columns).reshape(-1, columns)
-        # Lanes may read beyond the last member: the last one again.
+        # Lanes may read beyond the last member: it is repeated.
         padded = inputs.take(np.minimum(np.arange(columns), members - 1), axis=0)
         block[written.rows] = padded[:, written.inputs].T
         for rows, rule in written.rules:

@@ -1,4 +1,4 @@
-"""The compiled kernels, found for this processor."""
+"""Selection and loading of the compiled kernels for this processor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from coadjoint.kernels import compiling
 from coadjoint.wording import short
 
 FOLDER = Path(__file__).parent
-# They are no Python modules, so that their names do not hold the version of Python.
+# The libraries are not Python extension modules: their names do not contain the Python version.
 SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
@@ -39,28 +39,22 @@ def _load(name: str) -> ctypes.CDLL:
 
 
 def processor_level() -> int | None:
-    """Return the highest level of `coadjoint.kernels.compiling` that this processor has; None where it is no x86-64."""
+    """Return the highest level of `coadjoint.kernels.compiling` that this processor has; None if it is not x86-64."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return None
     return int(_load("_processor").processor_level())
 
 
 def built_levels() -> list[int]:
-    """Return the levels of the libraries that are there, the highest first; none where the processor is no x86-64."""
+    """Return the levels of the libraries that are built, highest first; empty if the processor is not x86-64."""
     return [level for level in compiling.levels() if (FOLDER / f"_kernels_v{level}{SUFFIX}").exists()]
 
 
 def level_in_use() -> int | None:
-    """Return the level of `kernels`: the highest that is built and that this processor has; None on other processors.
+    """Return the level of `kernels`: the highest that is built and supported by the processor; None if it is not
+    x86-64.
 
-    Returns
-    -------
-    int or None
-
-    Raises
-    ------
-    ImportError
-        There is none, or not the one that the environment variable ``COADJOINT_LEVEL`` asks for.
+    Raise ImportError if there is none, or not the one requested by the environment variable ``COADJOINT_LEVEL``.
     """
     highest = processor_level()
     asked = os.environ.get("COADJOINT_LEVEL")
@@ -103,15 +97,11 @@ def _how_to_build(level: str) -> str:
 
 @functools.cache
 def kernels() -> ctypes.CDLL:
-    """Return the library of kernels for this processor, on x86-64 the one of the highest level that it can use.
+    """Return the library of kernels for this processor, on x86-64 the highest level that is built and supported.
 
-    All levels give the same bits; the environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read when the library is
-    first used, asks for another one that is built, so that they can be compared.
-
-    Raises
-    ------
-    ImportError
-        It was not built or cannot be loaded, or ``COADJOINT_LEVEL`` is none that is built and that the processor has.
+    The environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read on first use, selects another level for
+    comparison; all levels give the same bits. Raise ImportError if the library is missing, cannot be loaded, or has no
+    such level.
     """
     level = level_in_use()
     return _load("_kernels" if level is None else f"_kernels_v{level}")
@@ -119,10 +109,10 @@ def kernels() -> ctypes.CDLL:
 
 @functools.cache
 def listening_kernels() -> ctypes.PyDLL:
-    """Return the same library for its loops, which are called with Python's lock.
+    """Return the same library with its loops, which are called while Python's global lock is held.
 
-    The loops release the lock while they work, and take it now and then to check for signals. What a handler raises is
-    raised by the call of the loop. In a daemon thread they suspend the thread once the interpreter is finalizing.
+    The loops release the lock while they work, and acquire it periodically to check for signals; exceptions of handlers
+    are raised by the call. In a daemon thread they suspend the thread once the interpreter is finalizing.
     """
     library = kernels()
     python = ctypes.pythonapi

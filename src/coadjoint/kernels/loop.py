@@ -1,4 +1,4 @@
-"""The compiled loops over steps: one way of calling them for all families of schemes."""
+"""Calls of the compiled loops over steps, common to all families of schemes."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
 from coadjoint.program.parts import Parts
 
-# What a loop takes: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All are
-# given as what they are in C. To have them converted, by declared types, takes half as long as a short call.
+# Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
+# are passed as C types: conversion by declared argtypes takes half as long as a short call.
 number: Any = ctypes.c_int64
 
 
 @dataclass(frozen=True)
 class CompiledLoop:
-    """A compiled loop over steps, by its name in the library, with its tables.
+    """A compiled loop over steps: its name in the library, and its tables.
 
     Parameters
     ----------
     name : str
-        The name of the loop.
+        Name of the loop.
     tables : NamedTuple
-        What it reads.
+        Tables that it reads.
     keep : tuple
-        What must live as long: the machine code of functions of the user.
+        Objects that must live as long: the machine code of functions of the user.
     shift : tuple of (Polynomial, float)
-        What was taken off the Hamiltonian, Casimirs and factors: it turns the group element at output.
+        Casimirs and factors subtracted from the Hamiltonian; they rotate the group element at output.
     memory : int
-        How many numbers a member remembers from step to step.
+        Numbers of scheme memory per member, carried from step to step.
     accounts : tuple of (str, str)
-        What forces have done is added up behind the coordinates of a state: for each place the force and the invariant.
+        Force and invariant of each entry after the coordinates of a state, which accumulates the change by the force.
     parts : Parts or None
-        The parts whose flows it takes, where it is made of flows.
+        The parts whose flows it computes, if the scheme consists of flows.
     held : mapping of int to CompiledLoop or NamedTuple
-        What the step reads at addresses: the place of the address among the whole numbers of its tables -> a loop whose
-        steps it takes inside, or a table.
+        Objects that the step reads by address: position of the address among the integers of its tables -> an inner
+        loop, or a table.
     """
 
     name: str
@@ -57,43 +57,38 @@ class CompiledLoop:
     held: Mapping[int, Any] = field(default_factory=dict)
 
     def raised(self) -> BaseException | None:
-        """Return what a function of the user has raised in the loop, once, if it did."""
+        """Return and clear the exception that a function of the user raised in the loop, if any."""
         return next((error for kept in self.keep if (error := getattr(kept, "raised", lambda: None)())), None)
 
 
 class Stop:
-    """How another thread tells the loops of a run to end."""
+    """A flag with which another thread stops the loops of a run."""
 
     def __init__(self) -> None:
         self._said = ctypes.c_int64(0)
         self.address = ctypes.byref(self._said)
 
     def say(self) -> None:
-        """Let every loop that was given this end, within a fraction of a second."""
+        """Stop all loops that were given this flag, within a fraction of a second."""
         self._said.value = 1
 
 
 class Crew:
-    """The members that one call of a loop advances, first to last - 1, and what the loop reads for them.
+    """The members first to last - 1 that one call of a loop advances, with the tables that it reads for them.
 
     Parameters
     ----------
     loop : str
-        The name of the loop in the library.
+        Name of the loop in the library.
     tables, watch : NamedTuple
-        Tables of the scheme and of the invariants, as they are or `pointed`.
+        Tables of the scheme and of the invariants, plain or `pointed`.
     first, last : int
         The members.
     stride : int
-        With it the constants of the tables differ by member: `stride` of them side by side, where there was one. They
-        are read in whole lanes, 32 at most: the last must be followed by as many.
+        If nonzero, constants differ by member: each is an array of `stride` columns. They are read in whole lanes,
+        up to 32: the last column must be followed by as many.
     base : int
-        The member that the first of them belong to.
-
-    Attributes
-    ----------
-    count : int
-        How many members there are.
+        The member of the first column.
     """
 
     def __init__(
@@ -111,7 +106,7 @@ class Crew:
         self._advance = partial(self._loop, ctypes.byref(tables), ctypes.byref(watch), *self._places)
 
     def reading(self, tables: Any, watch: Any) -> Crew:
-        """Return the same members with other tables, `pointed`; in less time than a new crew takes."""
+        """Return the same members with other `pointed` tables; faster than a new crew."""
         other: Crew = object.__new__(Crew)
         other.count, other._places = self.count, self._places
         other._loop, other._members = self._loop, self._members
@@ -119,7 +114,7 @@ class Crew:
         return other
 
     def among(self, members: Any) -> Crew:
-        """Return a crew of other members, ascending, that reads the same; its constants must not differ by member."""
+        """Return a crew of other members, ascending, with the same tables; its constants must not differ by member."""
         other: Crew = object.__new__(Crew)
         other._loop, other._members, other.count = self._loop, np.array(members, dtype=np.int64), len(members)
         address = ctypes.c_void_p(other._members.ctypes.data)
@@ -130,19 +125,12 @@ class Crew:
     def advance(
         self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: Stop
     ) -> int:
-        """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
+        """Take the steps k0 + 1 to k1 of the `pointed` schedule, and save the start if k0 is 0; return the number of
+        failed members.
 
-        In the main thread signals are heard meanwhile, some times a second, and what their handlers raise is raised
-        here. The other threads hear `stop`.
-
-        Returns how many of the members have failed. After the last step, members whose energy is not finite count too.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            Or what else a handler of signals raises, or `stop` was said. The arrays of the crew are then of no use.
-        MemoryError
-            There is none for what the loop works with.
+        Members whose energy is not finite after the last step count as failed. Signals are handled several times a
+        second in the main thread, other threads check `stop`; the resulting exception, such as KeyboardInterrupt,
+        invalidates the arrays of the crew. Raise MemoryError if there is no memory for the working arrays.
         """
         wrong: int = self._advance(
             layout.address, schedule, saved.address, state.address, number(k0), number(k1), stop.address
@@ -152,9 +140,9 @@ class Crew:
     def repeated(
         self, layout: Layout, schedule: bytes, saved: NamedArrays, state: NamedArrays, steps: int, stop: Stop
     ) -> Callable[[], int]:
-        """Return what takes the steps 1 to `steps`, for many calls with the same arrays.
+        """Return a function that takes the steps 1 to `steps`, for many calls with the same arrays.
 
-        It returns how many members have failed; a negative number is for `refused`.
+        It returns the number of failed members, or a negative outcome for `refused`.
         """
         arrays = layout.address, schedule, saved.address, state.address
         return partial(self._advance, *arrays, number(0), number(steps), stop.address)
@@ -168,29 +156,17 @@ def _loop(name: str) -> Any:
 
 
 def refused(outcome: int) -> int:
-    """Raise what a loop says that did not take all of its steps."""
+    """Raise the exception of a loop that ended before its last step."""
     if outcome == codes("Outcome")["NO_MEMORY"]:
         raise MemoryError("there is no memory for the working arrays of the loop")
     raise KeyboardInterrupt
 
 
 def remembered(loop: str, tables: Any) -> int:
-    """Return how many numbers a member remembers from step to step.
-
-    Parameters
-    ----------
-    loop : str
-        The name of the loop in the library.
-    tables : NamedTuple
-        Tables of the scheme.
-
-    Returns
-    -------
-    int
-    """
+    """Return the numbers of scheme memory per member for a loop in the library and its tables."""
     ask, table = getattr(kernels(), f"{loop}_remembers"), pointed(tables)
     ask.restype = ctypes.c_int64
     count = int(ask(ctypes.byref(table)))
     if count < 0:
-        raise MemoryError("there is no memory to lay out the steps of the loop")
+        raise MemoryError("there is no memory for the step plan of the loop")
     return count

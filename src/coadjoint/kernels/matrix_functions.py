@@ -1,4 +1,4 @@
-"""A stream that is a function of the user, behind a C address: compiled by Numba where that is possible."""
+"""Streams given as Python functions, callable by C address: compiled by Numba if possible."""
 
 from __future__ import annotations
 
@@ -14,28 +14,15 @@ import numpy as np
 from coadjoint.extras import MissingPackageError, need
 from coadjoint.systems.matrices.function_stream import FunctionStream
 
-# W, time, P; all matrices row by row.
+# W, time, P; matrices in C order.
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
 
 
 class MatrixFunction:
-    """A stream that is a function, as the loops call it.
+    """A stream function for the loops, on matrices of this `shape`, complex128 if `complex_entries`, else float64.
 
-    Parameters
-    ----------
-    stream : FunctionStream
-        The stream.
-    shape : tuple of int
-        Of a matrix.
-    complex_entries : bool
-        Of complex128 rather than float64.
-
-    Attributes
-    ----------
-    address : int
-        Of ``void(const double* W, double t, double* P)``.
-    compiled : bool
-        Whether Numba compiled it; else each call is one of Python, which only one thread at a time can make.
+    `address` is that of ``void(const double* W, double t, double* P)``. `compiled` is set if Numba compiled it;
+    otherwise each call is a Python call, which only one thread at a time can make.
     """
 
     def __init__(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> None:
@@ -46,13 +33,13 @@ class MatrixFunction:
             self.address, self.compiled = int(self._callback.address), True
         except MissingPackageError as reason:
             self._call_python(stream, shape, complex_entries, str(reason))
-        except Exception as error:  # Numba raises errors of many kinds
+        except Exception as error:  # Numba raises exceptions of many types
             from coadjoint.kernels.callbacks import reason_of
 
             self._call_python(stream, shape, complex_entries, reason_of(error))
 
     def raised(self) -> BaseException | None:
-        """Return what the function raised, once, if it did."""
+        """Return and clear the exception that the function raised, if any."""
         found, self._raised = self._raised, None
         return found
 
@@ -68,7 +55,7 @@ class MatrixFunction:
                 given = np.frombuffer(memoryview(block.from_address(W)), dtype=kind)
                 out[:] = stream(given.reshape(shape).copy(), t)
             except BaseException as error:
-                # NaN ends the steps of the member, and what was raised is raised again where the run is.
+                # NaN stops the member, and the exception is raised again in the thread of the run.
                 self._raised = error
                 out[:] = np.nan
 
@@ -81,7 +68,7 @@ class MatrixFunction:
 def _say_once(function: Callable[..., Any], reason: str) -> None:
     name = getattr(function, "__name__", type(function).__name__)
     warnings.warn(
-        f"the stream {name} is called in Python, some ten microseconds at a time, and by one thread: Numba cannot "
+        f"the stream {name} is called in Python, at some ten microseconds per call, and in one thread: Numba cannot "
         f"compile it ({reason})",
         RuntimeWarning,
         stacklevel=2,
@@ -148,6 +135,6 @@ def _made(
                 out[i * N + j] = found[i, j]
 
     with warnings.catch_warnings():
-        # That transposed matrices are multiplied more slowly is no news to who writes them.
+        # Suppress Numba's warning that products of transposed matrices are slower.
         warnings.simplefilter("ignore", numba.NumbaPerformanceWarning)
         return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(of_complex if complex_entries else of_real)

@@ -1,4 +1,4 @@
-"""From a matrix system to the tables of a step that multiplies matrices."""
+"""Construction of the tables of matrix steps from a matrix system."""
 
 from __future__ import annotations
 
@@ -16,22 +16,12 @@ from coadjoint.kernels.tables import Compiled
 from coadjoint.systems.matrices.function_stream import FunctionStream
 
 ROUTINES: dict[int, str] = {}
-"""The routines of BLAS that tables of this process bring, by their addresses."""
+"""Addresses -> names of the BLAS routines in tables of this process."""
 
 
 @cache
 def blas_address(name: str) -> int:
-    """Return the address of a routine of BLAS, that of SciPy.
-
-    Parameters
-    ----------
-    name : str
-        Such as "zgemm".
-
-    Returns
-    -------
-    int
-    """
+    """Return the address of a routine of SciPy's BLAS, such as "zgemm"."""
     from scipy.linalg import cython_blas
 
     capsules: dict[str, Any] = dict(cython_blas.__pyx_capi__)
@@ -46,22 +36,12 @@ def blas_address(name: str) -> int:
 
 
 def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
-    """Return what the kernels read of the stream of a matrix system.
+    """Return the integers and numbers that the kernels read of the stream of a matrix system, and the owners of its
+    functions.
 
-    Parameters
-    ----------
-    system : MatrixSystem
-        The system. `stream` is its linear map, or a function; `second_stream` that of the first of two layers, and
-        `linear` a constant that is added, where it has them.
-
-    Returns
-    -------
-    whole : list of int
-        The size, the layers, the kinds of the two maps, whether there is a constant, and the address of a function.
-    numbers : list of float
-        The constant, and what the maps read.
-    keep : tuple
-        What must live as long.
+    The integers are the size, the layers, the kinds of `stream` and `second_stream` (the map of the first of two
+    layers, -1 without one), whether there is a constant `linear`, and the address of a function. The numbers are the
+    constant and the tables of the maps.
     """
     kinds = codes("StreamKind")
     stream, second = system.stream, getattr(system, "second_stream", None)
@@ -85,26 +65,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
 def matrix_tables(
     system: Any, step: str, stages: int, coefficients: Sequence[float], fractions: Sequence[float]
 ) -> Compiled:
-    """Return the tables of a step of a matrix system.
-
-    Parameters
-    ----------
-    system : MatrixSystem
-        The system.
-    step : str
-        The name of the step.
-    stages : int
-        Of the scheme.
-    coefficients : sequence of float
-        Of the scheme.
-    fractions : sequence of float
-        Lengths of the substeps of a step.
-
-    Returns
-    -------
-    Compiled
-        With a `Stepping`.
-    """
+    """Return the tables, a `Stepping`, of a named step of a matrix system with substeps of these fractions."""
     whole, numbers, keep = stream_tables(system)
     precisions = "zc" if system.complex else "ds"
     whole += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]

@@ -1,8 +1,8 @@
-"""Steps compiled by Numba: what a step may ask of its system there, and how it becomes a C function.
+"""Steps compiled by Numba to C functions, and the methods that their systems have in compiled code.
 
-A step sees its scheme as a tuple of the parameters, and its system as a tuple whose methods call the compiled kernels:
-``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``hamiltonian.value(x, t)``,
-``hamiltonian.gradient(x, t)``; where no function of the user is in the system also ``jacobian(x, t)`` and
+A step receives its scheme as a tuple of the parameters, and its system as a tuple whose methods call the compiled
+kernels: ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``hamiltonian.value(x,
+t)``, ``hamiltonian.gradient(x, t)``; if the system has no function of the user also ``jacobian(x, t)`` and
 ``hamiltonian.hessian(x, t)``.
 """
 
@@ -94,7 +94,7 @@ def _copied(x: Any) -> Any:
 
 
 def _offer(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: Any) -> None:
-    """Give tuples of these kinds a method in compiled code."""
+    """Add a method to tuples of these kinds in compiled code."""
     direct, copying = make(kernel, _as_it_is), make(kernel, _copied)
 
     def chosen(self: Any, x: Any) -> Any:
@@ -122,23 +122,10 @@ _offer(HAMILTONIANS[1:], "hessian", _matrix, HESSIAN)
 def compiled_step(
     function: Callable[..., Any], names: tuple[str, ...], values: tuple[Any, ...], derivatives: bool
 ) -> tuple[Any, str]:
-    """Compile a step, for all systems of a kind.
+    """Compile ``step(self, system, x, t, h)`` with these scheme parameters, for systems with or without exact
+    derivatives.
 
-    Parameters
-    ----------
-    function : callable
-        ``step(self, system, x, t, h)``.
-    names, values : tuple
-        The parameters of the scheme.
-    derivatives : bool
-        Whether the systems give exact derivatives.
-
-    Returns
-    -------
-    callback : object or None
-        With an ``address``; None where Numba cannot compile the step.
-    reason : str
-        Why it cannot.
+    Return the callback, with its ``address``, or None and the reason why Numba cannot compile the step.
     """
     try:
         return compiled_once(
@@ -147,7 +134,7 @@ def compiled_step(
             function.__qualname__,
             lambda: _compiled(function, names, values, derivatives),
         ), ""
-    except Exception as error:  # Numba raises errors of many kinds
+    except Exception as error:  # Numba raises exceptions of many types
         return None, f"Numba cannot compile them ({reason_of(error)})"
 
 

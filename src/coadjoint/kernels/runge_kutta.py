@@ -1,4 +1,4 @@
-"""The loop over steps for Runge-Kutta methods: explicit, iterated, implicit, and linear in the last iterate."""
+"""Tables of the loop for Runge-Kutta methods: explicit, iterated, implicit, and linear in the last iterate."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ class RungeKuttaTables(NamedTuple):
     """The arrays of a Runge-Kutta method on a system.
 
     The stages are X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j
-    L_j. `iterations` counts the function iterations before the end of `solver`, or its linear system. `direct` says
-    that linear systems are solved by LU factors, with `quadratic` the dense M where that is needed; else they are
-    iterated. Where iterating fails, and where it does for an implicit step, large systems are solved by the factors of
-    a banded matrix: coordinates that are coupled stand at most `band` apart in the order `position`; or it is -1, and
-    they are solved without a matrix. One step is made of substeps of the lengths `fraction`, at the moments `moment`,
-    in units of the step. An implicit step starts at x + sum_j forecast_ij L_j, with the slopes L of the substep before
-    and one such matrix for each substep.
+    L_j. `iterations` is the number of function iterations before the output, or before the linear system. If `direct`,
+    linear systems are solved by LU factors, with `quadratic` the dense M if needed; otherwise by iteration. If the
+    iteration fails, and for implicit steps, large systems are solved by a banded factorization in the order `position`,
+    in which coupled coordinates are at most `band` apart; if `band` is -1, they are solved without a matrix. A step
+    consists of substeps of the lengths `fraction`, at the moments `moment`, in units of the step. The initial guess of
+    an implicit substep is x + sum_j forecast_ij L_j, with the slopes L of the previous substep, and one such matrix per
+    substep.
     """
 
     field: Field
@@ -43,4 +43,4 @@ class RungeKuttaTables(NamedTuple):
 
 
 RUNGE_KUTTA_LOOP = "runge_kutta_advance"
-"""The name of the loop."""
+"""Name of the loop in the library."""

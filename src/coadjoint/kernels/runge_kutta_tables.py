@@ -1,4 +1,4 @@
-"""From a system and a Runge-Kutta method to the arrays of the compiled loop."""
+"""Construction of the arrays of the compiled loop from a system and a Runge-Kutta method."""
 
 from __future__ import annotations
 
@@ -17,48 +17,29 @@ from coadjoint.systems.kinds import System
 
 
 class Tableau(Protocol):
-    """What a Runge-Kutta scheme says of itself."""
+    """Protocol of a Runge-Kutta scheme."""
 
     @property
     def solver(self) -> str:
-        """One of `SOLVERS`."""
+        """Name of the solver, one of `SOLVERS`."""
 
     @property
     def function_iterations(self) -> int:
-        """How many iterations come before the output, or before the linear system."""
+        """Number of function iterations before the output, or before the linear system."""
 
     def coefficients(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return nodes, scales, the matrix of the stages and the weights of the output."""
+        """Return nodes, scales, the matrix of the stages, and the weights of the output."""
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix of the starting values."""
+        """Return the matrix of the initial guess of the stages; `ratio` is substep over previous substep."""
 
 
 def runge_kutta_tables(
     system: System, method: Tableau, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
-    """Return a Runge-Kutta method on a system as arrays for the loop of `coadjoint.kernels.runge_kutta`.
+    """Return `RungeKuttaTables`, which do not depend on the step, for a method whose substeps have these fractions.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    method : Tableau
-        The scheme of one substep.
-    representation : None, "coadjoint" or (n, d, d) array
-        The group element that is carried along.
-    fractions : sequence of float
-        Lengths of the substeps of a step.
-
-    Returns
-    -------
-    Compiled
-        With `RungeKuttaTables`; they do not depend on the step.
-
-    Raises
-    ------
-    TypeError
-        A function of the user cannot be compiled.
+    Raise TypeError if a function of the user cannot be compiled.
     """
     field, keep = field_of(system)
     group = group_of(system, representation)
@@ -95,7 +76,7 @@ def runge_kutta_tables(
 
 
 def _ratios(fractions: Sequence[float]) -> list[float]:
-    """Return the length of each substep in units of the one before it."""
+    """Return the length of each substep relative to the previous one."""
     return [fractions[part] / fractions[part - 1] for part in range(len(fractions))]
 
 

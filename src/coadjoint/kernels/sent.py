@@ -1,4 +1,4 @@
-"""How do compiled loops go to another process? As tables, whose addresses are those of the machine code made there."""
+"""Pickling of compiled loops: tables are sent, and function addresses are resolved again in the receiving process."""
 
 from __future__ import annotations
 
@@ -16,18 +16,12 @@ from coadjoint.kernels.tables import Compiled
 
 OWNERS = (CompiledFunction, TabledFunction, CalledFunction)
 STANDING = ("step", "whole")
-"""Fields with addresses of what every process has: of steps in the library, and of routines of BLAS."""
+"""Fields with addresses that exist in every process: steps of the library, and BLAS routines."""
 
 
 class Standing(NamedTuple):
-    """What every process has at an address of its own.
-
-    Parameters
-    ----------
-    what : object
-        A step, as `step_address` takes it, or the name of a routine.
-    blas : bool
-        Whether it is a routine of BLAS.
+    """An object that every process has at its own address: a BLAS routine by name if `blas`, else a step for
+    `step_address`.
     """
 
     what: Any
@@ -35,41 +29,29 @@ class Standing(NamedTuple):
 
     @property
     def address(self) -> int:
-        """Where it stands in this process."""
+        """Address in this process."""
         return blas_address(self.what) if self.blas else step_address(self.what)
 
 
 class SentTables(NamedTuple):
-    """Tables with the addresses of the process that made them, and what stands at these: (address, owner)."""
+    """Tables with the addresses of the sending process, and the objects they point to as pairs (address, owner)."""
 
     tables: Any
     owners: tuple[tuple[int, Any], ...]
 
 
 def can_be_sent(keep: tuple[Any, ...]) -> bool:
-    """Return whether tables can go to another process: what stands at their addresses can be made there again."""
+    """Return whether tables can be pickled: the objects their addresses point to can be rebuilt in another process."""
     return all(isinstance(kept, OWNERS) for kept in keep)
 
 
 def sent(tables: Any, keep: tuple[Any, ...]) -> SentTables:
-    """Return tables as they go to another process, by `pickle`.
-
-    Parameters
-    ----------
-    tables : NamedTuple
-        Of arrays, numbers, and further such tuples.
-    keep : tuple
-        What stands at their addresses.
-
-    Returns
-    -------
-    SentTables
-    """
+    """Return tables in a form that can be pickled, with the owners of their addresses."""
     return SentTables(tables, (*((kept.address, kept) for kept in keep), *_standing(tables).items()))
 
 
 def received(given: SentTables) -> Compiled:
-    """Return tables as this process reads them: functions are compiled here, once, and nothing is derived.
+    """Return tables with the addresses of this process; functions are compiled again, once.
 
     Examples
     --------
@@ -88,7 +70,7 @@ def received(given: SentTables) -> Compiled:
 
 
 def _standing(tables: Any) -> dict[int, Standing]:
-    """Return what stands at addresses of tables in every process."""
+    """Return the addresses in tables that exist in every process, with their objects."""
     found: dict[int, Standing] = {}
     for name in getattr(type(tables), "_fields", ()):
         value = getattr(tables, name)
@@ -102,7 +84,7 @@ def _standing(tables: Any) -> dict[int, Standing]:
 
 
 def _moved(tables: Any, moved: Mapping[int, int]) -> Any:
-    """Return tables with other addresses."""
+    """Return tables with addresses replaced."""
     kind: Any = type(tables)
     if not hasattr(kind, "_fields"):
         return tables
@@ -118,7 +100,7 @@ def _moved(tables: Any, moved: Mapping[int, int]) -> Any:
 
 
 def sent_loop(loop: CompiledLoop) -> dict[str, Any]:
-    """Return a compiled loop as it goes to another process; it must be one that `loop_can_be_sent`."""
+    """Return a compiled loop in a form that can be pickled, if `loop_can_be_sent`."""
     return {
         "name": loop.name,
         "shift": loop.shift,
@@ -130,11 +112,11 @@ def sent_loop(loop: CompiledLoop) -> dict[str, Any]:
 
 
 def received_loop(given: Mapping[str, Any]) -> CompiledLoop:
-    """Return the compiled loop that `sent_loop` was given."""
+    """Return the compiled loop from the result of `sent_loop`."""
     tables, keep = received(given["given"])
     return CompiledLoop(tables=tables, keep=keep, **{name: given[name] for name in given if name != "given"})
 
 
 def loop_can_be_sent(loop: CompiledLoop) -> bool:
-    """Return whether a compiled loop can go to another process: nothing but functions stands at its addresses."""
+    """Return whether a compiled loop can be pickled: its addresses point to functions only."""
     return not loop.held and can_be_sent(loop.keep)

@@ -1,4 +1,4 @@
-"""Steps that are written in Python, behind a C address: compiled by Numba where that is possible."""
+"""Steps written in Python, callable by C address: compiled by Numba if possible."""
 
 from __future__ import annotations
 
@@ -15,29 +15,17 @@ from coadjoint.systems.kinds import tabulated
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
-# System, state, time, length, new state; 0, or 1 where it raised.
+# System, state, time, length, new state; returns 0, or 1 if an exception was raised.
 CALLBACK = ctypes.CFUNCTYPE(
     ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p
 )
 
 
 class StepFunction:
-    """The step of a scheme on a system, as the loops call it.
+    """The step of a scheme on a system as a C function for the loops.
 
-    Parameters
-    ----------
-    method : object
-        A scheme with ``step(system, x, t, h)``; where it is a dataclass of numbers, strings and arrays, the step may be
-        compiled by Numba.
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-
-    Attributes
-    ----------
-    address : int
-        Of the compiled function.
-    compiled : bool
-        Whether Numba compiled it; else each step is a call of Python.
+    The scheme has ``step(system, x, t, h)``; if it is a dataclass of numbers, strings and arrays, the step may be
+    compiled by Numba. `compiled` is set if it was; otherwise each step is a Python call.
     """
 
     def __init__(self, method: Any, system: Any) -> None:
@@ -54,7 +42,7 @@ class StepFunction:
             self.address = found.address
 
     def raised(self) -> BaseException | None:
-        """Return what the step raised, once, if it did."""
+        """Return and clear the exception that the step raised, if any."""
         found, self._raised = self._raised, None
         return found
 
@@ -74,7 +62,7 @@ class StepFunction:
 
 
 def checked_step(found: Any, n: int, method: Any) -> Any:
-    """Return what a step gave, as floats, or refuse it by name."""
+    """Return the result of a step as float64; raise TypeError if it is not `n` real numbers."""
     state = np.asarray(found)
     if state.shape != (n,) or state.dtype.kind not in "fiu":
         kind = "complex numbers" if state.dtype.kind == "c" else f"an array of {state.dtype} and shape {state.shape}"
@@ -90,14 +78,14 @@ def _say_once(scheme: type, reason: str) -> None:
         return
     _said.add(scheme)
     warnings.warn(
-        f"the steps of {scheme.__name__} are calls of Python, some hundred times slower than compiled ones: {reason}",
+        f"the steps of {scheme.__name__} are Python calls, some hundred times slower than compiled ones: {reason}",
         RuntimeWarning,
         stacklevel=2,
     )
 
 
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:
-    """Return the step compiled by Numba, or None with the reason."""
+    """Return the step compiled by Numba and "", or None and the reason."""
     if not tabulated(system):
         return None, f"{system.name} has no structure constants in memory, which compiled steps read"
     try:
@@ -115,7 +103,7 @@ def _compiled(method: Any, system: Any) -> tuple[Any, str]:
 
 
 def _parameters(method: Any) -> tuple[tuple[str, ...], tuple[Any, ...]]:
-    """Return what a step may read of its scheme: the fields of the dataclass, and plain attributes of the class."""
+    """Return names and values that a step may read of its scheme: dataclass fields and plain class attributes."""
     found: dict[str, Any] = {}
     for kind in reversed(type(method).__mro__[:-1]):
         plain = {key: value for key, value in vars(kind).items() if isinstance(value, int | float | str | tuple)}
@@ -126,5 +114,5 @@ def _parameters(method: Any) -> tuple[tuple[str, ...], tuple[Any, ...]]:
 
 
 def with_derivatives(system: Any) -> bool:
-    """Return whether the compiled kernels know exact derivatives of a field: it has no functions of the user."""
+    """Return whether the compiled kernels have exact derivatives of a field: it has no functions of the user."""
     return system.algebra is not None and not any(term.called for term in system.hamiltonian.terms())

@@ -1,4 +1,4 @@
-"""From a system and a step method to the arrays of the compiled loop."""
+"""Construction of the arrays of the compiled loop from a system and a step method."""
 
 from __future__ import annotations
 
@@ -21,48 +21,29 @@ from coadjoint.program.unshift import unshift_tables
 from coadjoint.systems.kinds import System, tabulated
 
 PLACE_OF_INNER = 1
-"""Where among the whole numbers the address of the tables of an inner loop stands."""
+"""Index, among the integers, of the address of the tables of an inner loop."""
 
 
 class CompiledStep(Protocol):
-    """What a scheme with a compiled step says of itself."""
+    """Protocol of a scheme with a compiled step."""
 
     @property
     def compiled_step(self) -> Any:
-        """The step, by its name in the library, or its address."""
+        """The step: its name in the library, or an object with its address."""
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the whole numbers and the coefficients that it reads."""
+        """Return the integers and the coefficients that the step reads."""
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the invariants that it restores."""
+        """Return the invariants that the step restores."""
 
 
 def step_tables(
     system: System, method: CompiledStep, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
-    """Return a step method on a system as arrays for the loop of `coadjoint.kernels.stepping`.
+    """Return the tables, a `Stepping` independent of the step, of a step method whose substeps have these fractions.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    method : CompiledStep
-        The scheme of one substep.
-    representation : None, "coadjoint" or (n, d, d) array
-        The group element that is carried along.
-    fractions : sequence of float
-        Lengths of the substeps of a step.
-
-    Returns
-    -------
-    Compiled
-        With a `Stepping`; it does not depend on the step.
-
-    Raises
-    ------
-    TypeError
-        A function of the user cannot be compiled.
+    Raise TypeError if a function of the user cannot be compiled.
     """
     restored = method.restored(system)
     watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
@@ -71,22 +52,7 @@ def step_tables(
 
 
 def function_tables(system: System, function: int, fractions: Sequence[float] = (1.0,)) -> Compiled:
-    """Return the same for a step that is a function, at an address.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    function : int
-        Where the function stands.
-    fractions : sequence of float
-        Lengths of the substeps of a step.
-
-    Returns
-    -------
-    Compiled
-        With a `Stepping`.
-    """
+    """Return the tables, a `Stepping`, of a step that is a function at an address."""
     constant = sum(term.constant for term in system.hamiltonian.terms())
     none = invariants_table([], system.dim)
     made = _tables(system, group_of(system, None), none.tables, [function], [constant], not tabulated(system))
@@ -96,70 +62,28 @@ def function_tables(system: System, function: int, fractions: Sequence[float] = 
 def step_numbers(
     system: System, step: str, whole: Sequence[int], coefficients: Sequence[float], fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
-    """Return the tables of a step of this library that reads nothing of the system but these numbers.
-
-    Parameters
-    ----------
-    system : GeneralSystem
-        For its dimension.
-    step : str
-        The name of the step.
-    whole, coefficients : sequences
-        What it reads.
-    fractions : sequence of float
-        Lengths of the substeps of a step.
-
-    Returns
-    -------
-    Compiled
-        With a `Stepping`.
-    """
+    """Return the tables, a `Stepping`, of a named step that reads only integers, coefficients and the dimension."""
     none = invariants_table([], system.dim)
     made = _tables(system, group_of(system, None), none.tables, whole, coefficients, True)
     return _stepping(step_address(step), fractions, *made, none.keep)
 
 
 def tables_around(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> Compiled:
-    """Return the tables of a step that takes a step of another loop, and then restores invariants.
+    """Return the tables, a `Stepping`, of a named step that takes one step of `inner` and then restores energy and
+    invariants.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    step : str
-        The name of the step.
-    inner : CompiledLoop
-        The other loop, of one member.
-    restored : mapping
-        Name -> `Polynomial` or `Quadratic`, beside the energy.
-
-    Returns
-    -------
-    Compiled
-        With a `Stepping`.
+    `inner` is a loop for one member; `restored` maps names to `Polynomial` or `Quadratic`.
     """
     places, keep = places_of(inner, system, None)
     return step_tables_of(system, step, watch_tables(system, restored), places, None, keep)
 
 
 def places_of(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
-    """Return what a step reads that takes a step of another loop, and what must live as long.
+    """Return the integers with which a step calls the steps of `inner`, a loop for one member, and the objects to keep
+    alive.
 
-    Parameters
-    ----------
-    inner : CompiledLoop
-        The other loop, of one member.
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    representation : None, "coadjoint" or (n, d, d) array
-        The group element that is carried along.
-
-    Returns
-    -------
-    places : list of int
-        Addresses of the loop, of its tables and of a watch of nothing, how many numbers it remembers, and the address
-        of the tables by which what was taken off the Hamiltonian turns the group element, or zero.
-    keep : tuple
+    They are the addresses of the loop, of its tables and of an empty watch, the size of its memory, and the address of
+    the tables that rotate the group element by the shift of the Hamiltonian, or 0.
     """
     loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
     none = invariants_table([], system.dim)
@@ -181,30 +105,7 @@ def step_tables_of(
     keep: tuple[Any, ...],
     coefficients: Sequence[float] = (),
 ) -> Compiled:
-    """Return the tables of a step of this library that reads whole numbers and invariants.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    step : str
-        The name of the step.
-    kept : Compiled
-        The invariants, a `Watch`.
-    whole : sequence of int
-        The whole numbers.
-    representation : None, "coadjoint" or (n, d, d) array
-        The group element that is carried along.
-    keep : tuple
-        What must live as long.
-    coefficients : sequence of float
-        The coefficients.
-
-    Returns
-    -------
-    Compiled
-        With a `Stepping`.
-    """
+    """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and the invariants `kept`."""
     made = _tables(system, group_of(system, representation), kept.tables, whole, coefficients, not tabulated(system))
     return _stepping(step_address(step), (1.0,), *made, (*kept.keep, *keep))
 

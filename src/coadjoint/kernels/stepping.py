@@ -1,4 +1,4 @@
-"""The loop over steps for step methods: schemes that bring one compiled step of their own."""
+"""Tables of the loop over steps for step methods: schemes with one compiled step of their own."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from coadjoint.kernels.watching import Watch
 
 
 class StepTables(NamedTuple):
-    """What a step reads: the field, the compiled values of the terms of H, the group equation, the invariants that it
-    restores, and coefficients.
+    """Tables that a step reads: the field, the compiled values of the terms of H, the group equation, the invariants
+    that it restores, integers, and coefficients.
     """
 
     field: Field
@@ -27,10 +27,10 @@ class StepTables(NamedTuple):
 
 
 class Stepping(NamedTuple):
-    """A compiled step, by its name in the library, and what it reads. A step of the run is made of `substeps` of it.
+    """A compiled step, by address, and its tables; a step of the run consists of `substeps` of it.
 
-    They have the lengths `fraction`, at the moments `moment`, in units of the step. `step` is the address of the step.
-    `serial` is the number that the loop gives to the tables when it first reads them.
+    They have the lengths `fraction`, at the moments `moment`, in units of the step. `serial` is the number that the
+    loop assigns to the tables when it first reads them.
     """
 
     step: NDArray[np.int64]
@@ -42,22 +42,14 @@ class Stepping(NamedTuple):
 
 
 STEPS: dict[int, Any] = {}
-"""The steps that tables of this process bring, by their addresses: in another process they stand elsewhere."""
+"""Address -> step, for all steps in tables of this process; addresses differ in another process."""
 
 
 def step_address(step: Any) -> int:
-    """Return the address of the step that a scheme brings.
+    """Return the address of a step: an object with an ``address``, or the name (`STEP_SCHEME`) that its C++ file gives
+    it.
 
-    Parameters
-    ----------
-    step : str or object
-        The name that its C++ file gives it (`STEP_SCHEME`) in this library, or a step that was compiled apart and has
-        an ``address``.
-
-    Raises
-    ------
-    ValueError
-        The library has no step of this name.
+    Raise ValueError if the library has no step of this name.
     """
     if not isinstance(step, str):
         STEPS[int(step.address)] = step
@@ -74,4 +66,4 @@ def step_address(step: Any) -> int:
 
 
 STEP_LOOP = "stepping_advance"
-"""The name of the loop, which takes the steps of a scheme by the step that its tables bring."""
+"""Name of the loop for all schemes whose tables contain their step."""

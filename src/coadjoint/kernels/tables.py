@@ -1,4 +1,4 @@
-"""From a system to the arrays that the compiled loops read: user functions compiled, invariants laid out."""
+"""Construction of the arrays that the compiled loops read: compiled user functions, flow programs and invariants."""
 
 from __future__ import annotations
 
@@ -37,25 +37,10 @@ class Compiled(NamedTuple):
 def addresses_of(
     functions: Mapping[int, FunctionTerm], count: int, which: str, owner: str
 ) -> tuple[NDArray[np.int64], Kept]:
-    """Compile the values, gradients or second derivatives of FUNCTION terms.
+    """Compile the values, gradients or Hessians of FUNCTION terms, given by term number, out of `count` terms.
 
-    Parameters
-    ----------
-    functions : mapping
-        Number of the term -> term.
-    count : int
-        Number of all terms.
-    which : {"value", "gradient", "hessian"}
-        What is compiled.
-    owner : str
-        What the functions belong to, for messages.
-
-    Returns
-    -------
-    addresses : ndarray of int64, shape (count,)
-        Zero where a term is not a function.
-    keep : tuple of CompiledFunction or TabledFunction
-        The owners of the machine code.
+    Return the addresses (count,), 0 for other terms, and the owners of the machine code. Messages call the functions
+    those of `owner`.
     """
     addresses = np.zeros(count, dtype=np.int64)
     keep: list[CompiledFunction | TabledFunction | CalledFunction] = []
@@ -89,21 +74,9 @@ def addresses_of(
 
 
 def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
-    """Return a program as arrays for the compiled loop.
+    """Return `FlowTables` of a program with float64 constants, for a step h (negative for backward).
 
-    Parameters
-    ----------
-    program : Program
-        With float64 constants.
-    h : float
-        Step, negative for backward.
-    compensated : bool
-        Whether the momentum is summed with compensation.
-
-    Returns
-    -------
-    Compiled
-        With `FlowTables`.
+    `compensated` selects compensated summation of the momentum.
     """
     count = len(program.terms.kind)
     addresses, keep = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
@@ -138,7 +111,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
 
 
 def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
-    """Mark the rotations of some parts, by tan(angle/2) := half the angle, as rational."""
+    """Mark the rotations of some parts as rational: tan(angle/2) is replaced by half the angle."""
     kind = action.kind.copy()
     for part in np.flatnonzero(rational):
         own = kind[action.run[part] : action.run[part + 1]]
@@ -147,39 +120,18 @@ def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
 
 
 def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
-    """Return invariants as arrays: the energy of a system first, then the given ones.
+    """Return a `Watch` of the energy of a system, then of the given `Polynomial`, `Quadratic` or `Invariant` by name.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        Its Hamiltonian is the first invariant.
-    invariants : mapping
-        Name -> `Polynomial`, `Quadratic` or `Invariant`. A quadratic one costs what it has nonzero entries.
-
-    Returns
-    -------
-    Compiled
-        With a `Watch`.
+    The cost of a quadratic invariant is proportional to its nonzero entries.
     """
     return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim)
 
 
 def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> Compiled:
-    """Return the same for states with accounts behind their coordinates; then each invariant less its accounts.
+    """Return a `Watch` for states with accounts: energy and invariants as in `watch_tables`, then each less its
+    accounts.
 
-    Parameters
-    ----------
-    system : ForcedSystem
-        Its Hamiltonian is the first invariant.
-    invariants : mapping
-        Name -> `Polynomial`, `Quadratic` or `Invariant`.
-    accounts : sequence of (str, str)
-        For each account the force and the invariant, "energy" or a name.
-
-    Returns
-    -------
-    Compiled
-        With a `Watch`.
+    `accounts` has the force and the invariant ("energy" or a name) of each account, an entry after the coordinates.
     """
     followed = [("energy", system.hamiltonian), *invariants.items()]
     taken = [[system.dim + k for k, (_, which) in enumerate(accounts) if which == name] for name, _ in followed]
@@ -189,21 +141,9 @@ def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequenc
 def invariants_table(
     invariants: Sequence[tuple[str, Any]], size: int, taken: Sequence[Sequence[int]] | None = None
 ) -> Compiled:
-    """Return invariants of points of `size` coordinates as arrays.
+    """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages.
 
-    Parameters
-    ----------
-    invariants : sequence of (str, Hamiltonian, Polynomial or Invariant)
-        Their names, for messages, and what they are.
-    size : int
-        Number of coordinates.
-    taken : sequence of sequence of int, optional
-        For each invariant the places of a state whose numbers are taken off it.
-
-    Returns
-    -------
-    Compiled
-        With a `Watch`.
+    `taken` has for each invariant the indices of entries of a state that are subtracted from it.
     """
     table, first, constant, period, owners = ValueTable(), [0], [], [], {}
 
@@ -250,7 +190,7 @@ def invariants_table(
 
 
 def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:
-    """Return an invariant given as a function as a term of all coordinates."""
+    """Return an `Invariant` as a term that reads all coordinates."""
     timed = takes_time(invariant.value, "an invariant")
     gradient = invariant.gradient or invariant.value
     value = invariant.value

@@ -1,4 +1,4 @@
-"""Tangent vectors beside the states of a compiled loop: what the loop is told, and what it leaves."""
+"""Tables of loops that carry tangent vectors with the state, and their output."""
 
 from __future__ import annotations
 
@@ -18,27 +18,19 @@ from coadjoint.systems.kinds import System
 from coadjoint.systems.terms import FunctionTerm
 
 NUMBERS_OF_A_STRETCH = 3
-"""Lengths multiplied with each other are (high + low) 2^exponent."""
+"""Numbers that store a product of lengths, (high + low) 2^exponent."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Tangent vectors at the start of a run, and after how many steps they are made orthonormal.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (k, n)
-        The vectors, one in each row.
-    every : int
-        Number of steps after which they are made orthonormal.
-    """
+    """Initial tangent vectors (k, n), one per row, and the number of steps between orthonormalizations."""
 
     vectors: NDArray[np.float64]
     every: int
 
 
 class Tangents(NamedTuple):
-    """What the loops read of `carried` tangent vectors in `size` dimensions; see `source/boundary/tables.hpp`."""
+    """Tables for `carried` tangent vectors in `size` dimensions; see `source/boundary/tables.hpp`."""
 
     size: int
     carried: int
@@ -49,14 +41,14 @@ class Tangents(NamedTuple):
 
 
 class FlowTangents(NamedTuple):
-    """A program with tangent vectors."""
+    """Tables of a program with tangent vectors."""
 
     base: FlowTables
     tangents: Tangents
 
 
 class RungeKuttaTangents(NamedTuple):
-    """A Runge-Kutta method with tangent vectors."""
+    """Tables of a Runge-Kutta method with tangent vectors."""
 
     base: RungeKuttaTables
     tangents: Tangents
@@ -66,34 +58,17 @@ LOOPS: Mapping[type, tuple[str, Any]] = {
     FlowTables: ("flow_tangents_advance", FlowTangents),
     RungeKuttaTables: ("runge_kutta_tangents_advance", RungeKuttaTangents),
 }
-"""By the tables of a loop: the loop that carries tangent vectors as well, and its tables."""
+"""Class of the tables of a loop -> the loop that also carries tangent vectors, and the class of its tables."""
 
 
 def with_tangents(
     loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
 ) -> CompiledLoop:
-    """Return the loop that takes the same steps, to the bit, and carries tangent vectors beside the state.
+    """Return a loop that takes the same steps, to the bit, and carries tangent vectors; the group element is not
+    computed.
 
-    Parameters
-    ----------
-    loop : CompiledLoop
-        The loop of a program or of a Runge-Kutta method; it carries no group element.
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    functions : mapping
-        Number of a term of the loop's tables -> the functions of the user that it calls.
-    frame : Frame
-        The vectors.
-
-    Returns
-    -------
-    CompiledLoop
-        The memory of a member ends with what `stretches_in` reads.
-
-    Raises
-    ------
-    TypeError
-        A second derivative is not known, or cannot be compiled.
+    `functions` are the functions of the user by term number. The memory of a member ends with the data of
+    `stretches_in`. Raise TypeError if a second derivative is unknown or cannot be compiled.
     """
     name, kind = LOOPS[type(loop.tables)]
     check_differentiable(system)
@@ -107,13 +82,7 @@ def with_tangents(
 
 
 def check_differentiable(system: System) -> None:
-    """Refuse a system whose field has no known derivative.
-
-    Raises
-    ------
-    TypeError
-        The Hamiltonian has no second derivatives, or J(x) no derivative.
-    """
+    """Raise TypeError if the Hamiltonian has no second derivatives, or J(x) no derivative."""
     if not all(term.differentiable for term in system.hamiltonian.terms()):
         raise TypeError(
             f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} was given without; "
@@ -142,13 +111,13 @@ def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Kept]:
 
 
 def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
-    """Return the tangent vectors (members, count, size) that members remember, before they are finished."""
+    """Return the tangent vectors (members, count, size) stored in the memory of members between calls of the loop."""
     own = memory[:, memory.shape[1] - count * (size + 2 * NUMBERS_OF_A_STRETCH) :]
     return own[:, : count * size].reshape(-1, count, size)
 
 
 def stretches_in(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the logarithms (members, count) of how much each vector was stretched until the last step."""
+    """Return the logarithms (members, count) of the accumulated growth of each vector up to the last step."""
     own = memory[:, memory.shape[1] - count * NUMBERS_OF_A_STRETCH :].reshape(-1, count, NUMBERS_OF_A_STRETCH)
     high, low, exponent = np.moveaxis(own, 2, 0)
     return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))

@@ -1,4 +1,7 @@
-"""exp(t X) before the group elements of a run, X of a Casimir that was taken off the Hamiltonian."""
+"""The factor exp(t X) of a Casimir subtracted from the Hamiltonian in group elements, g = g0 exp(t X) g_shifted(t).
+
+X = -sign rho(grad C(x0)) is constant and linear in the initial momentum.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,15 @@ from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import packer, pointed
 from coadjoint.program.unshift import UnshiftTables
 
-# Products of numbers in one call: between two of them the interpreter hears an interrupt.
+# Multiplications per call; interrupts are handled between calls.
 MOST_PRODUCTS = 2e7
 
 
 class Unshifted(NamedTuple):
-    """What of a run is turned: addresses of its arrays, of `members` members, and which members and points are meant.
+    """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points.
 
-    X acts `rate` times as fast. At the address `elapsed`, where it is not 0, stand the times since the start of each
-    point and member, in place of a schedule.
+    X is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and
+    member, instead of those of a schedule.
     """
 
     momenta: int
@@ -39,21 +42,10 @@ class Unshifted(NamedTuple):
 
 
 class Unshifting:
-    """The tables of one shift, ready to be acted by.
+    """Prepared tables of one shift.
 
-    Parameters
-    ----------
-    tables : UnshiftTables
-        The generator X.
-    rate : float
-        It acts so many times as fast.
-
-    Attributes
-    ----------
-    tables, rate
-        As they were given.
-    most : float
-        A bound of the norm of X, for momenta whose components are at most 1.
+    The generator X of `tables` is multiplied by `rate`. `most` bounds the norm of X for momenta with components of at
+    most 1.
     """
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
@@ -61,7 +53,7 @@ class Unshifting:
         self.tables, self.rate = tables, rate
         self._address, self._packed = ctypes.byref(self._keep), packer(Unshifted)
         self._unshift = kernels().unshift
-        # No X is larger than that times the largest component of the momentum.
+        # The norm of X is at most this times the largest component of the momentum.
         self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
         width = max(np.diff(tables.begin).tolist(), default=0)
         self._products = tables.size**3 + 30 * width**3
@@ -79,21 +71,10 @@ class Unshifting:
     ) -> None:
         """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
 
-        Parameters
-        ----------
-        out : ndarray, shape (k, members, d, d)
-            C-contiguous, as the other arrays.
-        held : int
-            Where the elements of the shifted run, started at the unit element, stand in memory: (k, members, d*d) of
-            them, transposed.
-        momenta, initial : ndarray, shape (members, n) and (members, d, d)
-            The start; the elements at step 0 are `initial`, to the bit.
-        first, last : int
-            Members.
-        schedule : bytes
-            The steps of the run, from `schedule_of`.
-        elapsed : ndarray, shape (k, members), optional
-            Times since the start, in place of those of the steps.
+        `held` is the address of the transposed elements (k, members, d*d) of the shifted run, started at the unit
+        element. `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal `initial`
+        to the bit. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays are
+        C-contiguous.
         """
         x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
         points, members = out.shape[:2]
@@ -101,6 +82,6 @@ class Unshifting:
         size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
         for k in range(0, points, size):
             stop = min(k + size, points)
-            # The table as plain bytes: a tenth of the time that a structure takes.
+            # Packed bytes take a tenth of the time of a ctypes structure.
             numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate, since
             self._unshift(self._address, self._packed(*numbers), schedule)

@@ -1,4 +1,4 @@
-"""Tables of members that differ in their constants alone: one set of tables for all of them, the member index last."""
+"""Tables of members that differ in their constants only: one shared set of tables, with the member index last."""
 
 from __future__ import annotations
 
@@ -23,28 +23,10 @@ def _fields(tables: Any) -> Sequence[str]:
 
 
 def structure_of(tables: Any) -> Hashable:
-    """Return everything in tables but their constants: two members with equal structure can share one set of tables.
+    """Return everything in tables except their constants: members of equal structure can share one set of tables.
 
-    Constants are the arrays that the kernels call `constants`, and the `addresses` of functions; of those the shape and
-    which addresses are zero is structure.
-
-    Parameters
-    ----------
-    tables : NamedTuple
-        Of arrays, numbers, compiled functions, and further such tuples.
-
-    Returns
-    -------
-    hashable
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from coadjoint.kernels.field import GroupField
-    >>> index = np.zeros(1, dtype=np.uint32)
-    >>> one, other = (GroupField(1, 1, index, index, index, np.array([value])) for value in (1.0, 2.0))
-    >>> structure_of(one) == structure_of(other)
-    True
+    Constants are the arrays that the kernels call `constants`, and the `addresses` of functions; only the shape of
+    constants, and which addresses are zero, belong to the structure.
     """
     if isinstance(tables, np.ndarray):
         return tables.dtype.char, tables.shape, tables.tobytes()
@@ -60,27 +42,11 @@ def _shape_of(item: Any) -> Hashable:
 
 
 def stacked(members: Sequence[Tables]) -> Tables:
-    """Return one set of tables for members of equal structure.
+    """Return one set of tables for a nonempty sequence of members of equal `structure_of`.
 
-    Parameters
-    ----------
-    members : sequence of NamedTuple
-        Of equal `structure_of`; not empty.
-
-    Returns
-    -------
-    NamedTuple
-        The integers and functions of the first member; every array of constants (count,) has become (count, columns),
-        C-contiguous, a column for each member and the last one repeated up to a multiple of the limit
-        LARGEST_CROWD: lanes may read beyond the last member.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from coadjoint.kernels.field import GroupField
-    >>> index = np.zeros(1, dtype=np.uint32)
-    >>> stacked([GroupField(1, 1, index, index, index, np.array([value])) for value in (1.0, 2.0)])[-1][:, :3]
-    array([[1., 2., 2.]])
+    Integers and functions are those of the first member. Each array of constants (count,) becomes (count, columns),
+    C-contiguous, one column per member; the last column is repeated up to a multiple of the limit LARGEST_CROWD, since
+    lanes may read beyond the last member.
     """
     first = members[0]
     columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)

@@ -1,4 +1,4 @@
-"""Saving every k-th step and watching every one: the same for all families of schemes."""
+"""Tables of saved steps and watched invariants, common to all families of schemes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from coadjoint.program.term_table import Terms
 
 
 class Watch(NamedTuple):
-    """The invariants that are followed: I of them, each a constant plus a sum of terms.
+    """The watched invariants: I of them, each a constant plus a sum of terms.
 
     Invariant i has the terms first[i] to first[i + 1]. A positive period[i] marks a multivalued one (a logarithm with
-    an angle), which is unwrapped by whole periods along the run. `longest` is the most arguments that a function takes.
+    an angle), which is unwrapped by whole periods along the run. `longest` is the largest number of arguments of a
+    function.
     """
 
     size: int
@@ -30,13 +31,11 @@ class Watch(NamedTuple):
 
 
 class Schedule(NamedTuple):
-    """Which steps there are, and after which of them something is looked at; `passed` saved ones lie behind.
+    """The steps of a run, and those after which states are saved or invariants computed; `passed` points were saved
+    before.
 
-    Saved are the steps at the address `marks`, `marked` of them, ascending; where it is 0, every `save_every`-th and
-    the last.
-
-    At the addresses `starts` and `lengths`, where they are not 0, each member has the start and the length of the one
-    step that it takes.
+    Saved are the `marked` steps at the address `marks`, ascending; if it is 0, every `save_every`-th step and the last.
+    `starts` and `lengths`, if not 0, are addresses of the start and length of the one step of each member.
     `events` is the address of `EventTables`, or 0.
     """
 
@@ -63,7 +62,7 @@ def schedule_of(
     marks: NDArray[np.int64] | None = None,
     events: int = 0,
 ) -> bytes:
-    """Return a `Schedule` as the loops take it; marks and events must live as long."""
+    """Return a `Schedule` as bytes for the loops; the arrays of marks and events must live as long."""
     marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
     return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events)
 
@@ -72,16 +71,16 @@ AFTER_ONE = np.array([1], dtype=np.int64)
 
 
 def schedule_of_parts(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
-    """Return a `Schedule` by which every member takes one step of its own and saves what comes of it.
+    """Return a `Schedule` as bytes in which each member takes one step of its own and saves the result.
 
-    The run does not end with it, so that no energy is asked for. The arrays must live as long.
+    The run does not end with this step, so that no energy is computed. The arrays must live as long.
     """
     places = (AFTER_ONE.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
     return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *places, 0)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill out (K, members, I) with functions at the saved points (K, members, n), at K times."""
+    """Fill out (K, members, I) with invariants at the saved points (K, members, n) and K times."""
     x, t = np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(times, dtype=np.float64)
     table = pointed(watch)
     kernels().watch_values(

@@ -1,6 +1,6 @@
-"""The numerical schemes. Each is a small frozen dataclass with its parameters and what it declares to keep.
+"""The numerical schemes: base classes for user-defined schemes, and the registry of schemes by name.
 
-Here are the base classes that a scheme of your own derives from, and the registry of schemes by name.
+Each scheme is a frozen dataclass with its parameters and a declaration of what it keeps.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from coadjoint.program.sweeps import Sweep as Sweep
 
 
-if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+if not TYPE_CHECKING:  # type checkers see the names above and report any other
 
     def __getattr__(name: str) -> Any:
         if name not in _HOME:

@@ -1,4 +1,4 @@
-"""Which group element can a scheme carry on a system?"""
+"""Validation of the group element that a scheme integrates with the momentum of a system."""
 
 from __future__ import annotations
 
@@ -14,31 +14,12 @@ from coadjoint.systems.kinds import System
 
 
 def check_attitude(method: Method, system: System, representation: Any) -> None:
-    """Refuse a group element that the scheme cannot keep.
+    """Raise ValueError if the scheme cannot keep the group element in this representation, "coadjoint" or (n, d, d).
 
-    Gauss methods keep quadratic invariants: the group is kept where it is that of a bilinear form, rho_i^T P + P rho_i
-    = 0, and the spatial momentum is constant where it is bilinear in g and x, which takes a T of full rank with T rho_i
-    = D_(e_i) T (then K T = T g, K the coadjoint matrix). So the rotation matrices of so(3) are carried; those of so(n),
-    n >= 4, are not: there the spatial momentum is g X g^T, quadratic in g.
-
-    Parameters
-    ----------
-    method : Method
-        The scheme.
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    representation : "coadjoint" or (n, d, d) array
-        What is to be carried.
-
-    Raises
-    ------
-    ValueError
-        In one sentence: what cannot be kept, and what would be right.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> check_attitude(co.GaussLegendre(2), co.systems.rigid_body((1, 2, 3)), "coadjoint")
+    Gauss methods keep quadratic invariants. They keep the group if it is that of a bilinear form, rho_i^T P + P rho_i =
+    0, and the spatial momentum if it is bilinear in g and x, which requires a T of full rank with T rho_i = D_(e_i) T
+    (then K T = T g, K the coadjoint matrix). This holds for the rotation matrices of so(3), not for those of so(n), n
+    >= 4, where the spatial momentum g X g^T is quadratic in g.
     """
     kind = declared_by(method, system).attitude
     scheme = type(method).__name__

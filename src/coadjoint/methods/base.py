@@ -1,4 +1,4 @@
-"""What every scheme is: the protocol that all of them follow."""
+"""The base class of all schemes, which defines their protocol."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Representation = NDArray[np.float64] | str | None
 
 
 class Finer(NamedTuple):
-    """A scheme and a number of steps that are more accurate than others, and how much of their error is left."""
+    """A more accurate scheme and number of steps, and the fraction of the original error that is left."""
 
     method: Method
     steps: int
@@ -44,45 +44,45 @@ NO_ERROR_CONTROL = (
     "integrate accuracy=, which finds a constant step, or take Taylor(tolerance=...), or "
     "ReversibleSteps(Splitting(...)), whose steps follow the motion reversibly"
 )
-OWN_LOOKS = 240  # points that tell the size of a motion on the way, of a scheme with steps of its own
-FEW_STEPS = 20  # of so few the error need not follow the order; a finer run has more
-BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
+OWN_LOOKS = 240  # sampled points to find the size of a motion, for schemes that choose their own steps
+FEW_STEPS = 20  # with fewer steps the error may not scale with the order; a finer run takes at least this many more
+BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 LONGEST = 200  # characters of a parameter in a message
 
 
 class Method(ABC):
     """A scheme: what it keeps, its compiled loop, its step in Python, its tangent, and its cost.
 
-    Families implement that from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step (`StepMethod`,
-    `CompiledStepMethod`): a scheme of your own derives from one of them. All that runs, chooses or judges schemes talks
-    to this protocol.
+    Families implement this protocol from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step
+    (`StepMethod`, `CompiledStepMethod`); a user-defined scheme derives from one of them. All code that runs, chooses or
+    tests schemes uses this protocol only.
     """
 
     def __new__(cls, *given: Any, **named: Any) -> Self:
-        """Refuse by name the tolerance of a scheme that has none."""
+        """Raise TypeError for a tolerance that the scheme does not have, and for unknown parameters."""
         for name in ERROR_CONTROL.intersection(named):
             if name not in getattr(cls, "__dataclass_fields__", {}):
                 raise TypeError(f"{cls.__name__} has no {name}: {NO_ERROR_CONTROL}")
         for name in named.keys() - getattr(cls, "__dataclass_fields__", {}).keys():
-            taken = signature(cls.__init__).parameters  # a class may have a constructor of its own
+            taken = signature(cls.__init__).parameters  # a class may define its own constructor
             if name not in taken and not any(one.kind is Parameter.VAR_KEYWORD for one in taken.values()):
                 raise unknown_keyword(cls.__name__, name, list(taken)[1:])
         return super().__new__(cls)
 
     failures: ClassVar[Mapping[str, str]] = {}
-    """What statuses of a step, by name, mean other than the common ones (no convergence, overflow), for messages."""
+    """Messages for statuses of a step, by name, other than the common ones (no convergence, overflow)."""
 
     largest: ClassVar[float] = np.inf
-    """The dimension up to which the scheme is considered where none was asked for."""
+    """Largest dimension for which the scheme is considered if none was requested."""
 
     tables_of_any_step: ClassVar[bool] = False
-    """Whether what `loop` returns without a group element is the same for every step."""
+    """Whether the result of `loop` without a group element does not depend on the step."""
 
     compensates: ClassVar[bool] = True
-    """Whether what an update of the momentum rounds away is kept for the next one."""
+    """Whether the momentum is updated by compensated sums."""
 
     def __str__(self) -> str:
-        """Return the scheme with the parameters that are not its defaults, and its order or stages."""
+        """Return the scheme with its non-default parameters, and its order or stages."""
         if not is_dataclass(self):
             return repr(self)
         shown = []
@@ -111,16 +111,16 @@ class Method(ABC):
     """Whether the registry lists the scheme."""
 
     instead: ClassVar[str] = ""
-    """Where the scheme is not symmetric: what to compose in place of it, for messages."""
+    """For a scheme that is not symmetric: the scheme to compose instead, for messages."""
 
     @property
     def own_steps(self) -> bool:
-        """Whether it chooses its own steps; the step of a run is then the distance of points that can be saved."""
+        """Whether the scheme chooses its own steps; the step of a run is then the distance of possible saved points."""
         return False
 
     @abstractmethod
     def properties(self, system: System) -> Properties:
-        """Return what the scheme keeps on a system; raise an error for a system that it cannot run.
+        """Return what the scheme keeps on a system; raise an error for a system that it cannot integrate.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class Method(ABC):
         Returns
         -------
         Properties
-            The declaration, which the verification tests hold it to.
+            The declaration, which the verification tests check.
 
         Raises
         ------
@@ -149,12 +149,12 @@ class Method(ABC):
         Returns
         -------
         Method
-            `Composition` is the scheme that checks them, and has a name.
+            `Composition` is the public scheme, which validates them.
         """
         raise TypeError(f"{self} cannot be composed")
 
     def symmetrized(self) -> Method:
-        """Return the scheme of a half step of this one and a half step of its adjoint: symmetric, of even order.
+        """Return half a step of this scheme followed by half a step of its adjoint: a symmetric scheme of even order.
 
         Returns
         -------
@@ -182,7 +182,7 @@ class Method(ABC):
         h : float
             The step, negative for backward.
         representation : ndarray of shape (n, d, d), "coadjoint", or None
-            What a group element is carried in.
+            Representation in which the group element is computed; None for no group element.
 
         Returns
         -------
@@ -201,7 +201,7 @@ class Method(ABC):
 
     @abstractmethod
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the compiled loop for a system that the scheme can run; parameters are those of `loop`."""
+        """Return the compiled loop for a system that the scheme can integrate; parameters are those of `loop`."""
 
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
@@ -212,7 +212,7 @@ class Method(ABC):
         system : LiePoissonSystem or PoissonSystem
             The system.
         x : (n,) array
-            The state: floats, or objects such as ``mpmath.mpf``, in whose precision everything is then computed.
+            The state: floats, or objects such as ``mpmath.mpf``, whose precision is then used throughout.
         t, h : number
             Time at the start, and length of the step.
 
@@ -250,7 +250,7 @@ class Method(ABC):
         """
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        """Return the derivative of a step on tangent vectors (n, k), where that is cheaper than all of it.
+        """Return the derivative of a step applied to tangent vectors (n, k), if cheaper than the whole derivative.
 
         Parameters
         ----------
@@ -262,17 +262,17 @@ class Method(ABC):
         Returns
         -------
         (n, k) array
-            After the step.
+            The vectors after the step.
 
         Raises
         ------
         TypeError, IntegrationError
-            As `tangent` does.
+            As for `tangent`.
         """
         return np.asarray(self.tangent(system, x, t, h)[1] @ vectors)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return how `tangent` finds the derivative: by its "formula", by "complex step" or by "differences".
+        """Return how `tangent` computes the derivative: by "formula", "complex step" or "differences".
 
         Parameters
         ----------
@@ -282,12 +282,12 @@ class Method(ABC):
         Returns
         -------
         str
-            The first two are exact to round-off; differences have some nine digits.
+            The first two are exact to round-off; differences have about nine digits.
         """
         return "formula"
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop that carries tangent vectors beside the state. The bits of the state do not depend on them.
+        """Return the loop that carries tangent vectors with the state, whose bits do not depend on them.
 
         Parameters
         ----------
@@ -301,7 +301,7 @@ class Method(ABC):
         Returns
         -------
         CompiledLoop or None
-            None where there is no such loop: `tangent` is then called for every step.
+            None if there is no such loop: `tangent` is then called for every step.
 
         Raises
         ------
@@ -316,7 +316,7 @@ class Method(ABC):
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
-            The system; its field is a polynomial.
+            The system, with a polynomial vector field.
         x : (n,) array of FormalNumber
             The state.
         h : FormalNumber
@@ -329,26 +329,26 @@ class Method(ABC):
         Raises
         ------
         TypeError
-            The step is no such series, or no way to find the series is known.
+            The step is no power series, or no way to compute the series is known.
         """
         raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
 
     @property
     def known_to(self) -> float:
-        """Relative error of the coefficients that `formal_step` has; 0 where they are exact."""
+        """Relative error of the coefficients of `formal_step`; 0 if they are exact."""
         return 0.0
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
-        """Return the table of exact flows of which a step consists.
+        """Return the table of exact flows that make up a step.
 
         Parameters
         ----------
         system : LiePoissonSystem
             The system.
         group : ndarray of shape (n, d, d), "coadjoint", or None
-            The representation that a group element is carried in.
+            Representation in which the group element is computed; None for no group element.
         number : callable
-            Number type: `float`, or for instance `mpmath.mpf` for the plain reading.
+            Number type: `float`, or for instance `mpmath.mpf` for evaluation in Python.
 
         Returns
         -------
@@ -357,7 +357,7 @@ class Method(ABC):
         Raises
         ------
         TypeError
-            The scheme is not made of flows.
+            The scheme does not consist of flows.
         """
         raise TypeError(f"{self} is not made of exact flows, so it has no program; Splitting has one")
 
@@ -367,12 +367,12 @@ class Method(ABC):
         Returns
         -------
         Swept
-            What `coadjoint.program` makes its table from: sweeps, processor, parts and rotation.
+            Sweeps, processor, parts and rotation, from which `coadjoint.program` builds its table.
 
         Raises
         ------
         TypeError
-            The scheme is not made of flows.
+            The scheme does not consist of flows.
         """
         raise TypeError(f"{self} is not made of exact flows of parts, as Splitting is")
 
@@ -385,7 +385,7 @@ class Method(ABC):
         system : LiePoissonSystem or PoissonSystem
             The system.
         group : ndarray of shape (n, d, d), "coadjoint", or None
-            What a group element is carried in.
+            Representation in which the group element is computed; None for no group element.
 
         Returns
         -------
@@ -393,26 +393,26 @@ class Method(ABC):
         """
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the same scheme with everything that it chooses for a system written out, such as its parts.
+        """Return the same scheme with all automatic choices for a system fixed, such as its parts.
 
-        Systems that differ in some coefficients of the linear term of H alone then have tables of one structure.
+        Systems that differ only in some coefficients of the linear term of H then have tables of one structure.
 
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
             The system.
         coordinates : sequence of int
-            Of the coefficients.
+            Coordinates of the coefficients that differ.
 
         Returns
         -------
         Method
-            The scheme itself, where it chooses nothing.
+            The scheme itself, if it has no automatic choices.
 
         Raises
         ------
         TypeError, ValueError
-            What it chooses cannot be written out.
+            A choice cannot be fixed.
         """
         return self
 
@@ -432,19 +432,19 @@ class Method(ABC):
         return None
 
     def finer(self, steps: int, times: float) -> Finer:
-        """Return the scheme and number of steps of a more accurate run, with which the error of a run is estimated.
+        """Return the scheme and number of steps of a more accurate run, for an estimate of the error of a run.
 
         Parameters
         ----------
         steps : int
-            Of the run; at least 1.
+            Number of steps of the run, at least 1.
         times : float
-            How many times as many there shall be, or how much shorter they are where the scheme takes its own.
+            Factor by which the number of steps grows, or by which steps shrink if the scheme chooses its own.
 
         Returns
         -------
         Finer
-            Its `left` is the part of the error that is left by the order.
+            Its `left` is the fraction of the error that is left according to the order.
         """
         count = math.ceil(times * (steps + FEW_STEPS))
         return Finer(self, count, (steps / count) ** self.order)
@@ -457,12 +457,12 @@ class Method(ABC):
         system : LiePoissonSystem or PoissonSystem
             The system.
         tolerance : float
-            Wanted error of a step, relative to the largest momentum so far.
+            Error of a step, relative to the largest momentum so far.
 
         Returns
         -------
         Method
-            Of the order with which that takes the least work.
+            The scheme, with the order of least work.
 
         Raises
         ------
@@ -472,7 +472,7 @@ class Method(ABC):
         raise TypeError(f"{self} has no tolerance that could be chosen for an accuracy; give step= in its place")
 
     def with_compensation(self) -> Method | None:
-        """Return the same scheme with compensated sums, where that was left open; else None."""
+        """Return the same scheme with compensated sums, if that choice was left open; else None."""
         return None
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
@@ -480,17 +480,17 @@ class Method(ABC):
         return False
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Prepare for many systems at once what `loop` would prepare for each; nothing by default."""
+        """Prepare jointly for many systems what `loop` would prepare for each; nothing by default."""
         return
 
     @classmethod
     def examples(cls) -> Sequence[Method]:
-        """Return schemes of this kind for the tests, which together use everything that the kind can do."""
+        """Return schemes of this class for the tests; together they cover all its features."""
         return [cls()]
 
 
 def declared_by(method: Method, system: System) -> Properties:
-    """Return what a scheme says of itself on a system, if it says anything."""
+    """Return what a scheme declares to keep on a system; raise TypeError if it returns anything but `Properties`."""
     said = method.properties(system)
     if not isinstance(said, Properties):
         raise TypeError(

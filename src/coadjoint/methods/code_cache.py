@@ -1,4 +1,4 @@
-"""The user's cache of compiled steps: libraries are loaded from it only if no other user can have written them."""
+"""The user's cache of compiled steps: libraries are loaded only if no other user can have written them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,10 @@ from coadjoint.private_folders import OTHERS_WRITE, check_private, private_folde
 
 
 def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
-    """Load a library from the cache, and build it first where it is missing or damaged.
+    """Load a library from the cache, after `build` has written it there if it is missing or damaged.
 
-    Where the cache cannot be used, warn, and build it in a temporary folder. `build` writes a file, and does not raise
-    an OSError.
-
-    Raises
-    ------
-    OSError
-        The library cannot be loaded.
+    If the cache cannot be used, warn, and build in a temporary folder. `build` must not raise OSError; OSError means
+    that the library cannot be loaded.
     """
     try:
         folder = _cache_folder()
@@ -49,12 +44,12 @@ def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
 
 
 def _name_of(name: str, content: bytes) -> str:
-    """Return the name of a file, which depends on its content: loading a damaged one would end the process."""
+    """Return a file name that contains a digest of the content: loading a damaged library would crash the process."""
     return f"{name}-{hashlib.sha256(content).hexdigest()[:32]}.so"
 
 
 def _cache_folder() -> Path:
-    """Return the folder, made if it is missing; no other user can change or replace what is in it."""
+    """Return the cache folder, created if missing; no other user can change or replace its contents."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     # A relative path is ignored, as the XDG Base Directory Specification requires.
     base = Path(given) if os.path.isabs(given) else _home() / ".cache"
@@ -77,24 +72,23 @@ def _home() -> Path:
 
 
 def _stored(folder: Path, name: str) -> Path | None:
-    """Return the library of this name, if there is one that is not damaged; a damaged one is removed.
+    """Return the undamaged library of this name, or None; damaged ones are removed.
 
-    Raises
-    ------
-    PermissionError
-        Another user can have written it.
+    Raise PermissionError if another user can have written it.
     """
     for path in sorted(folder.iterdir()):
         if path.name.startswith(f"{name}-"):
             if path.name == _name_of(name, _own_content(path)):
-                # Its name is safe to load by: in a private folder nobody else can put another file in its place.
+                # Loading by name is safe: in a private folder nobody else can replace the file.
                 return path
             path.unlink(missing_ok=True)
     return None
 
 
 def _own_content(path: Path) -> bytes:
-    """Return the content of a file, which must belong to this user and be writable by nobody else."""
+    """Return the content of a file; raise PermissionError unless it belongs to this user and only this user can write
+    it.
+    """
     with open(path, "rb", opener=_without_links) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & OTHERS_WRITE:
@@ -109,7 +103,7 @@ def _without_links(path: str, flags: int) -> int:
 
 
 def _settled(path: Path) -> bytes:
-    """Let a new file be on the disk, writable by its owner alone, whatever the umask is; return its content."""
+    """Flush a new file to disk, writable by its owner only whatever the umask; return its content."""
     path.chmod(0o600)
     with open(path, "rb") as file:
         os.fsync(file.fileno())

@@ -1,4 +1,4 @@
-"""Commutator-free Lie group methods: exponentials of gradients, which move along the coadjoint orbit."""
+"""Commutator-free Lie group methods: exponentials of gradients, which act along the coadjoint orbit."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
-DEGREE = 10  # of the series of an exponential, about, in steps that are worth taking
+DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
 
 class Exponentials(NamedTuple):
-    """A scheme: in which order states are moved, each by the exponential of a combination of the gradients before it.
+    """Coefficients of a scheme whose stages are exponentials of combinations of the previous gradients.
 
-    Stage i + 1 is stage `stages[i][0]`, moved with the coefficients `stages[i][1]`; the new state is the old one, moved
-    with each of `out`, in this order.
+    Stage i + 1 is stage `stages[i][0]`, transformed by the combination `stages[i][1]`; the new state is the old one,
+    transformed by each combination in `out`, in this order.
     """
 
     stages: list[tuple[int, list[Fraction]]]
@@ -40,7 +40,7 @@ class Exponentials(NamedTuple):
 
     @property
     def nodes(self) -> list[Fraction]:
-        """When each stage is, in units of the step."""
+        """Time of each stage, in units of the step."""
         found = [Fraction(0)]
         for start, combination in self.stages:
             found.append(found[start] + sum(combination))
@@ -59,20 +59,20 @@ SCHEMES = {
         [_over(12, 3, 2, 2, -1), _over(12, -1, 2, 2, 3)],
     ),
 }
-"""By order: the midpoint, Heun's third and the classical Runge-Kutta method, on a group."""
+"""Order -> the midpoint, Heun's third-order and the classical Runge-Kutta method, on a group."""
 
 
 @dataclass(frozen=True)
 class CommutatorFree(CompiledStepMethod):
     """Commutator-free Lie group method: explicit, stays on the coadjoint orbit, keeps every Casimir; no Poisson map.
 
-    A step moves the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages that
-    are reached in the same way: two of them for order 2, four for order 3, five for order 4. So it never leaves the
-    coadjoint orbit, and it carries the group element that it computes, in every representation. It serves every Lie
-    algebra and every Hamiltonian, also where H has no exact flows; and every `MatrixSystem`, whose W it moves to
-    ``U W U^-1``, U the exponential of a combination of stream matrices, so that the whole spectrum is kept. The bracket
-    and the energy are not kept. It is what the literature compares with: for long runs take `Splitting`, or
-    `IsospectralGauss` for matrices, whose energy does not drift, for accuracy `Taylor`.
+    A step transforms the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages
+    that are computed in the same way: two exponentials for order 2, four for order 3, five for order 4. The momentum
+    therefore never leaves the coadjoint orbit, and the group element is computed in every representation. The scheme
+    supports every Lie algebra and every Hamiltonian, including those without exact flows, and every `MatrixSystem`,
+    whose W becomes ``U W U^-1``, U the exponential of a combination of stream matrices, so that the whole spectrum is
+    kept. The bracket and the energy are not kept. It serves for comparison with the literature: for long runs choose
+    `Splitting`, or `IsospectralGauss` for matrices, whose energy does not drift; for accuracy choose `Taylor`.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ class CommutatorFree(CompiledStepMethod):
     Raises
     ------
     ValueError
-        `order` is no whole number from 2 to 4.
+        `order` is not an integer from 2 to 4.
 
     Notes
     -----
-    An exponential is the series of the sparse D_k, or of commutators with a matrix, in so many substeps that each turns
-    by less than 1, up to a degree that leaves nothing but rounding; 4096 substeps at most.
+    An exponential is the series of the sparse D_k, or of commutators with a matrix, in substeps of norm at most 1 (at
+    most 4096 of them), up to the degree at which the remainder is below rounding.
 
     References
     ----------
@@ -113,12 +113,12 @@ class CommutatorFree(CompiledStepMethod):
         object.__setattr__(self, "order", read_whole(self.order, "order of CommutatorFree", 2, 4))
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the coadjoint orbit, with every Casimir.
+        """Return the properties: the coadjoint orbit is kept, with every Casimir.
 
         Raises
         ------
         ValueError
-            There is no Lie algebra, and so no orbit.
+            The system has no Lie algebra, and therefore no orbits.
         """
         vectors = isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit)
         attitude = "every representation" if vectors else "none"
@@ -131,11 +131,11 @@ class CommutatorFree(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """The step in ``commutator_free.cpp``."""
+        """Name of the step in ``commutator_free.cpp``."""
         return "commutator_free"
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return how many stages there are; and how many exponentials at the end, when stages are, and all moves."""
+        """Return the number of stages; and the number of final exponentials, the nodes, and all combinations."""
         scheme = SCHEMES[self.order]
         stages = len(scheme.stages) + 1
         moves = [*scheme.stages, *((0, combination) for combination in scheme.out)]
@@ -157,7 +157,7 @@ class CommutatorFree(CompiledStepMethod):
         return CompiledLoop(STEP_LOOP, found.tables, found.keep)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step in NumPy, of vectors of any number type but fractions, or of a matrix or its numbers."""
+        """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
             return self._moved(orbit, x, t, h, None)[0]
@@ -166,9 +166,9 @@ class CommutatorFree(CompiledStepMethod):
         return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative, that of its series: of a matrix, of its projection on the algebra.
+        """Return one step and the derivative of its series; for matrices, that of the projection on the algebra.
 
-        A stream that is a function is differentiated by differences.
+        A stream given as a function is differentiated by differences.
         """
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
@@ -179,7 +179,7 @@ class CommutatorFree(CompiledStepMethod):
         return matrices.to_vector(end), matrices.to_vector(changes).T
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return that of a formula, but for matrices whose stream is a function."""
+        """Return "formula", except for matrices with a stream given as a function."""
         return orbit_of(system, "CommutatorFree").bent_by
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
@@ -191,7 +191,7 @@ class CommutatorFree(CompiledStepMethod):
     def _moved(
         self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
     ) -> tuple[NDArray[Any], Any]:
-        """Return the new state and its derivative, where that of x is given."""
+        """Return the new state, and its derivative if that of x is given."""
         scheme, point = SCHEMES[self.order], np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
         states: list[Any] = [(point if point.dtype.kind == "c" else array_of(number, point), tangent)]
@@ -221,7 +221,7 @@ class CommutatorFree(CompiledStepMethod):
 
 
 def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:
-    """Return h times a combination of gradients, and of their derivatives, where they are known."""
+    """Return h times a combination of gradients, and of their derivatives if they are known."""
     parts = [(h * a.numerator / a.denominator, k) for a, k in zip(combination, gradients, strict=False) if a]
     k = sum(factor * gradient for factor, (gradient, _) in parts)
     return k, None if gradients[0][1] is None else sum(factor * bend for factor, (_, bend) in parts)
@@ -234,7 +234,7 @@ def moved(
     number: Number,
     degree: int | None,
 ) -> tuple[NDArray[Any], Any]:
-    """Return exp(D) y and its derivative, by substeps of a series, up to a degree where one is given."""
+    """Return exp(D) y and its derivative, by substeps of a series, which ends at `degree` if given."""
     (y, dy), D = state, orbit.generator(*combination)
     substeps = 1
     if degree is None:
@@ -242,7 +242,7 @@ def moved(
     for _ in range(substeps):
         total, spread = y, dy
         for power in range(degree, 0, -1):
-            # y + (1/power) D total, and its derivative
+            # Horner's scheme: y + (1/power) D total, and its derivative
             if dy is not None:
                 spread = dy + D.change(total, spread) / (power * substeps)
             total = y + D.image(total) / (power * substeps)
@@ -251,7 +251,9 @@ def moved(
 
 
 def extent(norm: float, unit: Any) -> tuple[int, int]:
-    """Return how many substeps an exponential takes, each of a norm up to 1, and the degree that leaves rounding."""
+    """Return the number of substeps of an exponential, each of norm at most 1, and the degree with a remainder below
+    rounding.
+    """
     from coadjoint.kernels.description import limit
 
     if unit == 0:

@@ -1,4 +1,4 @@
-"""Compiled steps: schemes that are neither compositions of flows nor Runge-Kutta methods, and bring a step in C++."""
+"""Base class of schemes with a step in C++, which are neither compositions of flows nor Runge-Kutta methods."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 class CompiledStepMethod(SteppedMethod):
     """A scheme with a step in C++, and the same step in NumPy.
 
-    The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which says what it is given. It stands beside
-    the Python file of the scheme, or anywhere, and is then compiled by `compile_step`.
+    The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which documents its inputs. It is in the
+    folder of the Python file of the scheme, or anywhere else if it is compiled by `compile_step`.
     """
 
     @property
     @abstractmethod
     def compiled_step(self) -> Any:
-        """The name that a C++ file of the library gives to its step by ``STEP_SCHEME``, or what `compile_step` gave."""
+        """Name that a C++ file of the library gives to its step by ``STEP_SCHEME``, or the result of `compile_step`."""
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the whole numbers and the coefficients that the compiled step reads; none by default.
+        """Return the integers and the coefficients that the compiled step reads; none by default.
 
         Returns
         -------
@@ -37,7 +37,7 @@ class CompiledStepMethod(SteppedMethod):
         return [], []
 
     def operations(self, system: System) -> Operations | None:
-        """Return what a step does; None for a scheme that iterates, whose work is counted by its evaluations.
+        """Return the operations of a step; None for a scheme that iterates, whose work is counted in evaluations.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class CompiledStepMethod(SteppedMethod):
         return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of what a step does, or of its iterations."""
+        """Return the work of the operations of a step, or of its iterations."""
         from coadjoint.methods.work import work_of_iterations, work_of_operations
 
         operations = self.operations(system)

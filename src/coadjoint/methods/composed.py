@@ -1,4 +1,4 @@
-"""A scheme at several fractions of a step, as each family takes them."""
+"""A scheme at several fractions of a step: common base, and one class for each family."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Composed(Method):
-    """A base at fractions of the step: what it keeps is what the base keeps."""
+    """A base scheme at fractions of the step; it keeps what the base keeps."""
 
     base: Method
     coefficients: tuple[float, ...]
@@ -44,7 +44,7 @@ class Composed(Method):
 
     @property
     def explicit(self) -> bool:
-        """As the base is."""
+        """As for the base."""
         return self.base.explicit
 
     @property
@@ -54,31 +54,31 @@ class Composed(Method):
 
     @property
     def largest(self) -> float:  # type: ignore[override]
-        """As the base."""
+        """As for the base."""
         return self.base.largest
 
     @property
     def compensates(self) -> bool:  # type: ignore[override]
-        """As the base does."""
+        """As for the base."""
         return self.base.compensates
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """The fractions of the step of all substeps, compositions in the base multiplied out."""
+        """Fractions of all substeps, with compositions in the base multiplied out."""
         return tuple(c * f for c in self.coefficients for f in self.base.fractions)
 
     @property
     def known_to(self) -> float:
-        """The larger error of two, of the base and of the fractions, which are exact where they are short."""
+        """The larger of two errors: that of the base, and that of the fractions, which are exact if they are short."""
         own = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
         return max(own, self.base.known_to)
 
     def properties(self, system: System) -> Properties:
-        """Return what the base keeps; a composition keeps the same."""
+        """Return the properties of the base, which a composition shares."""
         return self.base.properties(system)
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return what the base restores."""
+        """Return those of the base."""
         return self.base.restored(system)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
@@ -91,19 +91,19 @@ class Composed(Method):
 
 
 def with_compensated_base(method: Any) -> Any:
-    """Return a scheme, a dataclass, around its compensated base; None if the base has no such choice left."""
+    """Return a scheme, a dataclass, with its base compensated; None if the base has no such choice left."""
     base = method.base.with_compensation()
     return None if base is None else replace(method, base=base)
 
 
 def with_settled_base(method: Any, system: System, coordinates: Sequence[int]) -> Any:
-    """Return a scheme, a dataclass, around its base with what the base chooses for a system written out."""
+    """Return a scheme, a dataclass, with the automatic choices of its base for a system fixed."""
     base = method.base.settled(system, coordinates)
     return method if base is method.base else replace(method, base=base)
 
 
 class FlowsOfBase(FlowMethod):
-    """Flows of the parts of another scheme."""
+    """A flow method with the parts of another one."""
 
     base: FlowMethod
 
@@ -119,17 +119,17 @@ class FlowsOfBase(FlowMethod):
 
     @property
     def compensated(self) -> bool | None:
-        """As the base."""
+        """As for the base."""
         return self.base.compensated
 
     @property
     def rotation(self) -> str:
-        """As the base."""
+        """As for the base."""
         return self.base.rotation
 
     @property
     def largest(self) -> float:  # type: ignore[override]
-        """As the base."""
+        """As for the base."""
         return self.base.largest
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
@@ -165,7 +165,7 @@ class ComposedFlows(Composed, FlowsOfBase):
 
 @dataclass(frozen=True)
 class Substeps(Composed):
-    """The step of the base, several times."""
+    """The step of the base, repeated at each fraction."""
 
     offered = False
 
@@ -173,7 +173,7 @@ class Substeps(Composed):
     coefficients: tuple[float, ...]
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the products of both fractions as substeps."""
+        """Return substeps with the products of both sets of fractions."""
         return Substeps(self.base, tuple(c * f for c in coefficients for f in self.coefficients))
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
@@ -206,5 +206,5 @@ class Substeps(Composed):
         return self.base.work_of_substeps(system, group, len(self.coefficients))
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether the base needed it."""
+        """Return whether the base needed Newton's method."""
         return self.base.took_newton(memory)

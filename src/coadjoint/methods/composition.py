@@ -28,27 +28,27 @@ if TYPE_CHECKING:
 
 LARGEST_SUM = 1000.0
 MOST_SUBSTEPS = 1000
-CUBE_ROOT_OF_2 = 1.2599210498948732  # the power of floats is that of the C library
+CUBE_ROOT_OF_2 = 1.2599210498948732  # literal, since ** calls pow of the C library, whose bits differ by machine
 
 
 @dataclass(frozen=True)
 class Composition(Composed):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.
 
-    For your own coefficients, or for a base other than `Splitting` (Gauss-Legendre, say). What the base keeps, its
-    composition keeps.
+    Choose it for your own coefficients, or for a base other than `Splitting`, such as `GaussLegendre`. A composition
+    keeps what its base keeps.
 
     Parameters
     ----------
     base : Method
         A symmetric scheme: `Splitting` of even order, or `GaussLegendre`.
     coefficients : sequence of float
-        The fractions; they add up to 1. ``(c1, c2, c1)`` with 2 c1 + c2 = 1, 2 c1^3 + c2^3 = 0 gives order 4.
+        The fractions, with sum 1. ``(c1, c2, c1)`` with 2 c1 + c2 = 1, 2 c1^3 + c2^3 = 0 gives order 4.
 
     Raises
     ------
     ValueError
-        If the base is not symmetric, or the coefficients do not add up to 1.
+        If the base is not symmetric, or the sum of the coefficients is not 1.
 
     References
     ----------
@@ -83,12 +83,12 @@ class Composition(Composed):
 
     @cached_property
     def whole(self) -> Method:
-        """The composition as the family of the base takes it: one table of flows, or substeps."""
+        """The composition in the form of the family of the base: one table of flows, or substeps."""
         return self.base.composed(self.coefficients)
 
     @property
     def innermost(self) -> Method:
-        """The base that is not itself a composition."""
+        """The base that is not a composition itself."""
         return self.base.innermost if isinstance(self.base, Composition) else self.base
 
     def composed(self, coefficients: Sequence[float]) -> Method:
@@ -121,18 +121,18 @@ class Composition(Composed):
         return self.whole.tangent_on(system, x, t, h, vectors)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return how the base finds it."""
+        """Return the way of the base."""
         return self.base.tangent_by(system, x, t, h)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.whole.work(system, group)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether the base needed it."""
+        """Return whether the base needed Newton's method."""
         return self.whole.took_newton(memory)
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Let the base look ahead."""
+        """Prepare the base for many systems."""
         self.base.look_ahead(systems)
 
     @classmethod
@@ -152,6 +152,6 @@ def _fractions_given(coefficients: Any, base: Method) -> tuple[float, ...]:
         raise ValueError(f"coefficients has shape {found.shape}; give a sequence of numbers")
     if found.size * len(base.fractions) > MOST_SUBSTEPS:
         raise ValueError(
-            f"a step of the Composition has {found.size * len(base.fractions)} substeps; there may be {MOST_SUBSTEPS}"
+            f"a step of the Composition has {found.size * len(base.fractions)} substeps; the limit is {MOST_SUBSTEPS}"
         )
     return tuple(found.tolist())

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods: Runge's of order 2 and the classical one of order 4."""
+"""Explicit Runge-Kutta methods: Runge's method of order 2 and the classical one of order 4."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tup
         (Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)),
     ),
 }
-"""Name: order, nodes c, rows of a, weights b."""
+"""Name -> order, nodes c, rows of a, weights b."""
 
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(RungeKuttaMethod):
     """An explicit Runge-Kutta method, a general-purpose scheme for comparisons; it keeps no invariants.
 
-    ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated beside
-    the momentum, ``g' = -sign g rho(grad H)`` (equation (13)), and leaves the group slowly. For short runs, and to show
-    what the other schemes are for.
+    ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated with the
+    momentum, ``g' = -sign g rho(grad H)`` (equation (13)), and slowly leaves the group. Choose it for short runs, and
+    for comparison with the other schemes.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class ExplicitRungeKutta(RungeKuttaMethod):
         return TABLEAUX[self.name][0]
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: nothing but linear invariants; any system is served."""
+        """Return the properties: only linear invariants are kept; every system is supported."""
         check_vectors(system)
         attitude = "none" if system.algebra is None else "integrated"
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)

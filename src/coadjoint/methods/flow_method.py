@@ -1,4 +1,4 @@
-"""Flow methods: schemes that are made of exact flows of parts of the Hamiltonian, and become a table of rows."""
+"""Flow methods: schemes that consist of exact flows of parts of the Hamiltonian, compiled to a table of rows."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ if TYPE_CHECKING:
     from coadjoint.program.table import Program
 
 TABULATED = 1e-38  # relative error of published coefficients, which have at least 40 digits
-MOST_OFF = 2.0**-40  # of the sum of absolute coefficients of sweeps: rounding, and coefficients of twelve digits
+MOST_OFF = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
 
 
 class FlowMethod(Method):
-    """A scheme made of exact flows of parts: in which order, and for which fractions of the step."""
+    """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
 
     @property
     def parts(self) -> Any:
-        """How the Hamiltonian is taken apart: "auto", "coordinates", or sets of coordinates."""
+        """How the Hamiltonian is split: "auto", "coordinates", or sets of coordinates."""
         return "auto"
 
     @property
     def compensated(self) -> bool | None:
-        """Whether the momentum is summed with compensation; None is no."""
+        """Whether the momentum is summed with compensation; None means no."""
         return None
 
     @property
     def rotation(self) -> str:
-        """Rotations by the angle itself ("exact"), or by tan(angle/2) := half the angle ("rational")."""
+        """Rotations by the angle itself ("exact"), or with tan(angle/2) replaced by half the angle ("rational")."""
         return "exact"
 
     @abstractmethod
@@ -65,11 +65,11 @@ class FlowMethod(Method):
 
     @property
     def compensates(self) -> bool:  # type: ignore[override]
-        """As `compensated` says."""
+        """As `compensated`, with None as False."""
         return bool(self.compensated)
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the flows of all substeps as one table, in which neighbours are merged."""
+        """Return the flows of all substeps as one table, in which adjacent flows of the same part are merged."""
         from coadjoint.methods.composed import ComposedFlows
 
         return ComposedFlows(self, tuple(coefficients))
@@ -99,7 +99,7 @@ class FlowMethod(Method):
         return self
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the scheme with the automatic parts of this system, which it must have as a field."""
+        """Return the scheme with the automatic parts of this system fixed; requires a field `parts`."""
         from coadjoint.program.decompose import decompose
 
         if isinstance(self.parts, str) and self.parts in CALLED:
@@ -115,7 +115,7 @@ class FlowMethod(Method):
         try:
             choice = decompose(with_all_present(system, coordinates), self.parts).choice
         except NotSplit:
-            return self  # the loop refuses by name what does not split
+            return self  # the loop raises the error for a Hamiltonian that does not split
         return replace(self, parts=replace(choice, linear=tuple(coordinates)))
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
@@ -150,7 +150,7 @@ class FlowMethod(Method):
 
     @property
     def known_to(self) -> float:
-        """Zero for coefficients that are short fractions, else the rounding of the table of schemes."""
+        """Zero if all coefficients are short fractions, else the rounding error of the published coefficients."""
         sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
         return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else TABULATED
 
@@ -166,23 +166,23 @@ class FlowMethod(Method):
         point = np.asarray(x, dtype=np.float64)
         try:
             after, carried = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
-        except (OverflowError, ValueError) as error:  # sines of what left float64
+        except (OverflowError, ValueError) as error:  # sines of infinities
             said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
             raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
         return after, carried
 
     def work(self, system: System, group: Representation = None) -> Work:
-        """Return the work of the rows of a step, each by the blocks that it turns."""
+        """Return the work of the rows of a step, by the blocks that they rotate."""
         from coadjoint.methods.work import work_of_flows
 
         return work_of_flows(self.program(system, group=group), bool(self.compensated))
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Take the Hamiltonians of many systems to parts together, which is quicker."""
+        """Split the Hamiltonians of many systems together, which is faster."""
         from coadjoint.program.decompose import decompose_all
 
         if self.parts == "auto":
-            # What cannot be split is refused later, where the member can be named.
+            # Hamiltonians that do not split raise later, with the name of the member.
             with suppress(ValueError):
                 decompose_all([system for system in systems if isinstance(system, LiePoissonSystem)])
 

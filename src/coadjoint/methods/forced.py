@@ -1,4 +1,4 @@
-"""Any scheme on a system with forces: half flows of the forces, a step of the scheme, half flows in the other order."""
+"""Any scheme on a system with forces: a step of the scheme between half flows of the forces."""
 
 from __future__ import annotations
 
@@ -23,37 +23,23 @@ WAYS = ("formula", "complex step", "differences")
 
 
 def serving(system: Any, method: Method) -> Method:
-    """Return the scheme that a run of a system takes: the given one, or where it has forces that between their flows.
+    """Return the scheme with which a run integrates a system: `Forced` around the given one if it has forces.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        The system.
-    method : Method
-        The scheme that was asked for.
-
-    Returns
-    -------
-    Method
-
-    Raises
-    ------
-    TypeError
-        The scheme is already `Forced`.
+    Raise TypeError if the given scheme is already `Forced`.
     """
     if isinstance(method, Forced):
-        raise TypeError(f"{method} is made by runs themselves for a system with forces; give {method.base}")
+        raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
     one = system[0] if isinstance(system, Batch) else system
     return Forced(method) if isinstance(one, ForcedSystem) else method
 
 
 def check_serves(system: Any, method: Method) -> None:
-    """Refuse by name a system that a scheme cannot serve, with forces or without."""
+    """Raise the error of a scheme for a system that it does not support, with forces or without."""
     serving(system, method).properties(system)
 
 
 def check_direction(system: Any, h: float) -> None:
-    """Refuse by name a force that does not run backward, where the time does.
+    """Raise ValueError if time runs backward and a force is not reversible.
 
     Examples
     --------
@@ -70,15 +56,15 @@ def check_direction(system: Any, h: float) -> None:
 class Forced(Method):
     """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.
 
-    A step is the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the half
-    flows in the opposite order. Every step of the base begins anew, but for the guesses of schemes of matrices.
-    `integrate`, `prepare` and `stepper` take it by themselves where a system has forces; it tells what is kept, and
-    what breaks the rest.
+    A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
+    half flows in reverse order. Each step of the base starts afresh, except for the initial guesses of schemes for
+    matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly for
+    `properties`, which names what is kept and what breaks the rest.
 
     Parameters
     ----------
     base : Method
-        Any scheme that serves the Hamiltonian part.
+        Any scheme that supports the Hamiltonian part.
 
     Examples
     --------
@@ -102,12 +88,12 @@ class Forced(Method):
 
     @property
     def explicit(self) -> bool:
-        """As the base is; damping along orbits is found by iterating."""
+        """As for the base; damping along orbits still iterates."""
         return self.base.explicit
 
     @property
     def symmetric(self) -> bool:
-        """As the base is."""
+        """As for the base."""
         return self.base.symmetric
 
     @property
@@ -116,7 +102,7 @@ class Forced(Method):
         return self.base.failures
 
     def properties(self, system: Any) -> Properties:
-        """Return what is kept of the Hamiltonian part, less what the forces break."""
+        """Return the properties of the base on the Hamiltonian part, without those that the forces break."""
         if not isinstance(system, ForcedSystem):
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
         inner = declared_by(self.base, system.system)
@@ -128,14 +114,14 @@ class Forced(Method):
         return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, said)
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop over steps that take one of the loop of the base each."""
+        """Return the loop whose steps contain one step of the loop of the base each."""
         from coadjoint.kernels.forces import forced_loop
 
         check_direction(system, h)
         return forced_loop(system, self.base.loop(system.system, h, representation), representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy; a noise is that of the first member."""
+        """Return one step in NumPy; noise is that of the first member."""
         self.properties(system)
         if np.ndim(x) > 1 and hasattr(system.system, "from_vector"):
             return np.asarray(system.system.from_vector(self.step(system, system.system.to_vector(x), t, h)))
@@ -148,11 +134,11 @@ class Forced(Method):
         return y
 
     def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative: that of the base, between those of the flows."""
+        """Return one step and its derivative: the product of those of the flows and of the base."""
         return self._with_tangent(system, x, t, h)[:2]
 
     def tangent_by(self, system: Any, x: Any, t: float, h: float) -> str:
-        """Return the least exact way by which a factor of the derivative is found."""
+        """Return the least accurate way in which a factor of the derivative is computed."""
         return max(self._with_tangent(system, x, t, h)[2], key=WAYS.index)
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
@@ -177,9 +163,9 @@ class Forced(Method):
         return y, P, ways
 
     def work(self, system: Any, group: Representation = None) -> Work:
-        """Return the work of the base, without that of the forces."""
+        """Return the work of the base; forces are not counted."""
         return self.base.work(system.system, group)
 
     def look_ahead(self, systems: Sequence[Any]) -> None:
-        """Let the base look ahead."""
+        """Prepare the base for many systems."""
         self.base.look_ahead([system.system for system in systems])

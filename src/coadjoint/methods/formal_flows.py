@@ -1,4 +1,4 @@
-"""The reading of a program in formal power series: each exact flow by its Lie series."""
+"""Evaluation of a program in formal power series: each exact flow by its Lie series."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from coadjoint.program.table import Program
 
 
 class FormalReading(Reading):
-    """A program in fractions, read in formal numbers.
+    """Evaluation of a program with rational constants in formal numbers.
 
-    Angles are constant along their flow, so the flow is exp(sum_a theta_a D_a) x. Angles have no term without h, so the
-    series ends where formal numbers do.
+    Angles are constant along their flow, which is therefore exp(sum_a theta_a D_a) x. Angles have no term without h:
+    the series ends at the truncation order of formal numbers.
     """
 
     def __init__(self, program: Program) -> None:
@@ -26,11 +26,11 @@ class FormalReading(Reading):
         self._called = called_parts(program)
 
     def pieces(self, reach: Callable[[], Any]) -> int:
-        """Return one: a power series has no reach."""
+        """Return 1: a power series in h needs no subdivision of the time of a free body."""
         return 1
 
     def negligible(self, terms: Sequence[Moving]) -> bool:
-        """Return whether the next term has a power of h that formal numbers do not keep."""
+        """Return whether the next term has a power of h beyond the truncation."""
         return len(terms) >= type(terms[0].x[0]).count
 
     def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:

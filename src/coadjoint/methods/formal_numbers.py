@@ -1,4 +1,4 @@
-"""Power series in the step, with exact polynomials in the state as coefficients: a step is read in them exactly."""
+"""Truncated power series in the step with exact polynomials in the state as coefficients."""
 
 from __future__ import annotations
 
@@ -14,29 +14,23 @@ from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.waiting import at
 
 NODE = "c"
-"""The name of the symbol that stands for the node of a stage: a collocation method is the same at each of them."""
+"""Name of the symbol for the node of a stage: the equations of a collocation method are the same at each node."""
 
 
 class FormalNumber:
-    """A power series in the step, known up to a power of it, with coefficients in a ring of polynomials.
+    """A truncated power series in the step with coefficients in a ring of polynomials; `formal_numbers` makes its
+    class.
 
-    It is added, multiplied and divided as numbers are. Floats are taken as the rational numbers that they are. Each
-    result says up to which power it is known. So formulas of steps can be read in it as they are. It is not ordered: a
-    step that branches, or iterates until something is small, cannot be read.
-
-    `formal_numbers` makes the class for a ring. ``terms`` are the coefficients that are known.
-
-    Parameters
-    ----------
-    value : number or FormalNumber
-        A constant.
+    It supports the arithmetic of numbers, so that formulas of steps can be evaluated as they are. Floats are converted
+    exactly. Each result records the power up to which it is known. There is no order: steps that branch or iterate to a
+    tolerance cannot be evaluated. ``terms`` are the known coefficients.
     """
 
     __slots__ = ("terms",)
 
     ring: ClassVar[ExactPolynomials]
     count: ClassVar[int]
-    """How many coefficients are kept."""
+    """Number of coefficients kept."""
     exact: ClassVar[bool] = True
 
     terms: tuple[Exact, ...]
@@ -44,12 +38,12 @@ class FormalNumber:
     def __init__(self, value: Any = 0) -> None:
         found = self._operand(value)
         if found is None:
-            raise TypeError(f"a {type(value).__name__} is no rational number, which formal series are made of")
+            raise TypeError(f"a {type(value).__name__} is not a rational number; formal series need rational numbers")
         self.terms = found.terms
 
     @classmethod
     def of(cls, terms: Any) -> FormalNumber:
-        """Return the series with these coefficients; what comes after them is not known."""
+        """Return the series with these coefficients; higher ones are unknown."""
         result = cls.__new__(cls)
         result.terms = tuple(terms)[: cls.count]
         return result
@@ -76,12 +70,12 @@ class FormalNumber:
         return None
 
     def cut(self, count: int) -> FormalNumber:
-        """Return what is known up to this number of coefficients."""
+        """Return the series truncated to this number of coefficients."""
         return self.of(self.terms[:count])
 
     @property
     def valuation(self) -> int:
-        """The first power with a coefficient that is not zero; the number of coefficients where all are."""
+        """The first power with a nonzero coefficient; the number of coefficients if all vanish."""
         return next((k for k, term in enumerate(self.terms) if term != 0), len(self.terms))
 
     def __add__(self, other: Any) -> FormalNumber:
@@ -120,13 +114,13 @@ class FormalNumber:
         return self.of(total)
 
     def __truediv__(self, other: Any) -> FormalNumber:
-        """Return the quotient by a series whose constant term is a number that is not zero."""
+        """Return the quotient by a series whose constant term is a nonzero number."""
         right = self._operand(other)
         if right is None:
             return NotImplemented
         lead = right.terms[0] if right.terms else self.ring.zero
         if lead == 0 or not lead.is_constant():
-            raise ZeroDivisionError("a formal series is divided by one whose constant term is no number but 0")
+            raise ZeroDivisionError("a formal series is divided by one whose constant term is zero or not a number")
         inverse = 1 / lead.leading_coefficient()
         found: list[Exact] = []
         for k in range(min(len(self.terms), len(right.terms))):
@@ -149,7 +143,7 @@ class FormalNumber:
         return result
 
     def __abs__(self) -> Any:
-        """Return the size of the constant term where that is a number, so that elimination can choose pivots."""
+        """Return the size of the constant term if it is a number, for pivoting in elimination."""
         lead = self.terms[0]
         if not lead.is_constant():
             raise TypeError("a formal series has no absolute value: its constant term is no number")
@@ -166,7 +160,7 @@ class FormalNumber:
 
 
 def formal_numbers(ring: ExactPolynomials, count: int) -> type[FormalNumber]:
-    """Return the formal numbers over a ring, of which the coefficients of h^0, ..., h^(count - 1) are kept.
+    """Return the class of formal numbers over a ring that keeps the coefficients of h^0, ..., h^(count - 1).
 
     Examples
     --------
@@ -189,12 +183,8 @@ def vector(entries: Any) -> NDArray[Any]:
 
 
 def is_short(value: Any) -> bool:
-    """Return whether a number is a fraction with a short denominator, and so was meant exactly.
-
-    Examples
-    --------
-    >>> is_short(0.375), is_short(0.1), is_short(Fraction(1, 3))
-    (True, False, True)
+    """Return whether a number is a fraction with a short denominator, such as 0.375 or 1/3 but not 0.1, and hence
+    exact.
     """
     return Fraction(value).denominator <= SHORT
 

@@ -1,4 +1,4 @@
-"""The stages of a Runge-Kutta step as formal power series: for a tableau, and for collocation at irrational nodes."""
+"""Stages of a Runge-Kutta step as formal power series: for a tableau, and for collocation at irrational nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.systems.kinds import System
 
 
 class FormalStages(ABC):
-    """What the solvers of stage equations need: the points X of slopes L, and the end of the step."""
+    """Interface of stages for the solvers of stage equations: the points X for slopes L, and the end of the step."""
 
     x: NDArray[Any]
     h: FormalNumber
@@ -41,7 +41,7 @@ class FormalStages(ABC):
 
 
 class StagesOfTableau(FormalStages):
-    """Stages one by one, with the numbers of a tableau."""
+    """Separate stages, with the numbers of a tableau."""
 
     def __init__(self, coefficients: Coefficients, x: NDArray[Any], h: FormalNumber) -> None:
         self.coefficients, self.x, self.h = coefficients, x, h
@@ -64,11 +64,11 @@ class StagesOfTableau(FormalStages):
 
 
 class StagesOfCollocation(FormalStages):
-    """All stages as one: X(c) is a polynomial in the node c, modulo the polynomial whose roots the nodes are.
+    """All stages at once: X(c) is a polynomial in the node c, modulo the polynomial whose roots are the nodes.
 
-    What is the same at all nodes is then computed once, and is rational although the nodes are not. The slopes L are
-    the polynomial through the slopes at the nodes. The points are X(c) = x + h int_0^c L, and the end is x + h int_0^1
-    L.
+    Expressions that are equal at all nodes are computed once, and are rational although the nodes are not. The slopes L
+    are the interpolation polynomial of the slopes at the nodes; the points are X(c) = x + h int_0^c L, the end x + h
+    int_0^1 L.
     """
 
     def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
@@ -99,24 +99,10 @@ class StagesOfCollocation(FormalStages):
 
 
 def formal_end(stages: FormalStages, system: System, solver: str, iterations: int) -> NDArray[Any]:
-    """Return the end of a step whose slopes are found as `solver` says, see ``solvers.py``.
+    """Return the end of a step whose slopes are computed by `solver`, one of those in ``solvers.py``.
 
-    Explicit and implicit stages are the same here: each pass through the equations gains a power of h.
-
-    Parameters
-    ----------
-    stages : FormalStages
-        The stages; they know where the step starts and how long it is.
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    solver : str
-        "explicit", "implicit", "iterated", "structure" or "gradient".
-    iterations : int
-        Number of passes before the output or the linear system, for solvers that have a fixed number.
-
-    Returns
-    -------
-    (n,) array of FormalNumber
+    Explicit and implicit stages are treated alike: each pass through the equations gains a power of h. `iterations` is
+    the number of passes before the output or the linear system, for solvers with a fixed number.
     """
 
     def product(momentum: NDArray[Any], slope: NDArray[Any]) -> NDArray[Any]:
@@ -136,7 +122,7 @@ def formal_end(stages: FormalStages, system: System, solver: str, iterations: in
 
 
 def _settled(stages: FormalStages, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
-    """Return the slopes at the points that solve X = x + h A L(X), each pass exact in one power of h more."""
+    """Return the slopes at the points that solve X = x + h A L(X); each pass is exact in one more power of h."""
     count = stages.h.count
     points = vector(value.cut(1) for value in stages.start().ravel()).reshape(stages.start().shape)
     slopes = slopes_at(points)
@@ -150,7 +136,7 @@ DIGITS = 50
 
 
 def rational_tableau(coefficients: Callable[..., Coefficients]) -> tuple[Coefficients, float]:
-    """Return a tableau in fractions, and their relative error: 0 where the tableau is rational.
+    """Return a tableau in fractions, and their relative error: 0 if the tableau is rational.
 
     Examples
     --------
@@ -178,7 +164,7 @@ def rational_tableau(coefficients: Callable[..., Coefficients]) -> tuple[Coeffic
 
 
 def fraction_of(value: Any) -> Fraction:
-    """Return a number of Python, NumPy or mpmath as the fraction that it is."""
+    """Return a number of Python, NumPy or mpmath exactly as a fraction."""
     if hasattr(value, "_mpf_"):
         sign, mantissa, exponent, _ = value._mpf_
         return (-1 if sign else 1) * Fraction(int(mantissa)) * Fraction(2) ** exponent

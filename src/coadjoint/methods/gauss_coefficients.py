@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from coadjoint.program.numbers import Number, roundoff
 
-DIGITS = 60  # of the arithmetic behind float64 coefficients: the formulas lose far fewer than 40 of them
+DIGITS = 60  # working precision for float64 coefficients; the formulas lose far fewer than 40 digits
 GRID = 2.0**-52
-FEW = 24  # stages whose sums in decimals take less time than importing integers
+FEW = 24  # up to this number of stages, sums in decimals are faster than the import of flint
 
 
 class Collocation(NamedTuple):
@@ -36,9 +36,8 @@ def _legendre(degree: int, z: Any) -> list[Any]:
 
 
 def _root(degree: int, radau: bool, z: Any) -> Any:
-    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z.
-
-    By Newton's method, until the corrections stop falling.
+    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z, by Newton's method until corrections stop
+    falling.
     """
     previous = None
     while True:
@@ -61,8 +60,8 @@ def _collocation(roots: Sequence[Any]) -> Collocation:
     """Return the method with given points of [-1, 1], for which P_0, ..., P_{s-1} are discretely orthogonal.
 
     The Lagrange polynomials are then l_j(z) = b_j sum_k (2k + 1) P_k(z_j) P_k(z), with 1/b_j = sum_k (2k + 1)
-    P_k(z_j)^2 and integral_{-1}^z P_k = (P_{k+1}(z) - P_{k-1}(z)) / (2k + 1): no linear system is solved and nothing
-    cancels.
+    P_k(z_j)^2 and integral_{-1}^z P_k = (P_{k+1}(z) - P_{k-1}(z)) / (2k + 1): no linear system is solved, without
+    cancellation.
     """
     s = len(roots)
     values = [_legendre(s, z) for z in roots]
@@ -81,16 +80,17 @@ def _rounded(exact: Collocation) -> Collocation:
 
 
 def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round mu so that mu_ij + mu_ji = 1 holds exactly in floats: quadratic invariants then drift without bias."""
+    """Round mu so that mu_ij + mu_ji = 1 exactly in floats: the drift of quadratic invariants then has no bias."""
     below = np.tril(np.round(mu / GRID) * GRID, -1)
     return below + np.triu(1.0 - below.T, 1) + 0.5 * np.eye(mu.shape[0])
 
 
 def _in_whole_numbers(roots: Sequence[decimal.Decimal]) -> Collocation:
-    """Return what `_collocation` does for decimals, its s^2 sums of s products in integers, a hundred times faster.
+    """Return the result of `_collocation` for decimals, with its s^2 sums of s products in integers: a hundred times
+    faster.
 
-    Every P_k(z) is of size 1 at most, so that integers in units of 10^-DIGITS hold it as well as decimals do, and sums
-    of their products are exact.
+    All |P_k(z)| <= 1, so that integers in units of 10^-DIGITS are as accurate as decimals, and sums of their products
+    exact.
     """
     from flint import fmpz_mat
 
@@ -154,7 +154,7 @@ def _radau(stages: int, number: Number) -> Collocation:
 
 
 def gauss_nodes(stages: int) -> list[Fraction]:
-    """Return the polynomial of degree s in c, of leading coefficient 1, whose roots are the nodes, lowest power first.
+    """Return the monic polynomial of degree s in c whose roots are the nodes, lowest power first.
 
     Examples
     --------
@@ -168,29 +168,8 @@ def gauss_nodes(stages: int) -> list[Fraction]:
 def gauss_legendre(stages: int, number: Number = float) -> Collocation:
     """Return the coefficients of the Gauss-Legendre method with s stages, of order 2 s.
 
-    Parameters
-    ----------
-    stages : int
-        Number of stages s.
-    number : callable
-        Number type; ``float`` for float64, in which nodes and weights are correctly rounded and mu_ij + mu_ji = 1
-        exactly.
-
-    Returns
-    -------
-    Collocation
-        Nodes c, weights b and mu_ij = a_ij / b_j.
-
-    References
-    ----------
-    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony,
-    BIT 48 (2008) 231.
-
-    Examples
-    --------
-    >>> c, b, mu = gauss_legendre(1)
-    >>> c.tolist(), b.tolist(), mu.tolist()
-    ([0.5], [1.0], [[0.5]])
+    In float64, nodes and weights are correctly rounded and mu_ij + mu_ji = 1 exactly. Source: E. Hairer, C. Lubich,
+    G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
     """
     return _in_floats(stages, False) if number is float else _gauss(stages, number)
 
@@ -198,59 +177,22 @@ def gauss_legendre(stages: int, number: Number = float) -> Collocation:
 def radau(stages: int, number: Number = float) -> Collocation:
     """Return the coefficients of the Radau IIA method with s stages, of order 2 s - 1; the last node is 1.
 
-    Parameters
-    ----------
-    stages : int
-        Number of stages s.
-    number : callable
-        Number type.
-
-    Returns
-    -------
-    Collocation
-        Nodes c, weights b and mu_ij = a_ij / b_j.
-
-    References
-    ----------
-    E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, IV.5.
-
-    Examples
-    --------
-    >>> c, b, mu = radau(2)
-    >>> (mu * b).round(12).tolist()
-    [[0.416666666667, -0.083333333333], [0.75, 0.25]]
+    Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, IV.5.
     """
     return _in_floats(stages, True) if number is float else _radau(stages, number)
 
 
 FURTHEST = 9
-"""Legendre polynomials are continued up to this degree: at the end of the next step they are about 6^degree."""
+"""Highest degree of the extrapolated Legendre polynomials: at the end of the next step they are about 6^degree."""
 
 
 @functools.lru_cache(maxsize=64)
 def extrapolation(stages: int, ratio: float) -> NDArray[np.float64]:
-    """Return E with x + sum_j E_ij L_j the polynomial of a Gauss step continued to the nodes of the next one.
+    """Return E (s, s) with x + sum_j E_ij L_j the polynomial of a Gauss step extrapolated to the nodes of the next one.
 
     E_ij is the integral of l_j / b_j from 1 to 1 + ratio c_i, in units of the old step, with the sum for l_j of
-    `_collocation` cut off at degree `FURTHEST`.
-
-    Parameters
-    ----------
-    stages : int
-        Number of stages s.
-    ratio : float
-        Length of the next step in units of the old one; negative for a step back.
-
-    Returns
-    -------
-    (s, s) array
-
-    Examples
-    --------
-    One stage: the slope of the old step goes on for half of the new one.
-
-    >>> extrapolation(1, 1.0).tolist()
-    [[0.5]]
+    `_collocation` truncated at degree `FURTHEST`. `ratio` is next step over old step, negative for a step back. E =
+    [[ratio / 2]] for s = 1.
     """
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = _gauss_roots(stages, decimal.Decimal)

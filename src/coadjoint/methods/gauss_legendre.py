@@ -31,12 +31,12 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
     return Coefficients(nodes, weights, mu, np.array([number(1)] * stages))
 
 
-# Stages or iterations; nodes for more take minutes to compute, and no float64 run gains by them.
+# Largest number of stages or iterations: nodes for more take minutes to compute, and float64 runs gain nothing.
 MOST = 256
 
 
 def stages_given(value: Any, what: str) -> int:
-    """Return a number of stages or iterations, or refuse it by name.
+    """Validate a number of stages or iterations; raise an error that names the parameter.
 
     Examples
     --------
@@ -52,8 +52,8 @@ class GaussLegendre(RungeKuttaMethod):
 
     Choose it for high accuracy with any Hamiltonian, with many stages and a large step. (For polynomials `Taylor` is
     mostly cheaper.) The errors of a quadratic energy and of quadratic Casimirs are round-off, which grows like the
-    square root of time. It is no Poisson map unless the bracket is constant (canonical variables), and does not keep
-    Casimirs of higher degree; for these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+    square root of time. It is not a Poisson map unless the bracket is constant (canonical variables), and does not keep
+    Casimirs of higher degree; for these choose `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
 
     The equations are ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5) of the paper).
     They are solved by function iteration until the corrections stop falling, and by Newton's method if that is slow or
@@ -67,16 +67,16 @@ class GaussLegendre(RungeKuttaMethod):
     Raises
     ------
     ValueError
-        `stages` is no whole number from 1 up.
+        `stages` is not a positive integer.
 
     Notes
     -----
     A step computes ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij /
-    b_j, rounded such that mu_ij + mu_ji = 1 exactly, and with compensated summation. The stages start from the
-    extrapolated previous step. Convergence is tested from the iteration in which it was reached in the previous step.
-    Both are part of the state of a run, so that a run that is interrupted and resumed has the same bits. If function
+    b_j, rounded such that mu_ij + mu_ji = 1 exactly, and with compensated summation. The initial guess of the stages is
+    the extrapolated previous step. Convergence is tested from the iteration in which it was reached in the previous
+    step. Both are part of the state of a run, so that an interrupted and resumed run has the same bits. If function
     iteration fails, Newton's method starts from X_i = x. It uses a dense matrix for up to 200 unknowns, above that a
-    banded one if the coordinates can be ordered so, and otherwise none (GMRES).
+    banded one if an ordering of narrow bandwidth exists, and otherwise GMRES without a matrix.
 
     References
     ----------
@@ -109,7 +109,7 @@ class GaussLegendre(RungeKuttaMethod):
         return 2 * self.stages
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: quadratic invariants, and the bracket where it is constant; any system is served."""
+        """Return the properties: quadratic invariants are kept, and a constant bracket; every system is supported."""
         check_vectors(system)
         attitude = "none" if system.algebra is None else "coadjoint"
         poisson, energy = _has_constant_bracket(system), has_quadratic_energy(system)
@@ -124,14 +124,14 @@ class GaussLegendre(RungeKuttaMethod):
         return gauss_tableau(self.stages, number)
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix that continues the polynomial of the substep before."""
+        """Return the matrix that extrapolates the polynomial of the previous substep."""
         return extrapolation(self.stages, ratio)
 
 
 def _has_constant_bracket(system: System) -> bool:
-    """Return whether J(x) depends on coordinates alone whose elements commute with all others, so that it is constant.
+    """Return whether J(x) depends only on coordinates whose elements are central, and is therefore constant.
 
-    Where it is, these schemes are symplectic: J. Sanz-Serna, BIT 28 (1988) 877.
+    These schemes are then symplectic: J. Sanz-Serna, BIT 28 (1988) 877.
     """
     triples = getattr(system.algebra, "triples", None)
     return triples is not None and not np.intersect1d(triples.k, np.concatenate([triples.i, triples.j])).size

@@ -33,15 +33,16 @@ class IsospectralGauss(SteppedMethod):
     """Isospectral Gauss methods for matrices: Poisson maps that keep the whole spectrum; implicit, of order 2 s.
 
     ``V_i = 1 + h sum_j a_ij P_j V_j``, ``U_i = 1 - h sum_j a_ij U_j P_j``, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``,
-    and ``W += h sum_i b_i [P_i, M_i]`` with the coefficients of Gauss: V and U are inverses at the end of the step, so
-    that W is turned and not changed. One stage is the isospectral midpoint rule, ``W = M - (h/2)[P, M] - (h^2/4) P M
-    P``. Choose it for every `MatrixSystem`: one stage for long runs, two or three for accurate ones.
+    and ``W += h sum_i b_i [P_i, M_i]`` with the Gauss coefficients: V and U are inverses at the end of the step, so
+    that W is conjugated and its spectrum unchanged. One stage is the isospectral midpoint rule, ``W = M - (h/2)[P, M] -
+    (h^2/4) P M P``. Choose it for every `MatrixSystem`: one stage for long runs, two or three for accurate ones.
 
     Notes
     -----
-    Corrections end where they stop falling, and sums are compensated. One stage of skew-Hermitian matrices is solved
-    for P, by Newton's method: ``M = (1 - h P/2)^-1 W (1 + h P/2)^-1`` has the spectrum of W whatever P is, and a small
-    change of P is found in single precision. P begins where its differences of up to twelve steps lead.
+    Iterations end when the corrections stop falling, and sums are compensated. One stage of skew-Hermitian matrices is
+    solved for P by Newton's method: ``M = (1 - h P/2)^-1 W (1 + h P/2)^-1`` has the spectrum of W for every P, and
+    small changes of P are computed in single precision. The initial guess of P extrapolates its differences of up to
+    twelve steps.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class IsospectralGauss(SteppedMethod):
     Raises
     ------
     TypeError, ValueError
-        `stages` is no whole number from 1 to 8.
+        `stages` is not an integer from 1 to 8.
 
     References
     ----------
@@ -87,12 +88,12 @@ class IsospectralGauss(SteppedMethod):
         return [cls(1), cls(2), cls(3)]
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the bracket and every Casimir.
+        """Return the properties: the bracket and every Casimir are kept.
 
         Raises
         ------
         ValueError
-            The system is no `MatrixSystem`.
+            The system is not a `MatrixSystem`.
         """
         matrices_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
@@ -113,12 +114,12 @@ class IsospectralGauss(SteppedMethod):
         """Return the work of the products of each iteration; those of all substeps are counted together."""
         from coadjoint.methods.work import work_of_products
 
-        # Newton's method of one stage counts a step of it as one iteration.
+        # With one stage, an iteration is a Newton step.
         products = 12 if self.stages == 1 else 3 * self.stages
         return work_of_products(matrices_of(system), products, iterated=True)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy.
+        """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,).
 
         Raises
         ------
@@ -134,14 +135,14 @@ class IsospectralGauss(SteppedMethod):
         return np.asarray(matrices.to_vector(found) if matrices.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative by the numbers of the state, of its projection on the algebra.
+        """Return one step and its derivative in coordinates, for the projection on the algebra.
 
-        The stream of a function that is not linear is differentiated by differences, and so are steps of two layers.
+        Nonlinear streams given as functions, and steps of two layers, are differentiated by differences.
 
         Raises
         ------
         ValueError
-            The system is no `MatrixSystem`.
+            The system is not a `MatrixSystem`.
         IntegrationError
             The iteration does not converge.
         """
@@ -159,13 +160,7 @@ class IsospectralGauss(SteppedMethod):
 
 
 def matrices_of(system: Any) -> MatrixSystem:
-    """Return a system of matrices; refuse another one.
-
-    Raises
-    ------
-    ValueError
-        It is another one.
-    """
+    """Return a `MatrixSystem` unchanged; raise ValueError for any other system."""
     if not isinstance(system, MatrixSystem):
         raise ValueError(
             f"IsospectralGauss moves matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; take "

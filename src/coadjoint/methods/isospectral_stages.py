@@ -1,7 +1,7 @@
-"""The stages of isospectral Gauss methods, read in NumPy, and their derivative: what the compiled steps are held to.
+"""Stages of isospectral Gauss methods in NumPy, and their derivative: the reference for the compiled steps.
 
 ``V_i = 1 + h sum_j a_ij P_j V_j`` and ``U_i = 1 - h sum_j a_ij U_j P_j`` are inverses of one another at the end of a
-step, ``M_i = V_i W U_i`` and ``P_i = stream(M_i)``. Where W is skew-Hermitian U_i is V_i*.
+step, ``M_i = V_i W U_i`` and ``P_i = stream(M_i)``. For skew-Hermitian W, U_i is V_i*.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ Matrix = NDArray[Any]
 Floats = NDArray[np.float64]
 
 MOST_ITERATIONS = 192
-FIRST_TESTED = 3  # early corrections may rise before they fall
-SLOW = 12  # from so many iterations on one that does not fall may be chance
-QUIET = 3  # so many that do not fall are none
-SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
-ROUND_OFF = 64 * UNIT_ROUNDOFF  # times sqrt(N), of the entries: there one that does not fall is round-off
+FIRST_TESTED = 3  # first iteration tested for convergence; early corrections may grow
+SLOW = 12  # from this iteration on, a single correction that does not fall is not yet stagnation
+QUIET = 3  # consecutive corrections that do not fall count as stagnation
+SMALL = 2.0**17 * UNIT_ROUNDOFF  # relative to the entries: a correction can be round-off only below this
+ROUND_OFF = 64 * UNIT_ROUNDOFF  # times sqrt(N), relative to the entries: a stagnant correction below it is round-off
 DIFFERENCE = 2.0**-17
 
 
 class Stages(NamedTuple):
-    """The stages of a step, one matrix for each: V, U, M and P, shape (s, N, N), and the times at which they are."""
+    """The stages of a step, one matrix each: V, U, M and P, shape (s, N, N), and their times."""
 
     V: Matrix
     U: Matrix
@@ -39,29 +39,9 @@ class Stages(NamedTuple):
 
 
 def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, who: str) -> Stages:
-    """Return the stages of a step from W.
+    """Return the stages of a step of length h from W (N, N) at time t, with coefficients a (s, s).
 
-    Parameters
-    ----------
-    system : MatrixSystem
-        The system.
-    W : (N, N) array
-        Where the step begins.
-    t, h : float
-        When, and its length.
-    a : (s, s) array
-        Coefficients.
-    who : str
-        The scheme, for messages.
-
-    Returns
-    -------
-    Stages
-
-    Raises
-    ------
-    IntegrationError
-        The iteration does not converge.
+    Raise IntegrationError, which names the scheme `who`, if the iteration does not converge.
     """
     one, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
     P0 = system.stream_of(W, t)
@@ -87,36 +67,15 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, wh
 
 
 def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
-    """Return by how much W changes in the step."""
+    """Return the change of W in the step."""
     return np.asarray(h * np.tensordot(b, stages.P @ stages.M - stages.M @ stages.P, 1))
 
 
 def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, h: float, a: Floats, b: Floats) -> Floats:
-    """Return the derivative of a step by the numbers of the state, of its projection on the algebra.
+    """Return the derivative (n, n) of a step in coordinates, for the projection on the algebra.
 
-    The linear equations of the stages are iterated for all directions at once, as the stages themselves are.
-
-    Parameters
-    ----------
-    system : MatrixSystem
-        The system.
-    W : (N, N) array
-        Where the step begins.
-    stages : Stages
-        From `stages_of`.
-    h : float
-        Its length.
-    a, b : arrays
-        Coefficients.
-
-    Returns
-    -------
-    (n, n) array
-
-    Raises
-    ------
-    IntegrationError
-        The iteration does not converge.
+    The linear equations of the stages are iterated for all directions at once, as the stages themselves. Raise
+    IntegrationError if the iteration does not converge.
     """
     n, s = system.dim, len(b)
     check_room(8 * 12 * s * n**2, f"the derivative of a step of {n} numbers")
@@ -141,7 +100,7 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, h: float, a: 
 
 
 def slope_along(system: MatrixSystem, M: Matrix, moves: Matrix, t: float) -> Matrix:
-    """Return the derivative of the stream at M along matrices (k, N, N): by central differences if it is not linear."""
+    """Return the derivative of the stream at M along matrices (k, N, N); by central differences if it is nonlinear."""
     if system.linear_stream:
         return system.slope_of(moves, t)
     sizes = np.abs(moves).max(axis=(-2, -1), keepdims=True)
@@ -159,18 +118,18 @@ def _largest(values: Matrix) -> float:
 
 
 class _Rest:
-    """Whether the corrections of an iteration have stopped falling, at round-off."""
+    """Test whether the corrections of an iteration stagnate at round-off."""
 
     def __init__(self, N: int) -> None:
         self._rounding = ROUND_OFF * float(np.sqrt(N))
         self._least, self._quiet, self._count = np.inf, 0, 0
 
     def after(self, change: float, size: float) -> bool:
-        """Say it after another correction, of entries as large as `size`."""
+        """Return whether to stop after a correction `change`, for entries of this size."""
         self._count += 1
         self._quiet = 0 if change < self._least else self._quiet + 1
         self._least = min(self._least, change)
-        # Where the iteration is slow, with complex eigenvalues, corrections rise and fall while they shrink.
+        # In a slow iteration with complex eigenvalues, corrections oscillate while they shrink.
         fast = change <= self._rounding * size and self._count < SLOW
         still = self._quiet >= (1 if fast else max(QUIET, self._count // 4))
         return change == 0.0 or (change <= SMALL * size and self._count >= FIRST_TESTED and still)

@@ -19,8 +19,8 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     """A fixed number m of function iterations of a Gauss-Legendre method: explicit, of order min(m + 1, 2 s).
 
     ``X_i^0 = x``, ``X_i^l = x + h sum_j a_ij f(X_j^(l-1))`` (equation (6)), and ``x_new = x + h sum_i b_i f(X_i^m)``.
-    An explicit method without any step-size restriction from convergence; energy and Casimirs drift slowly, by
-    O(h^(m+1)) or better. Where they must be kept take `GaussLegendre` or `ModifiedGaussLegendre`.
+    The method is explicit, without a step-size restriction from convergence; energy and Casimirs drift slowly, by
+    O(h^(m+1)) or better. If they must be kept, choose `GaussLegendre` or `ModifiedGaussLegendre`.
 
     Parameters
     ----------
@@ -32,11 +32,11 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     Raises
     ------
     ValueError
-        `stages` or `iterations` is no whole number from 1 up.
+        `stages` or `iterations` is not a positive integer.
 
     Notes
     -----
-    The paper asks for m = p = 2 s iterations; one fewer suffices, since the output evaluates f once more.
+    The paper uses m = p = 2 s iterations; one fewer suffices, since the output evaluates f once more.
 
     References
     ----------
@@ -77,7 +77,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: nothing but linear invariants; any system is served."""
+        """Return the properties: only linear invariants are kept; every system is supported."""
         check_vectors(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 

@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
     from coadjoint.methods.work import Work
 
-COLUMNS = 24  # products with f' in a step of many dimensions, about
+COLUMNS = 24  # typical number of products with f' in a step of many dimensions
 
 
 @dataclass(frozen=True)
 class Kahan(CompiledStepMethod):
     """Kahan's method for quadratic fields: symmetric, order 2, one linear system per step; keeps nothing exactly.
 
-    ``(1 - h/2 f'(x)) (x_new - x) = h f(x)``, a rational map whose inverse is the same map with -h. It serves every Lie
-    algebra with a quadratic H, linear terms included, and a `PoissonSystem` with quadratic H whose J is linear, or
-    linear and constant. Choose it to look at integrable maps (the rigid body becomes the Hirota-Kimura top, which has
-    invariants of its own), or as a base of a `Composition` that iterates nothing. For long runs take `Splitting`, which
-    is mostly cheaper and keeps bracket and Casimirs: here energy and Casimirs are off by O(h^2), without drift on
-    regular motions of symmetric systems, and are not bounded otherwise.
+    ``(1 - h/2 f'(x)) (x_new - x) = h f(x)``, a rational map whose inverse is the same map with -h. It supports every
+    Lie algebra with a quadratic H, including linear terms, and a `PoissonSystem` with quadratic H and J affine in x.
+    Choose it to study integrable maps (the rigid body becomes the Hirota-Kimura top, which has invariants of its own),
+    or as the base of a `Composition` without iterations. For long runs choose `Splitting`, which is mostly cheaper and
+    keeps bracket and Casimirs: the errors of energy and Casimirs are O(h^2), without drift on regular motions of
+    symmetric systems, and unbounded otherwise.
 
-    Up to 200 dimensions the linear system is factorized, above it is solved by GMRES.
+    The linear system is factorized in up to 200 dimensions, and solved by GMRES in more.
 
     References
     ----------
@@ -57,12 +57,12 @@ class Kahan(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "1 - h/2 f'(x) is singular: there is no next state"}
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: nothing.
+        """Return the properties: nothing is kept.
 
         Raises
         ------
         ValueError
-            The field is not quadratic: H is not, or it depends on time, or J is not linear.
+            The field is not quadratic: H is not quadratic or depends on time, or J is not linear.
         """
         check_vectors(system)
         if not has_quadratic_energy(system):
@@ -79,11 +79,11 @@ class Kahan(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """The step in ``kahan.cpp``."""
+        """Name of the step in ``kahan.cpp``."""
         return "kahan"
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type."""
+        """Return one step, computed in NumPy for any number type."""
         self.properties(system)
         point = np.asarray(x)
         matrix = np.eye(len(point), dtype=np.int64) - h / 2 * derivative(system, point, t)
@@ -104,7 +104,7 @@ class Kahan(CompiledStepMethod):
 
 
 def derivative(system: System, x: NDArray[Any], t: Any) -> NDArray[Any]:
-    """Return f'(x) of a quadratic field: where J is a function by differences, which are exact then."""
+    """Return f'(x) of a quadratic field; if J is a function, by differences, which are then exact."""
     if system.algebra is not None:
         return np.asarray(system.jacobian(x, t))
     size = max(abs(x)) or 1
@@ -115,7 +115,7 @@ def derivative(system: System, x: NDArray[Any], t: Any) -> NDArray[Any]:
 
 @lru_cache(maxsize=64)
 def _has_linear_structure(system: System) -> bool:
-    """Return whether J(a + b) + J(0) = J(a) + J(b), up to rounding, at states that no one has chosen."""
+    """Return whether J(a + b) + J(0) = J(a) + J(b), up to rounding, at random states."""
     random = np.random.default_rng(1993)
     J = system.structure_matrix
     for size in (1.0, 1.0, 32.0):
@@ -123,7 +123,7 @@ def _has_linear_structure(system: System) -> bool:
         with np.errstate(all="ignore"):
             try:
                 parts = [np.asarray(J(point), dtype=np.float64) for point in (a + b, 0 * a, a, b)]
-            except (ArithmeticError, ValueError):  # what is not defined everywhere is not linear
+            except (ArithmeticError, ValueError):  # a linear function is defined everywhere
                 return False
         off = np.abs(parts[0] + parts[1] - parts[2] - parts[3])
         if not np.all(off <= 64 * system.dim * UNIT_ROUNDOFF * max(np.max(np.abs(part)) for part in parts)):

@@ -30,11 +30,11 @@ Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
 
 ORDERS = (2, 4, 6, 8, 10)
-TRANSFORM = 0.08  # of a number on its way there and back, in rotations, for each factor of 2 in N
+TRANSFORM = 0.08  # cost of both Fourier transforms per number and factor of 2 in N, in units of a rotation
 
 
 class Line(NamedTuple):
-    """The modes ``{j k mod N}``; with l, for which k x l = 1, each mode is ``j k + d l`` once."""
+    """The modes ``{j k mod N}``; with l such that k x l = 1, each mode is ``j k + d l`` exactly once."""
 
     k: tuple[int, int]
     l: tuple[int, int]
@@ -44,20 +44,20 @@ class Line(NamedTuple):
 class LineSplitting(SteppedMethod):
     """McLachlan's splitting of the fluid on the torus into lines of modes: explicit, a Poisson map, keeps the spectrum.
 
-    For a prime N the N^2 - 1 modes are N + 1 lines ``{j k}`` through the origin, of N - 1 modes that commute. H is the
-    sum of the energies of the lines; that of one line turns W by the exponential of the line's stream, ``W -> U W U*``,
-    which is constant meanwhile, and diagonal for suitable indices of the modes. So a line costs Fourier transforms
-    along the N - 1 other cosets, and a step of order 2 O(N^3 log N): ``k = (1, 0), (1, 1), ..., (1, N - 1)`` for half
-    the step, (0, 1) for the whole step, and the others back again for half of it. The energy is not kept but stays
-    within O(step^order) for long times; steps of higher orders are compositions.
+    For a prime N the N^2 - 1 modes form N + 1 lines ``{j k}`` through the origin, each of N - 1 modes that commute. H
+    is the sum of the energies of the lines; the flow of one line conjugates W by the exponential of the line's stream,
+    ``W -> U W U*``, which is constant along the flow, and diagonal for a suitable ordering of the modes. A line
+    therefore costs Fourier transforms along the N - 1 other cosets, and a step of order 2 costs O(N^3 log N): ``k = (1,
+    0), (1, 1), ..., (1, N - 1)`` for half the step, (0, 1) for the whole step, and the others in reverse for half of
+    it. The energy is not kept but its error is O(step^order) for long times; steps of higher orders are compositions.
 
     Choose it for a fluid on the torus: at the same step its error is a fraction of that of `IsospectralGauss`, and
-    there is nothing to iterate.
+    it does not iterate.
 
     Parameters
     ----------
     order : {2, 4, 6, 8, 10}
-        2: symmetric. 4, 6, 8, 10: the composition of 5, 11, 21, 35 of these steps that `Splitting` takes.
+        2: symmetric. 4, 6, 8, 10: the composition of 5, 11, 21, 35 of these steps that `Splitting` uses.
 
     Raises
     ------
@@ -97,22 +97,22 @@ class LineSplitting(SteppedMethod):
 
     @classmethod
     def examples(cls) -> Sequence[LineSplitting]:
-        """Return those of the lower orders."""
+        """Return the schemes of the lower orders."""
         return [cls(2), cls(4), cls(6)]
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Lengths of the steps of order 2 of which a step is composed."""
+        """Lengths of the steps of order 2 that compose a step."""
         half = [float(c) for c in SCHEMES[DEFAULT_SCHEMES[self.order]].half]
         return (*half, *half[-2::-1])
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the bracket and every Casimir.
+        """Return the properties: the bracket and every Casimir are kept.
 
         Raises
         ------
         ValueError
-            The system is no fluid on the torus, or N is no prime.
+            The system is not a fluid on the torus, or N is not prime.
         """
         torus_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
@@ -134,21 +134,21 @@ class LineSplitting(SteppedMethod):
         return CompiledLoop(STEP_LOOP, found.tables, found.keep)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of its transforms."""
+        """Return the work of the Fourier transforms."""
         from coadjoint.methods.work import Work
 
-        numbers = system.dim / 2  # N^2, N lines of each
+        numbers = system.dim / 2  # N^2 numbers, transformed for each of N lines
         cost = substeps * len(self.fractions) * TRANSFORM * numbers**1.5 * np.log2(1.0 + numbers)
         return Work(lambda iterations, evaluations: cost)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy."""
+        """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
         found = matrix_of(self._moved(torus, modes_of(torus.matrices(x)), h, None)[0])
         return np.asarray(torus.to_vector(found) if torus.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative by the numbers of the state, of its projection on the algebra."""
+        """Return one step and its exact derivative in coordinates, for the projection on the algebra."""
         torus = torus_of(system)
         check_room(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
         units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
@@ -174,7 +174,7 @@ class LineSplitting(SteppedMethod):
 
 @cache
 def lines(N: int) -> tuple[Line, ...]:
-    """Return the lines in the order in which a step takes them.
+    """Return the lines in the order of a step.
 
     Examples
     --------
@@ -187,20 +187,8 @@ def lines(N: int) -> tuple[Line, ...]:
 def flow(
     v: Complexes, dv: Complexes, factor: NDArray[np.float64], constant: Complexes | None, line: Line, h: float
 ) -> tuple[Complexes, Complexes]:
-    """Return modes, and changes of them, after the exact flow of one line.
-
-    Parameters
-    ----------
-    v : (N, N) array
-        Modes of W.
-    dv : (directions, N, N) array
-        Changes of them.
-    factor, constant : arrays
-        Of `stream_of_modes`.
-    line : Line
-        Which.
-    h : float
-        The time.
+    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of one line over a time h; `factor`
+    and `constant` come from `stream_of_modes`.
     """
     N = len(v)
     number = np.arange(N)
@@ -208,7 +196,7 @@ def flow(
     place = (j * line.k[0] + d * line.l[0]) % N, (j * line.k[1] + d * line.l[1]) % N
     p = (factor * v if constant is None else factor * v + constant)[place[0][0], place[1][0]]
     dp = (factor * dv)[:, place[0][0], place[1][0]]
-    # i theta on the diagonal of the stream, for complex changes too
+    # The diagonal of the stream is i theta, also for complex changes.
     theta, dtheta = -1j * np.fft.fft(p), -1j * np.fft.fft(dp)
     turn = np.exp(1j * h * (theta[(s + d) % N] - theta[(s - d) % N]))
     bend = 1j * h * (dtheta[:, (s + d) % N] - dtheta[:, (s - d) % N])
@@ -242,19 +230,13 @@ def matrix_of(v: Complexes) -> Complexes:
 
 
 def torus_of(system: Any) -> MatrixSystem:
-    """Return a fluid on the torus, for a prime N; refuse another system.
-
-    Raises
-    ------
-    ValueError
-        It is another one.
-    """
+    """Return a fluid on the torus with a prime N unchanged; raise ValueError for any other system."""
     name = getattr(system, "name", short(system))
     served = isinstance(system, MatrixSystem) and isinstance(system.stream, Circulants)
     if not served or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
         raise ValueError(
-            f"LineSplitting moves fluids on the torus, but {name} is none: its stream is no factor for each mode of "
-            "su(N); take IsospectralGauss for matrices, Splitting for vectors"
+            f"LineSplitting integrates fluids on the torus, but {name} is not one: its stream is not a factor for each "
+            "mode of su(N); take IsospectralGauss for matrices, Splitting for vectors"
         )
     N = system.algebra.N
     if any(N % p == 0 for p in range(2, int(N**0.5) + 1)):

@@ -1,4 +1,4 @@
-"""The modified Gauss-Legendre methods: a linear system in place of the last iteration (Lemma 3.1)."""
+"""The modified Gauss-Legendre methods: a linear system instead of the last iteration (Lemma 3.1)."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     ``freeze="gradient"``:  ``X_i = x + h sum_j a_ij sign D_u(Z_j) X_j``, u = grad H: every quadratic Casimir is kept,
 
     and the output ``x_new = x + sum_i b_i`` of the same right-hand sides (equation (8)). ``stages=1`` is the modified
-    midpoint rule, equations (10)-(11). For a fixed cost in each step and one invariant to round-off; not symmetric, so
-    that the other invariant drifts: over long times `GaussLegendre` or `Splitting` is better.
+    midpoint rule, equations (10)-(11). Choose it for a fixed cost per step and one invariant to round-off. It is not
+    symmetric, so that the other invariant drifts: over long times `GaussLegendre` or `Splitting` is better.
 
     Parameters
     ----------
@@ -40,19 +40,19 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     iterations : int, optional
         The number m, from 1; None is 2 s, which gives the full order.
     freeze : {"structure", "gradient"}
-        What the linear system takes from the iterate Z: the structure matrix (energy exact, the paper's
-        M-orthogonality; quadratic H, any skew J), or the gradient (quadratic Casimirs exact, I-orthogonality on so(3);
-        any H, a Lie algebra).
+        What the linear system evaluates at the iterate Z: the structure matrix (energy exact, the paper's
+        M-orthogonality; requires quadratic H, any skew J), or the gradient (quadratic Casimirs exact, I-orthogonality
+        on so(3); any H, requires a Lie algebra).
 
     Raises
     ------
     ValueError
-        A number is no whole number from 1 up, or `freeze` is unknown.
+        A number is not a positive integer, or `freeze` is unknown.
 
     Notes
     -----
-    Linearly implicit: the system has s n unknowns, and is solved by LU factors with partial pivoting and one refinement
-    up to s n = 160, above that, matrix-free, by function iteration until the corrections stop falling.
+    The method is linearly implicit: the system of s n unknowns is solved by LU factors with partial pivoting and one
+    refinement up to s n = 160, and above that, matrix-free, by function iteration until the corrections stop falling.
 
     References
     ----------
@@ -87,7 +87,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
 
     @property
     def solver(self) -> str:
-        """What is frozen."""
+        """The value of `freeze`."""
         return self.freeze
 
     @property
@@ -96,7 +96,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the energy, or the quadratic Casimirs.
+        """Return the properties: the energy, or the quadratic Casimirs, are kept.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""How exponentials of gradients move a state along its coadjoint orbit: a momentum of a Lie algebra, or a matrix."""
+"""Action of exponentials of gradients along coadjoint orbits: of momenta of a Lie algebra, and of matrices."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class VectorOrbit:
         return self._system.hamiltonian.hessian(y, t) @ dy
 
     def generator(self, k: Any, dk: Any) -> Generator:
-        """Return D of a combination of gradients, and of its changes where there are any."""
+        """Return D of a combination of gradients, and of its changes if given."""
         system, J, sign = self._system, self._system.structure_matrix, self._system.sign
         D = None if dk is None else sign * self._coadjoint(k)
         return Generator(
@@ -51,24 +51,24 @@ class VectorOrbit:
 
 
 class MatrixOrbit:
-    """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient; or of two."""
+    """The orbit of a matrix: ``D W = [P, W]`` with the stream P as gradient; or of two layers."""
 
     def __init__(self, system: MatrixSystem) -> None:
         self._system, self.bent_by = system, "formula" if system.linear_stream else "differences"
 
     def gradient(self, W: Any, t: Any) -> Any:
-        """Return P."""
+        """Return the stream P."""
         return self._system.stream_of(W, t)
 
     def bend(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
-        layers = len(self._system.shape) == 3  # whose streams are linear, without a constant
+        layers = len(self._system.shape) == 3  # streams of two layers are linear, without a constant
         return self._system.stream_of(dW, t) if layers else slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:
-        """Return D of a combination of streams, and of its changes where there are any."""
+        """Return D of a combination of streams, and of its changes if given."""
         bracket = self._system.bracket
-        sizes = np.abs(P).reshape(-1, *self._system.algebra.shape).sum(axis=0)  # of all layers
+        sizes = np.abs(P).reshape(-1, *self._system.algebra.shape).sum(axis=0)  # summed over layers
         return Generator(
             lambda W: bracket(P, W),
             lambda W, dW: bracket(P, dW) + bracket(dP, W),
@@ -77,20 +77,7 @@ class MatrixOrbit:
 
 
 def orbit_of(system: Any, asked_by: str) -> VectorOrbit | MatrixOrbit:
-    """Return the orbits of a system; refuse one that has none.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or MatrixSystem
-        The system.
-    asked_by : str
-        The scheme, for messages.
-
-    Raises
-    ------
-    TypeError, ValueError
-        It is no single system, or has no Lie algebra.
-    """
+    """Return the orbits of a system; raise an error that names the scheme if it is a batch or has no Lie algebra."""
     check_one_system(system)
     if isinstance(system, MatrixSystem):
         return MatrixOrbit(system)

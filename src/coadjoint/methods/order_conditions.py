@@ -1,4 +1,4 @@
-"""Which order has a composition? The order conditions, in the free associative algebra."""
+"""Order of compositions, from the order conditions in the free associative algebra."""
 
 from __future__ import annotations
 
@@ -11,27 +11,10 @@ HIGHEST_ORDER = 12
 
 
 def composition_order(coefficients: Sequence[float], base_order: int) -> int:
-    """Return the order of a composition of a symmetric map of even order.
+    """Return the order of a composition of a symmetric map of even order p, at most 12 or p.
 
     The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) with free Y's; the product is compared with exp(h
     Y_1) word by word.
-
-    Parameters
-    ----------
-    coefficients : sequence of float
-        The fractions of the step.
-    base_order : int
-        Order p of the symmetric base.
-
-    Returns
-    -------
-    int
-        The order, at most 12 or that of the base.
-
-    Examples
-    --------
-    >>> composition_order((0.5, 0.5), 2)
-    2
     """
     highest = max(HIGHEST_ORDER, base_order)
     letters = [1, *range(base_order + 1, highest + 1, 2)]
@@ -46,7 +29,7 @@ def composition_order(coefficients: Sequence[float], base_order: int) -> int:
     scale = max(1.0, max(map(abs, coefficients)))
     for order in range(base_order + 1, highest + 1):
         words = found[order].keys() | exact[order].keys()
-        # Rounding of the coefficients themselves moves a condition by u times the sum of the terms in it.
+        # Rounding of the coefficients changes a condition by u times the sum of its terms.
         tolerance = UNIT_ROUNDOFF * 8 * len(coefficients) * scale**order
         if any(abs(found[order].get(word, 0.0) - exact[order].get(word, 0.0)) > tolerance for word in words):
             return order - 1

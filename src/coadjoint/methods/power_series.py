@@ -1,4 +1,4 @@
-"""Truncated power series in the time, and numbers with a derivative: the arithmetic of a Taylor method."""
+"""Arithmetic of Taylor methods: truncated power series in time, and dual numbers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,7 @@ from coadjoint.waiting import at
 
 
 class PowerSeries:
-    """The sum of coefficients[k] t^k, up to the last one that is given. Products and sums are cut at the same power.
-
-    Parameters
-    ----------
-    coefficients : sequence of numbers
-        At least one, all of one type.
+    """The power series sum_k coefficients[k] t^k; sums and products are truncated at the same power.
 
     Examples
     --------
@@ -30,13 +25,13 @@ class PowerSeries:
         self.coefficients = list(coefficients)
 
     def __add__(self, other: Any) -> PowerSeries:
-        """Return the sum with a series as long, or with a constant."""
+        """Return the sum with a series of equal length, or with a constant."""
         if isinstance(other, PowerSeries):
             return PowerSeries([a + b for a, b in zip(self.coefficients, other.coefficients, strict=True)])
         return PowerSeries([self.coefficients[0] + other, *self.coefficients[1:]])
 
     def __mul__(self, other: Any) -> PowerSeries:
-        """Return the product with a series as long, or with a constant."""
+        """Return the product with a series of equal length, or with a constant."""
         a = self.coefficients
         if isinstance(other, PowerSeries):
             b = other.coefficients
@@ -44,7 +39,7 @@ class PowerSeries:
         return PowerSeries([c * other for c in a])
 
     def __pow__(self, exponent: int) -> PowerSeries | int:
-        """Return a whole power."""
+        """Return an integer power."""
         result: Any = 1
         for _ in range(exponent):
             result = self * result
@@ -70,7 +65,7 @@ class PowerSeries:
 
 
 class Dual:
-    """A number and its derivative, which is an array. It has products and sums with its like and with numbers.
+    """A number with its derivative, an array; supports sums and products with dual and plain numbers.
 
     Examples
     --------
@@ -95,11 +90,11 @@ class Dual:
         if isinstance(other, Dual):
             return Dual(self.value * other.value, self.value * other.derivative + other.value * self.derivative)
         if isinstance(other, Fraction) and self.derivative.dtype == np.float64:
-            other = float(other)  # as Python does for each of its products with a float
+            other = float(other)  # the conversion that Python makes in products with a float
         return Dual(self.value * other, other * self.derivative)
 
     def __truediv__(self, other: Any) -> Dual:
-        """Return the quotient by a number without a derivative."""
+        """Return the quotient by a plain number."""
         return Dual(self.value / other, self.derivative / other)
 
     __radd__, __rmul__ = __add__, __mul__
@@ -108,29 +103,11 @@ class Dual:
 def expand(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any, order: int) -> list[NDArray[Any]]:
     """Return x_1 h, ..., x_p h^p of the motion x' = field(x) from x, by x_(k+1) = f_k / (k + 1).
 
-    Parameters
-    ----------
-    field : callable
-        Made of sums and products.
-    x : (n,) array of objects
-        Numbers of one type, or `Dual`.
-    h : number
-        The time.
-    order : int
-        p.
-
-    Returns
-    -------
-    list of (n,) array
-
-    Examples
-    --------
-    >>> [c[0] for c in expand(lambda x: x * x, np.array([1], dtype=object), 2, 3)]
-    [2.0, 4.0, 8.0]
+    The field consists of sums and products; the entries of x are numbers of one type, or `Dual`.
     """
     terms = [x]
     for k in range(order):
-        # The products up to one power are about as many as its square.
+        # The number of products up to a power grows like its square.
         at(f"the power {k + 1} of {order} of a series", (k / order) ** 3)
         series = np.empty(len(x), dtype=object)
         series[:] = [PowerSeries([term[i] for term in terms]) for i in range(len(x))]

@@ -1,4 +1,4 @@
-"""C++ sources after preprocessing: all that a compiler reads, and whether it has changed since."""
+"""Preprocessed C++ sources, and the detection of changes of the files that they include."""
 
 from __future__ import annotations
 
@@ -20,22 +20,14 @@ SEARCHED = re.compile(
 )
 ABSENT = re.compile(rb'^ignoring nonexistent directory "(.*)"$', re.MULTILINE)
 SETTLED = 2 * 10**9
-"""Files that changed within so many nanoseconds can change again without another time stamp."""
+"""Files modified within this many nanoseconds can change again without a new time stamp."""
 
 Stamp = tuple[int, ...] | None
 
 
 class PreprocessedSource(NamedTuple):
-    """The text that is compiled.
-
-    Parameters
-    ----------
-    text : bytes
-        After preprocessing, so that it needs no header.
-    files : dict of bytes to bool
-        The files that it comes from, in their order; whether each is a system header.
-    folders : list of bytes
-        Where headers were searched; empty where the compiler does not list them.
+    """The preprocessed `text`, the `files` that it comes from, in order, with whether each is a system header, and the
+    `folders` searched for headers (empty if the compiler does not list them).
     """
 
     text: bytes
@@ -44,7 +36,7 @@ class PreprocessedSource(NamedTuple):
 
     @classmethod
     def read(cls, text: bytes, messages: bytes) -> PreprocessedSource:
-        """Return the source from what a compiler writes for ``-E -v``."""
+        """Return the source from the output of a compiler with ``-E -v``."""
         files: dict[bytes, bool] = {}
         for name, flags in LINE_MARKER.findall(text):
             if not name.startswith(b"<"):
@@ -54,19 +46,19 @@ class PreprocessedSource(NamedTuple):
         return cls(text, files, [*searched, *ABSENT.findall(messages)] if searched else [])
 
     def digest(self, options: Sequence[str]) -> str:
-        """Return a digest of the user's files and options, the same on machines with other compilers."""
+        """Return a digest of the user's files and options, independent of the compiler."""
         found = hashlib.sha256(json.dumps(list(options)).encode())
         for name, system in self.files.items():
             if not system and not name.startswith(os.fsencode(SOURCE)):
                 try:
                     content = Path(os.fsdecode(name)).read_bytes()
-                except OSError:  # a name that a #line directive gives
+                except OSError:  # a name from a #line directive, not a file
                     continue
                 found.update(hashlib.sha256(content).digest())
         return found.hexdigest()
 
     def watched(self) -> set[bytes]:
-        """Return the files, and the folders in which a new header would take the place of one; empty if unknown."""
+        """Return the files, and the folders in which a new header would shadow an included one; empty if unknown."""
         if not self.folders:
             return set()
         folders = {*self.folders, *(os.path.dirname(name) for name, system in self.files.items() if not system)}
@@ -80,14 +72,14 @@ class PreprocessedSource(NamedTuple):
 
 
 def _existing(folder: bytes) -> bytes:
-    """Return the folder, or the one above it in which it would appear."""
+    """Return the folder, or the nearest existing parent in which it would appear."""
     while folder and not os.path.isdir(folder):
         folder = os.path.dirname(folder)
     return folder or b"."
 
 
 def stamps_of(paths: Iterable[bytes]) -> dict[bytes, Stamp]:
-    """Return what differs after a file was changed, or an entry of a folder; None of what does not exist."""
+    """Return file metadata that changes with a file or an entry of a folder; None for missing ones."""
     found: dict[bytes, Stamp] = {}
     for path in paths:
         try:
@@ -100,6 +92,6 @@ def stamps_of(paths: Iterable[bytes]) -> dict[bytes, Stamp]:
 
 
 def settled(stamps: dict[bytes, Stamp]) -> bool:
-    """Return whether every later change will show in the stamps."""
+    """Return whether every later change will alter the stamps."""
     newest = max((max(stamp[3:]) for stamp in stamps.values() if stamp), default=0)
     return bool(stamps) and newest < time.time_ns() - SETTLED

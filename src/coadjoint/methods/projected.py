@@ -1,4 +1,4 @@
-"""Any scheme, brought back to the level set of the energy and of the Casimirs after every step."""
+"""Projection of any scheme to the level set of the energy and of the Casimirs after every step."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Projected(Method):
 
     A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at
     the start of the run: energy and polynomial Casimirs do not drift, however long the run and whatever the base.
-    Choose it where a scheme that is given anyway is to stay on its level set. It is no Poisson map, also where the base
-    is one: for long runs of a `Splitting` the base alone is better, and for accuracy `Taylor` has its own projection.
-    Casimirs that are no polynomials are not kept, even by a base that keeps them.
+    Choose it to keep a prescribed scheme on its level set. It is not a Poisson map, even if the base is one: for long
+    runs of a `Splitting` the base alone is better, and for accuracy `Taylor` has its own projection. Casimirs that are
+    not polynomials are not kept, even by a base that keeps them.
 
-    The order is that of the base. A step is not symmetric, and so cannot be composed; project the `Composition`. Each
-    step of the base begins anew: `GaussLegendre` does not extrapolate from the step before.
+    The order is that of the base. A step is not symmetric, and therefore cannot be composed; project the `Composition`
+    instead. Each step of the base starts afresh: `GaussLegendre` does not extrapolate from the previous step.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Projected(Method):
     Raises
     ------
     TypeError
-        The base is no scheme.
+        The base is not a scheme.
 
     References
     ----------
@@ -89,7 +89,7 @@ class Projected(Method):
 
     @property
     def largest(self) -> float:  # type: ignore[override]
-        """As of the base."""
+        """As for the base."""
         return self.base.largest
 
     @classmethod
@@ -101,12 +101,12 @@ class Projected(Method):
         return [cls(Splitting(order=2)), cls(ExplicitRungeKutta("rk4"))]
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the energy, and the Casimirs that are polynomials.
+        """Return the properties: the energy, and the Casimirs that are polynomials, are kept.
 
         Raises
         ------
         ValueError
-            The base cannot be used for the system, or the energy is no polynomial, or depends on time.
+            The base cannot be used for the system, or the energy is not a polynomial, or depends on time.
         """
         self.base.properties(system)
         if any(term.degree is None for term in system.hamiltonian.terms()):
@@ -121,7 +121,7 @@ class Projected(Method):
         return polynomial_casimirs(system)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop over steps that take one of the loop of the base each."""
+        """Return the loop whose steps contain one step of the loop of the base each."""
         from coadjoint.kernels.loop import CompiledLoop, remembered
         from coadjoint.kernels.step_tables import PLACE_OF_INNER, tables_around
         from coadjoint.kernels.stepping import STEP_LOOP
@@ -132,7 +132,7 @@ class Projected(Method):
         return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type; the values that are kept are those at x.
+        """Return one step, computed in NumPy for any number type; the invariants keep their values at x.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class Projected(Method):
         return project_with_tangent(system, start, *self.base.tangent(system, start, t, h), float(t))
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return how the base finds it."""
+        """Return the way of the base."""
         return self.base.tangent_by(system, x, t, h)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
@@ -165,5 +165,5 @@ class Projected(Method):
         return work_of_projection(self.base.work(system), 1 + len(self.restored(system)))
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Let the base look ahead."""
+        """Prepare the base for many systems."""
         self.base.look_ahead(systems)

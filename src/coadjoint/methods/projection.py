@@ -1,4 +1,4 @@
-"""Back to the level set of invariants, read in NumPy for any number type: y = z + G(z)^T lambda with C(y) = C(x)."""
+"""Projection to the level set of invariants in NumPy, for any number type: y = z + G(z)^T lambda with C(y) = C(x)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.systems.quadratic import Quadratic
 
 
 class OnLevelSet(NamedTuple):
-    """A projected state, and how it was reached: y = z + directions^T multipliers, for the invariants that it took."""
+    """A projected state y = z + directions^T multipliers, and the invariants used."""
 
     y: NDArray[Any]
     invariants: list[HamiltonianLike]
@@ -27,12 +27,12 @@ class OnLevelSet(NamedTuple):
 
 
 def polynomial_casimirs(system: System) -> dict[str, Any]:
-    """Return the Casimirs of a system that are polynomials: those that a projection restores."""
+    """Return the Casimirs of a system that are polynomials, which a projection restores."""
     return {name: C for name, C in system.casimirs.items() if isinstance(C, Polynomial | Quadratic)}
 
 
 def casimirs_restored(system: System) -> str:
-    """Return which Casimirs are kept by a projection, as `Properties` says it."""
+    """Return which Casimirs a projection keeps, as the value of `Properties.casimirs`."""
     kept = len(polynomial_casimirs(system))
     if not kept:
         return "none"
@@ -40,7 +40,7 @@ def casimirs_restored(system: System) -> str:
 
 
 def restored_invariants(system: System) -> list[HamiltonianLike]:
-    """Return what is restored, the energy last, to which most others are coupled."""
+    """Return the restored invariants, with the energy last, to which most of the others are coupled."""
     casimirs = [as_hamiltonian(C, system.dim) for C in polynomial_casimirs(system).values()]
     return [*reversed(casimirs), system.hamiltonian]
 
@@ -48,7 +48,7 @@ def restored_invariants(system: System) -> list[HamiltonianLike]:
 def project_with_tangent(
     system: System, x: NDArray[Any], z: NDArray[Any], dz: NDArray[Any], time: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the projected state y and dy/dx, for a state z with dz/dx, where x is what the values are taken from.
+    """Return the projected state y and dy/dx, for a state z with dz/dx; the values of the invariants are those at x.
 
     With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and ``G(y) dy
     = G(x) dx``.
@@ -65,39 +65,21 @@ def project_with_tangent(
 def project(
     invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
 ) -> OnLevelSet:
-    """Return y = z + G(z)^T lambda, where the invariants have the values that they have at x.
+    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages.
 
-    Parameters
-    ----------
-    invariants : sequence of Hamiltonians
-        An invariant whose gradient depends on those before it adds no direction: restoring the others restores it.
-    x, z : (n,) arrays
-        The state whose invariants are taken, and the state that is moved.
-    number : callable
-        Number type of the states; not fractions.
-    time : float
-        Time of the step, for the message of a failure.
-
-    Returns
-    -------
-    OnLevelSet
-
-    Raises
-    ------
-    TypeError
-        The numbers are fractions.
-    IntegrationError
-        Newton's iteration, with the Gram matrix of the gradients at z, does not converge.
+    An invariant whose gradient depends on those before it adds no direction: restoring the others restores it. Raise
+    TypeError for fractions, IntegrationError if Newton's iteration, with the Gram matrix of the gradients at z, does
+    not converge.
     """
     from coadjoint.kernels.description import limit
 
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
     if unit == 0:
-        raise TypeError("a projection iterates, and does not end in exact fractions; take projected=False")
+        raise TypeError("a projection iterates, which does not terminate in exact fractions; take projected=False")
     wanted = [C.value(x) for C in invariants]
     sizes = [max(_terms_of(C, y) for y in (x, z)) for C in invariants]
-    # Constant slopes are fractions, which mpmath before 1.4 does not subtract from.
+    # Constant gradients are fractions, from which mpmath before 1.4 cannot subtract.
     gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
     free = independent(gradients)
     directions = gradients[free]
@@ -124,7 +106,7 @@ def project(
 
 
 def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
-    """Return the sum of the sizes of the terms of y . dC/dy, also where those of a derivative cancel."""
+    """Return the sum of the magnitudes of the terms of y . dC/dy, without cancellation within a derivative."""
     if not isinstance(C, PolynomialHamiltonian):
         return sum(abs(y * C.gradient(y)))
     monomials = C.polynomial.monomials
@@ -133,16 +115,7 @@ def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:
-    """Return the rows that are not, up to rounding, combinations of those before them.
-
-    Parameters
-    ----------
-    gradients : (k, n) array
-        The gradients, in any number type.
-
-    Returns
-    -------
-    list of int
+    """Return the rows of gradients (k, n) that are not, up to rounding, combinations of those before them.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a scheme keeps to round-off."""
+"""Declaration of what a scheme keeps to round-off."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ class Properties:
     casimirs : str
         ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
     attitude : str
-        ``"every representation"``; ``"coadjoint"``, with representations that are orthogonal for a fixed form and
-        contain the coadjoint one; ``"group"``, in the group of every representation, the spatial momentum as
-        accurately as the scheme; ``"integrated"``, as a differential equation of which nothing is kept; or ``"none"``.
+        Group elements that are kept: ``"every representation"``; ``"coadjoint"``, and representations that are
+        orthogonal for a fixed form and contain the coadjoint one; ``"group"``, which keeps the group of every
+        representation, and the spatial momentum with the accuracy of the scheme; ``"integrated"``, as a differential
+        equation, which keeps nothing; or ``"none"``.
     reversible : bool
-        Whether steps whose length varies with the state can be taken back one after the other.
+        Whether steps whose length varies with the state are undone by steps backward.
     broken_by : tuple of str
         Forces of the system that break what the scheme keeps of the Hamiltonian part, as "energy: LinearDamping".
 
     Raises
     ------
     TypeError, ValueError
-        A value is none of these.
+        A value is not one of these.
     """
 
     poisson: bool

@@ -30,9 +30,9 @@ class RadauEnergy(CompiledStepMethod):
     """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: the energy is kept, and nothing else.
 
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
-    X_s``. It serves any Hamiltonian that does not depend on time, wherever x . grad H is not zero. The paper warns by
-    it: exact energy does not keep the motion on the level sets of Casimirs (|x|^2 of the rigid body drifts). To
-    integrate, take `Splitting`, `Taylor` or `GaussLegendre`.
+    X_s``. It supports any Hamiltonian that does not depend on time, where x . grad H is not zero. In the paper it is a
+    counterexample: exact energy does not keep the motion on the level sets of Casimirs (|x|^2 of the rigid body
+    drifts). For other purposes choose `Splitting`, `Taylor` or `GaussLegendre`.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class RadauEnergy(CompiledStepMethod):
     Raises
     ------
     ValueError
-        `stages` is no whole number from 1 up.
+        `stages` is not a positive integer.
 
     References
     ----------
@@ -71,7 +71,7 @@ class RadauEnergy(CompiledStepMethod):
         return 2 * self.stages - 1
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the energy, quadratic or not.
+        """Return the properties: the energy is kept, quadratic or not.
 
         Raises
         ------
@@ -88,16 +88,16 @@ class RadauEnergy(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """The step in ``radau_energy.cpp``."""
+        """Name of the step in ``radau_energy.cpp``."""
         return "radau_energy"
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return s, and the weights b and mu one after the other."""
+        """Return s; and the weights b followed by mu."""
         _, weights, mu = radau(self.stages)
         return [self.stages], [*weights, *mu.ravel()]
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type.
+        """Return one step, computed in NumPy for any number type.
 
         Raises
         ------

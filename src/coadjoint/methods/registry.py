@@ -1,4 +1,4 @@
-"""Which schemes are there? By name, found in the files of this folder."""
+"""Registry of the schemes by name, collected from the files of this folder, entry points and `register`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from coadjoint.wording import short
 Scheme = TypeVar("Scheme", bound=type[Method])
 
 ENTRY_POINTS = "coadjoint.methods"
-"""The group of entry points by which other packages register theirs: name = "package.module:Scheme"."""
+"""Group of entry points with which other packages register schemes: name = "package.module:Scheme"."""
 
 _registered: dict[str, type[Method]] = {}
 
@@ -38,12 +38,12 @@ def register(scheme: Scheme) -> Scheme:
     Returns
     -------
     type
-        The class itself, so that this can be a decorator.
+        The class itself, for use as a decorator.
 
     Raises
     ------
     TypeError
-        It is no such class.
+        It is not such a class.
     ValueError
         Another scheme has this name.
 
@@ -64,12 +64,12 @@ def register(scheme: Scheme) -> Scheme:
     >>> co.methods.registry.forget("ForwardEuler")
     """
     if not (isinstance(scheme, type) and issubclass(scheme, Method)):
-        raise TypeError(f"{short(scheme)} is no scheme; register a class that derives from coadjoint.methods.Method")
+        raise TypeError(f"{short(scheme)} is not a scheme; register a class that derives from coadjoint.methods.Method")
     missing = sorted(getattr(scheme, "__abstractmethods__", ()))
     if missing:
-        raise TypeError(f"{scheme.__name__} has no {missing[0]}; a scheme says its order, what it keeps, and its step")
+        raise TypeError(f"{scheme.__name__} has no {missing[0]}; a scheme must define its order, properties and step")
     if not dataclasses.is_dataclass(scheme):
-        raise TypeError(f"{scheme.__name__} is no dataclass, so its parameters could not be written down; make it one")
+        raise TypeError(f"{scheme.__name__} is not a dataclass, so its parameters cannot be stored; make it one")
     name = scheme.__name__
     known = _own().get(name) or _registered.get(name)
     if known is not None and (known.__module__, known.__qualname__) != (scheme.__module__, scheme.__qualname__):
@@ -84,7 +84,7 @@ def forget(name: str) -> None:
     Parameters
     ----------
     name : str
-        Name of a scheme that was registered.
+        Name of a registered scheme.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def forget(name: str) -> None:
 
 
 def _schemes() -> dict[str, type[Method]]:
-    """Every scheme by its name: those of this folder, of entry points, and those that were registered."""
+    """Return all schemes by name: those of this folder, of entry points, and registered ones."""
     return dict(sorted((_own() | _of_entry_points() | _registered).items()))
 
 
@@ -109,14 +109,14 @@ def _of_entry_points() -> dict[str, type[Method]]:
             register(scheme)
             found[scheme.__name__] = _registered.pop(scheme.__name__)
         except Exception as error:
-            # A broken package must not hide the others.
-            warnings.warn(f"the scheme {point.name} ({point.value}) is left out: {error}", RuntimeWarning, stacklevel=2)
+            # A broken package must not prevent the use of the others.
+            warnings.warn(f"the scheme {point.name} ({point.value}) is skipped: {error}", RuntimeWarning, stacklevel=2)
     return found
 
 
 @cache
 def _own() -> dict[str, type[Method]]:
-    """Every concrete scheme that a file of this folder defines: a new scheme is one file, and is in no list."""
+    """Return every concrete scheme that a file of this folder defines; there is no list to update for a new scheme."""
     package = importlib.import_module("coadjoint.methods")
     found: dict[str, type[Method]] = {}
     for module_info in pkgutil.iter_modules(package.__path__):
@@ -166,7 +166,7 @@ def get(name: str, /, **parameters: Any) -> Method:
     name : str
         One of `names`.
     **parameters
-        Those of the scheme. A scheme among them (the base of a `Composition`) may be a mapping, as for
+        Parameters of the scheme. A scheme among them (the base of a `Composition`) may be a mapping, as for
         `from_description`.
 
     Returns
@@ -176,7 +176,7 @@ def get(name: str, /, **parameters: Any) -> Method:
     Raises
     ------
     ValueError, TypeError
-        No such scheme or parameter (the nearest name is given), or a value is wrong.
+        There is no such scheme or parameter (the message suggests the nearest name), or a value is invalid.
 
     Examples
     --------
@@ -194,12 +194,12 @@ def get(name: str, /, **parameters: Any) -> Method:
 
 
 def from_description(description: Mapping[str, Any]) -> Method:
-    """Return the scheme that a mapping describes, as a configuration file does.
+    """Return the scheme that a mapping describes, in the form of configuration files.
 
     Parameters
     ----------
     description : mapping
-        ``"name"``, and the parameters beside it or in a mapping ``"parameters"`` (where one is itself called name).
+        ``"name"`` and the parameters, or ``"name"`` and a mapping ``"parameters"`` (if one of them is called name).
 
     Returns
     -------
@@ -208,7 +208,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
     Raises
     ------
     ValueError, TypeError
-        As `get`; and if there is no name, or a parameter is given twice.
+        As for `get`; and if there is no name, or a parameter is given twice.
 
     Examples
     --------
@@ -225,7 +225,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
     name, inside = beside.pop("name", None), beside.pop("parameters", {})
     if not isinstance(name, str) or not isinstance(inside, Mapping):
         raise ValueError(
-            f"{short(dict(description))} is no scheme; "
+            f"{short(dict(description))} is not a scheme; "
             "give its name and parameters, such as name = 'Splitting', order = 2"
         )
     twice = sorted(beside.keys() & inside.keys())
@@ -235,21 +235,9 @@ def from_description(description: Mapping[str, Any]) -> Method:
 
 
 def read_method(given: Any) -> Method:
-    """Return a scheme that is given as one, by its name, or as a mapping; refuse what is none.
+    """Return the scheme given as an instance, a name or a mapping, in the forms that `integrate` accepts.
 
-    Parameters
-    ----------
-    given : Method, str or mapping
-        As `integrate` takes it.
-
-    Returns
-    -------
-    Method
-
-    Raises
-    ------
-    TypeError, ValueError
-        No scheme, no such name (with the nearest one), or as `from_description`.
+    Raise TypeError or ValueError for anything else, with the nearest name for an unknown one.
 
     Examples
     --------
@@ -283,13 +271,13 @@ TABLEAUS = {"rk4": "rk4", "runge2": "runge2"}
 
 def _read(value: Any) -> Any:
     if isinstance(value, Mapping):
-        # Chosen parts have a written form too.
+        # Mappings without a name are chosen parts.
         return from_description(value) if "name" in value else {key: _read(entry) for key, entry in value.items()}
     return tuple(_read(entry) for entry in value) if isinstance(value, list) else value
 
 
 def parameters_of(name: str) -> dict[str, Any]:
-    """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` where there is none).
+    """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` if there is none).
 
     Parameters
     ----------
@@ -309,21 +297,7 @@ def parameters_of(name: str) -> dict[str, Any]:
 
 
 def documentation_of(name: str) -> str:
-    """Return what is said of a scheme: what it is, its parameters, and when it is refused; without examples.
-
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ValueError
-        There is no such scheme.
+    """Return the docstring of a scheme without its examples; raise ValueError for an unknown name.
 
     Examples
     --------
@@ -335,22 +309,7 @@ def documentation_of(name: str) -> str:
 
 
 def summary_of(name: str) -> str:
-    """Return the first line of the documentation of a scheme.
-
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> summary_of("Splitting")
-    'Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.'
-    """
+    """Return the first line of the docstring of a scheme."""
     return documentation_of(name).partition("\n")[0]
 
 
@@ -360,7 +319,7 @@ def description_of(method: Method) -> dict[str, Any]:
     Parameters
     ----------
     method : Method
-        A scheme that is a dataclass, as all of this library are.
+        A scheme that is a dataclass, such as all schemes of this library.
 
     Returns
     -------
@@ -370,7 +329,7 @@ def description_of(method: Method) -> dict[str, Any]:
     Raises
     ------
     TypeError
-        A scheme that is not a dataclass, so that its parameters are unknown.
+        The scheme is not a dataclass, so that its parameters are unknown.
 
     Examples
     --------
@@ -379,7 +338,7 @@ def description_of(method: Method) -> dict[str, Any]:
     True
     """
     if not dataclasses.is_dataclass(method):
-        raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be written down")
+        raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be stored; make it one")
     fields = [field.name for field in dataclasses.fields(method) if field.init]
     return {"name": type(method).__name__, "parameters": {key: _plain(getattr(method, key)) for key in fields}}
 

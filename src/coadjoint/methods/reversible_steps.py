@@ -1,4 +1,4 @@
-"""Steps of a symmetric scheme whose length follows the motion, and that can be taken back."""
+"""Reversible steps of a symmetric scheme, with lengths that follow the speed of the motion."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NO_STEP = (
     f"change the time, {MANY}"
 )
 MOST_STEPS = 10**7
-"""Of the plain reading."""
+"""Largest number of steps in Python."""
 
 
 @dataclass(frozen=True)
@@ -40,33 +40,33 @@ class ReversibleSteps(Method):
     """A symmetric scheme whose step length follows the speed of the motion, in a reversible way.
 
     The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,
-    and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; it begins as Q, half a step on. States and rho
-    together are a reversible map: where the motion is integrable or nearly so, energy and actions do not drift, as they
-    do with steps that an estimate of the error controls. Steps are those of the base: the Casimirs that it keeps are
-    kept, and the energy where it keeps that. A step of varying length is no Poisson map.
+    and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; rho_0 is Q, advanced by half a step. States
+    and rho together are a reversible map: for integrable or nearly integrable motions energy and actions do not drift,
+    unlike with steps controlled by an error estimate. The steps are those of the base: the Casimirs that it keeps are
+    kept, and the energy if the base keeps it. A step of varying length is not a Poisson map.
 
-    Choose it for long runs in which the motion is much faster at some times than at others: close encounters, a top
-    that falls, particles that meet and part. Where the speed hardly varies the base alone at a constant step is better,
-    and for accuracy over short times `Taylor` with a tolerance is. The step of a run is the distance of the points at
-    which one looks; a look is a part of a step of the base, and changes nothing of the motion.
+    Choose it for long runs in which the motion is much faster at some times than at others: close encounters, a falling
+    top, scattering particles. If the speed hardly varies, the base alone at a constant step is better; for accuracy
+    over short times, `Taylor` with a tolerance is. The step of a run is the distance of output points; the state at an
+    output point is computed by a fraction of a step of the base, and does not affect the motion.
 
     Parameters
     ----------
     base : Method
         A symmetric scheme: a splitting of even order, a Gauss-Legendre method, a composition.
     stride : float
-        Length of a step times the speed: how far it goes in radians, about, or in parts of the momentum. The error goes
-        like its power of the order of the base.
+        Length of a step times the speed: roughly the angle in radians, or the relative change of the momentum, of a
+        step. The error is proportional to stride^order, with the order of the base.
     speed : Quadratic or Polynomial, optional
-        A polynomial of the state that is positive where the motion goes; in files a list of its terms, ``[coefficient,
-        [exponent of x1, exponent of x2, ...]]``. None is the root mean square size of the
-        matrix D, x' = D x with grad H held: the rate at which flows turn, shear and stretch. Without a Lie algebra it
-        is to be given.
+        A polynomial of the state that is positive along the motion; in files a list of its terms, ``[coefficient,
+        [exponent of x1, exponent of x2, ...]]``. None is the root mean square size of the matrix D, x' = D x with grad
+        H held constant: the rate at which flows rotate, shear and stretch. It is required for systems without a Lie
+        algebra.
 
     Raises
     ------
     TypeError, ValueError
-        The base is no symmetric scheme; the stride is not positive; there is no such speed.
+        The base is not a symmetric scheme; the stride is not positive; the speed is not of these types.
 
     References
     ----------
@@ -115,27 +115,27 @@ class ReversibleSteps(Method):
 
     @property
     def own_steps(self) -> bool:
-        """They are its own."""
+        """Always true."""
         return True
 
     @property
     def order(self) -> int:
-        """That of the base, in the stride."""
+        """That of the base, in powers of the stride."""
         return self.base.order
 
     @property
     def explicit(self) -> bool:
-        """As the base is."""
+        """As for the base."""
         return self.base.explicit
 
     @property
     def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base, and a speed that vanishes."""
+        """Those of the base, and a vanishing speed."""
         return {"UNDEFINED": NO_STEP} | dict(self.base.failures)
 
     @property
     def largest(self) -> float:  # type: ignore[override]
-        """As of the base."""
+        """As for the base."""
         return self.base.largest
 
     @classmethod
@@ -147,12 +147,13 @@ class ReversibleSteps(Method):
         return [cls(Splitting(order=2)), cls(GaussLegendre(2), 0.2)]
 
     def properties(self, system: System) -> Properties:
-        """Return what the base keeps, but for the bracket: lengths that depend on the state make no Poisson map.
+        """Return the properties of the base except the bracket: steps whose length depends on the state are no Poisson
+        maps.
 
         Raises
         ------
         ValueError
-            The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not known on it.
+            The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not defined for it.
         """
         check_vectors(system)
         kept = self.base.properties(system)
@@ -168,13 +169,13 @@ class ReversibleSteps(Method):
         return speed_of(system, self.speed)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop whose steps of their own are those of the loop of the base."""
+        """Return the loop with variable steps around the loop of the base."""
         from coadjoint.kernels.loop import CompiledLoop, remembered
         from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
         from coadjoint.kernels.stepping import STEP_LOOP
         from coadjoint.kernels.tables import invariants_table
 
-        # Angles are scaled to the length of each step from those of one that every grid of looks shares.
+        # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
         places, keep = places_of(inner, system, representation)
         followed = invariants_table([("the speed", speed.given)], system.dim)
@@ -184,12 +185,12 @@ class ReversibleSteps(Method):
         return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return the motion over h in its own steps, begun anew, read in NumPy for any number type.
+        """Return the motion over h by variable steps from a fresh start, in NumPy for any number type.
 
         Raises
         ------
         IntegrationError
-            There is no next step, or no end of them.
+            A step is undefined, or steps become too short.
         """
         self.properties(system)
         speed, y, since = self._speed(system), np.asarray(x), 0 * h
@@ -223,13 +224,13 @@ class ReversibleSteps(Method):
         return found.value, found.derivative
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return how its derivative is found."""
+        """Return how the derivative is computed."""
         from coadjoint.methods.step_derivatives import derivative_of
 
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def finer(self, steps: int, times: float) -> Finer:
-        """Return a run of shorter strides, of which the points only tell the size on the way."""
+        """Return a run with a shorter stride, whose output points only sample the size of the motion."""
         return Finer(replace(self, stride=self.stride / times), max(steps, OWN_LOOKS), times**-self.order)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
@@ -241,7 +242,7 @@ class ReversibleSteps(Method):
         return self.base.work(system, group)
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Let the base look ahead."""
+        """Prepare the base for many systems."""
         self.base.look_ahead(systems)
 
 

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods: the step and its exact derivative, read in NumPy for any number type."""
+"""Base class of Runge-Kutta methods: the step and its exact derivative in NumPy, for any number type."""
 
 from __future__ import annotations
 
@@ -28,37 +28,39 @@ if TYPE_CHECKING:
 
 
 class RungeKuttaMethod(SteppedMethod):
-    """A Runge-Kutta scheme of your own: a tableau, and how its stages are found."""
+    """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
 
     tables_of_any_step = True
 
     @property
     @abstractmethod
     def solver(self) -> str:
-        """How the compiled loop finds the slopes.
+        """Solver for the slopes in the compiled loop.
 
         ``"explicit"``, ``"iterated"``, ``"implicit"``, or linear with ``"structure"`` or ``"gradient"`` frozen.
         """
 
     @property
     def function_iterations(self) -> int:
-        """How many iterations come before the output, or before the linear system; of an explicit scheme s - 1, from
-        each stage to the next. Implicit schemes do not say.
+        """Number of function iterations before the output, or before the linear system.
+
+        For an explicit scheme s - 1, one from each stage to the next; 0 for implicit schemes, which iterate to
+        convergence.
         """
         return len(self.coefficients().node) - 1 if self.solver == "explicit" else 0
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix E of the starting values X_i = x + sum_j E_ij L_j, L the slopes of the substep before.
+        """Return the matrix E of the initial guess X_i = x + sum_j E_ij L_j, L the slopes of the previous substep.
 
         Parameters
         ----------
         ratio : float
-            Length of the substep in units of the one before it.
+            Length of the substep relative to the previous one.
 
         Returns
         -------
         (s, s) array
-            Zero, so that X_i = x, unless the scheme knows better; only implicit ones are asked.
+            Zero, so that X_i = x, unless overridden; used by implicit schemes only.
         """
         return np.zeros_like(self.coefficients().mix)
 
@@ -78,10 +80,10 @@ class RungeKuttaMethod(SteppedMethod):
 
     @property
     def collocation(self) -> Sequence[Fraction] | None:
-        """Of a collocation method, the rational polynomial whose roots are the nodes, lowest power first.
+        """For a collocation method, the rational polynomial whose roots are the nodes, lowest power first.
 
-        Series of the step are then rational even where the nodes are not. With None the numbers of the tableau are
-        read.
+        Power series of the step are then rational even if the nodes are not. If it is None, they use the numbers of the
+        tableau.
         """
         return None
 
@@ -100,7 +102,7 @@ class RungeKuttaMethod(SteppedMethod):
 
     @property
     def known_to(self) -> float:
-        """Zero for rational coefficients, else their relative rounding."""
+        """Zero for rational coefficients, else their relative rounding error."""
         return 0.0 if self.collocation is not None else self._rational[1]
 
     @property
@@ -111,7 +113,7 @@ class RungeKuttaMethod(SteppedMethod):
         return rational_tableau(self.coefficients)
 
     def symmetrized(self) -> Method:
-        """Return the tableau of this scheme and its adjoint. A solver that stops early has no adjoint here."""
+        """Return the tableau of this scheme and its adjoint; not for solvers with a fixed number of iterations."""
         from coadjoint.methods.symmetrized import PairOfTableaux
 
         if self.solver not in ("explicit", "implicit") or not self._as_written:
@@ -120,18 +122,18 @@ class RungeKuttaMethod(SteppedMethod):
 
     @property
     def _as_written(self) -> bool:
-        """Whether steps are those of tableau and solver, not overridden."""
+        """Whether `step` and `evaluate` are not overridden."""
         return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes of a step as `solver` says, with their derivatives if `tangent`.
+        """Return the slopes of a step by `solver`, with their derivatives if `tangent`.
 
         Parameters
         ----------
         step : Step
-            Where the step starts.
+            The step at its start.
         tangent : bool
-            Whether derivatives are wanted.
+            Whether to compute derivatives.
 
         Returns
         -------
@@ -178,17 +180,19 @@ class RungeKuttaMethod(SteppedMethod):
         return with_tangents(loop, system, table.functions, frame)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the iterations that a step takes."""
+        """Return the work of the iterations of a step."""
         from coadjoint.methods.work import work_of_iterations
 
         return work_of_iterations(system, group)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether any member still begins with Newton's method: implicit schemes remember that first."""
+        """Return whether any implicit step of a member still starts with Newton's method, the first number in its
+        memory.
+        """
         return bool(np.any(memory[:, :1] > 0.0))
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, as the formulas say it, without compensation.
+        """Return one step, by the defining formulas, without compensation.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""How much does a step of a series take? Vectors of rows are counted as the kernels lay them out."""
+"""Cost model of steps by Taylor series, which counts vectors of rows in the layout of the kernels."""
 
 from __future__ import annotations
 
@@ -14,36 +14,24 @@ from coadjoint.systems.kinds import System
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 LANES = 8
-# Sums of up to so many vectors of rows have code of their own, where no products stand behind the coordinates. Others
-# take so many times as long for a vector; of each coefficient so many operations wait for each other, and for each
-# vector of rows.
+# Sums of up to WRITTEN_OUT vectors of rows are unrolled, if there are no products behind the coordinates. Others are
+# slower by the factor BY_TABLES per vector, and have a longer chain of dependent operations for each coefficient, and
+# for each vector of rows.
 WRITTEN_OUT = 3
 BY_TABLES, WAITING_BY_TABLES, WAITING_FOR_A_BLOCK = 3.5, 6.5, 2.0
-# Beside a product in the sum of a coefficient.
+# Dependent operations per product in the sum of a coefficient.
 WAITING_FOR_A_PRODUCT = 1.4
-# Up to so many invariants of two vectors of coordinates stay in registers; others take so many times as long.
+# Up to FEW_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
 FEW_INVARIANTS, NOT_IN_REGISTERS = 4, 1.5
 
 
 def series_operations(system: System, order: int, invariants: Iterable[HamiltonianLike]) -> Operations:
-    """Return the work of a step: products of series, what waits for the coefficient before, and the projection.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    order : int
-        Of the series.
-    invariants : iterable of Hamiltonians
-        What the step is projected to.
-
-    Returns
-    -------
-    Operations
+    """Return the operations of a step: products of series, operations that depend on the previous coefficient, and
+    projection.
 
     Examples
     --------
-    A rigid body has one product a row, and four rows fill half a vector:
+    A rigid body has one product per row, and four rows fill half a vector:
 
     >>> import coadjoint as co
     >>> series_operations(co.systems.rigid_body(inertia=(1, 2, 3)), 8, []).vectors
@@ -65,14 +53,14 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
 
 
 def vectors_of_products(system: System, lanes: int) -> float:
-    """Return how many vectors of rows multiply series, as ``series_field.hpp`` lays them out."""
+    """Return the number of vectors of rows that multiply series, in the layout of ``series_field.hpp``."""
     assert system.algebra is not None
     i, j, k, _ = system.algebra.triples
     row, moved, other = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
     terms = system.hamiltonian.terms()
     form = terms[0].form if len(terms) == 1 else None
     if form is not None and np.all(form.rows == form.indices):
-        # Products are written out, each once. Those with a coordinate that is not in H are left out.
+        # Products are unrolled, each once; those with a coordinate that is not in H are omitted.
         there = np.isin(other, form.indices)
         pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
         row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
@@ -80,7 +68,7 @@ def vectors_of_products(system: System, lanes: int) -> float:
 
 
 class Behind:
-    """How many vectors of products of coordinates stand behind these, for the gradient of a Hamiltonian."""
+    """Number of vectors of products, stored behind the coordinates, for the gradient of a Hamiltonian."""
 
     def __init__(self, H: HamiltonianLike) -> None:
         self._products: set[tuple[int, ...]] = set()
@@ -89,11 +77,11 @@ class Behind:
 
     @property
     def blocks(self) -> int:
-        """The vectors, those of as many factors side by side."""
+        """Number of vectors; products with equal numbers of factors share vectors."""
         return sum(-(-count // LANES) for count in Counter(map(len, self._products)).values())
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        """Has a gradient that is linear."""
+        """Do nothing: the gradient is linear."""
 
     def polynomial(self, term: PolynomialTerm) -> None:
         """Count the products in the derivatives of a polynomial."""
@@ -105,11 +93,11 @@ class Behind:
                 self._products.update(tuple(rest[:count]) for count in range(2, len(rest) + 1))
 
     def function(self, term: FunctionTerm) -> None:
-        """Is refused."""
+        """Do nothing: functions are not supported by series."""
 
 
 class Rows:
-    """How many vectors of rows the gradient of an invariant has, each for every factor, as in ``product_rows.hpp``."""
+    """Number of vectors of rows of the gradient of an invariant, per factor, as in ``product_rows.hpp``."""
 
     def __init__(self, C: HamiltonianLike, dim: int, lanes: int) -> None:
         self._lanes, self._size = lanes, -(-dim // lanes) * lanes
@@ -119,7 +107,7 @@ class Rows:
 
     @property
     def vectors(self) -> float:
-        """The vectors."""
+        """Number of vectors."""
         found = (factors * _longest_of_blocks(counts, self._lanes) for factors, counts in self._counts.items())
         return sum(found, 0.0)
 
@@ -133,7 +121,7 @@ class Rows:
             self._add(max(1, sum(exponents) - 1), np.flatnonzero(exponents))
 
     def function(self, term: FunctionTerm) -> None:
-        """Is not restored."""
+        """Do nothing: functions are not restored."""
 
     def _add(self, factors: int, rows: NDArray[np.int64]) -> None:
         counts = self._counts.setdefault(factors, np.zeros(self._size, dtype=np.int64))
@@ -141,5 +129,5 @@ class Rows:
 
 
 def _longest_of_blocks(counts: NDArray[np.int64], lanes: int) -> float:
-    """Return how many vectors rows with so many entries take; shorter ones wait for the longest of their block."""
+    """Return the number of vectors for rows with these counts of entries: each block is as long as its longest row."""
     return float(np.max(counts.reshape(-1, lanes), axis=1).sum())

@@ -1,4 +1,4 @@
-"""A short motion from a state, with its tangent map: what has an error that was made along it become at its end?"""
+"""Short orbits with their tangent maps, which carry local errors to the end of an orbit."""
 
 from __future__ import annotations
 
@@ -15,24 +15,16 @@ from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 
-# Number of steps of an orbit. Their length is a part of the time in which the motion turns by one radian, or grows by a
-# factor e.
+# STEPS is the number of steps of an orbit, PART their length in units of the time in which the motion rotates by one
+# radian or grows by a factor e.
 STEPS = 128
 PART = 0.25
 FEWEST = 8
 
 
 class ShortOrbit(NamedTuple):
-    """States at evenly spaced times and the derivative of each with respect to the one before.
-
-    Parameters
-    ----------
-    points : ndarray, shape (k + 1, n)
-        Momenta.
-    tangents : ndarray, shape (k, n, n)
-        Derivatives of the steps between them.
-    spacing : float
-        Time between two of them, negative for backward.
+    """States (k + 1, n) at evenly spaced times, and the derivatives (k, n, n) of each with respect to the previous one;
+    `spacing` is negative for backward.
     """
 
     points: Floats
@@ -41,21 +33,12 @@ class ShortOrbit(NamedTuple):
 
     @property
     def square(self) -> float:
-        """The square of the largest momentum; 1 where all are zero."""
+        """The square of the largest momentum; 1 if all are zero."""
         return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
 
     def carried(self, fields: Floats) -> Floats:
-        """Return the errors that a perturbed field has made up to each point, to first order.
-
-        Parameters
-        ----------
-        fields : ndarray, shape (k + 1, n, m)
-            What is added to the vector field at the points, for each of m perturbations.
-
-        Returns
-        -------
-        ndarray, shape (k + 1, n, m)
-            The difference of the perturbed motion from the motion, by the trapezoidal rule.
+        """Return the first-order errors (k + 1, n, m) of m perturbations of the vector field, given at the points in
+        the same shape, by the trapezoidal rule.
         """
         half = 0.5 * self.spacing
         found = np.zeros_like(fields)
@@ -65,7 +48,7 @@ class ShortOrbit(NamedTuple):
 
 
 def _product(matrix: Floats, columns: Floats) -> Floats:
-    """Return a matrix times columns, summed in order: what is chosen must not depend on a library."""
+    """Return a matrix times columns, summed in order: automatic choices must not depend on the BLAS."""
     total = matrix[:, :1] * columns[:1]
     for j in range(1, len(columns)):
         total = total + matrix[:, j : j + 1] * columns[j]
@@ -74,30 +57,10 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
 
 @QUIET
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
-    """Return the motion from a state over some dozens of radians, with its tangents.
+    """Return the orbit from a state over some dozens of radians, with tangents, by a scheme of order at least two in
+    Python.
 
-    Parameters
-    ----------
-    method : Method
-        The scheme that takes the steps, read in Python; of order two at least.
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    x0 : ndarray, shape (n,)
-        The state.
-    t : float
-        Time at the start.
-    steps : int
-        Number of steps.
-
-    Returns
-    -------
-    ShortOrbit
-        It is shorter where the motion leaves the range of float64.
-
-    Raises
-    ------
-    ValueError
-        The motion leaves the range of float64 within a few steps.
+    It is shorter if the motion leaves the range of float64; raise ValueError if this happens within a few steps.
     """
     spacing = PART / rate_at(system, x0, t)
     points, tangents = [x0], []
@@ -116,7 +79,7 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
 
 
 def cannot_follow(x0: Floats, spacing: float) -> ValueError:
-    """Return the error for a motion that leaves the range of float64 at once."""
+    """Return the error for a motion that leaves the range of float64 within a few steps."""
     return ValueError(
         f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
         f"{spacing:g}; take another state"
@@ -125,26 +88,10 @@ def cannot_follow(x0: Floats, spacing: float) -> ValueError:
 
 @QUIET
 def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
-    """Return how fast the motion turns or grows at a state, per unit of time.
+    """Return the rate at which the motion rotates or grows at a state, per unit of time; ValueError if the field
+    overflows.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    x0 : ndarray, shape (n,)
-        The state.
-    t : float
-        The time.
-
-    Returns
-    -------
-    float
-        The larger of |f|/|x| and of |(Df)^2|^(1/2), f the vector field; 1 where nothing moves.
-
-    Raises
-    ------
-    ValueError
-        The field overflows there.
+    The larger of |f|/|x| and |(Df)^2|^(1/2), f the vector field; 1 at an equilibrium with (Df)^2 = 0.
     """
     size, near = float(np.linalg.norm(x0)), system.jacobian(x0, t)
     turning = float(np.linalg.norm(near @ near)) ** 0.5

@@ -1,4 +1,4 @@
-"""How the slopes of a Runge-Kutta step are found, read in NumPy for any number type, with their derivatives."""
+"""Solvers for the slopes of Runge-Kutta steps in NumPy, for any number type, with derivatives."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.stages import Step
 from coadjoint.program.numbers import roundoff
 
-MOST_ITERATIONS = 200  # for 53 bits; proportionally more for more bits
+MOST_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
 
 
 class Evaluation(NamedTuple):
-    """The slopes L of a step, shape (s, n), and, where asked for, their derivatives dL / dx, shape (s, n, n)."""
+    """The slopes L of a step, shape (s, n), and, if requested, their derivatives dL / dx, shape (s, n, n)."""
 
     slopes: NDArray[Any]
     derivatives: NDArray[np.float64] | None
@@ -88,7 +88,7 @@ SOLVERS: dict[str, Callable[[Step, int, bool], Evaluation]] = {
     "structure": structure_frozen,
     "gradient": gradient_frozen,
 }
-"""By the name of the solver of a scheme."""
+"""Name of the solver of a scheme -> function."""
 
 
 def _linear(
@@ -115,27 +115,13 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
 
 
 def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
-    """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L.
+    """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 
-    Parameters
-    ----------
-    step : Step
-        Where the step starts.
-    slopes_at : callable
-        The slopes at given stages.
-
-    Returns
-    -------
-    (s, n) array
-
-    Raises
-    ------
-    IntegrationError
-        The iteration does not converge.
+    Raise IntegrationError if the iteration does not converge.
     """
     from coadjoint.kernels.description import limit
 
-    most_growth = 2 ** limit("GROWTH_BITS")  # an iteration whose correction grows by so much will not converge
+    most_growth = 2 ** limit("GROWTH_BITS")  # growth of the correction at which the iteration counts as divergent
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:
         raise TypeError(
@@ -143,7 +129,7 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
         )
     most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, least, quiet, largest, first = step.start(), None, 0, None, 0
-    with np.errstate(over="ignore", invalid="ignore"):  # its last correction shows that an iteration diverges
+    with np.errstate(over="ignore", invalid="ignore"):  # divergence is detected by the last correction
         for iteration in range(1, most + 1):
             slopes = slopes_at(points)
             new = step.points(slopes)

@@ -1,4 +1,4 @@
-"""How fast is a motion? A speed for steps that follow it, and the rate at which it changes."""
+"""Speed of a motion and its rate of change, for variable steps."""
 
 from __future__ import annotations
 
@@ -22,20 +22,11 @@ class Speed:
     given: Any
 
     def at(self, x: Any) -> tuple[Any, Any]:
-        """Return the speed Q at a state, and the rate Q' / Q at which it changes with the motion.
-
-        Parameters
-        ----------
-        x : (n,) array
-            The state, of any number type.
-
-        Returns
-        -------
-        Q, rate : number
+        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion.
 
         Examples
         --------
-        Of a body the speed is that of its turn, times the square root of 2/3:
+        The speed of a rigid body is its angular velocity times the square root of 2/3:
 
         >>> import coadjoint as co
         >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
@@ -54,23 +45,10 @@ class Speed:
 
 
 def speed_of(system: System, speed: Any) -> Speed:
-    """Return the speed of a system that `ReversibleSteps` names.
+    """Return the speed for `ReversibleSteps`: a given polynomial, or the root mean square size of D, x' = D x, grad H
+    constant.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    speed : Quadratic, Polynomial or None
-        None is the root mean square size of the matrix D, x' = D x with grad H held.
-
-    Returns
-    -------
-    Speed
-
-    Raises
-    ------
-    ValueError
-        There is no Lie algebra, or all brackets are zero; or the polynomial has another dimension.
+    Raise ValueError if a default speed needs a Lie algebra or a nonzero bracket, or a polynomial has another dimension.
     """
     if isinstance(speed, Quadratic):
         return Speed(system, "given", speed.bind(system.dim))
@@ -81,7 +59,7 @@ def speed_of(system: System, speed: Any) -> Speed:
     algebra = system.algebra
     if algebra is None:
         raise ValueError(
-            f"ReversibleSteps finds the speed from a Lie algebra, which {system.name} has not; give speed=, a "
+            f"ReversibleSteps finds the speed from a Lie algebra, which {system.name} does not have; give speed=, a "
             "Polynomial that is positive"
         )
     square = _square_of_generators(algebra)
@@ -92,7 +70,7 @@ def speed_of(system: System, speed: Any) -> Speed:
 
 @lru_cache(maxsize=64)
 def _square_of_generators(algebra: Any) -> Quadratic | None:
-    """Return the mean square of the entries of D_u in a row times their number, u -> |D_u|^2 / n, as a quadratic form.
+    """Return u -> |D_u|^2 / n, the mean square row norm of D_u, as a quadratic form; None if all brackets are zero.
 
     D_u x = J(x) u, so that its entries are sums of structure constants times u.
     """

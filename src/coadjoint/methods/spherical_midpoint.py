@@ -22,22 +22,23 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
-ITERATIONS = 8  # of a step that is worth taking, about
+ITERATIONS = 8  # typical number per step
 
 
 @dataclass(frozen=True)
 class SphericalMidpoint(CompiledStepMethod):
     """The spherical midpoint method for spins: a Poisson map on copies of so(3), for any H; implicit, of order 2.
 
-    ``x_new = x + h f(y)``, where y is, spin by spin, the middle of x and x_new, moved out to the sphere that both are
-    on: ``y_i = |x_i| (x_i + x_new_i) / |x_i + x_new_i|``. The lengths of all spins are kept, and so every Casimir; each
-    step is a Poisson map, so that the energy stays near for long. Choose it for spins whose H has no exact flows of
-    parts (functions of several spins, say); elsewhere `Splitting` does the same explicitly, and mostly for less. The
-    Hamiltonian may depend on time. `GaussLegendre` keeps the lengths too, but is no Poisson map there.
+    ``x_new = x + h f(y)``, where y is, spin by spin, the midpoint of x and x_new, projected to the sphere of both:
+    ``y_i = |x_i| (x_i + x_new_i) / |x_i + x_new_i|``. The lengths of all spins are kept, and therefore every Casimir;
+    each step is a Poisson map, so that the energy error stays bounded for long times. Choose it for spins whose H does
+    not split into exact flows, such as functions of several spins; otherwise `Splitting` has the same properties, is
+    explicit, and mostly cheaper. The Hamiltonian may depend on time. `GaussLegendre` also keeps the lengths, but is not
+    a Poisson map.
 
-    It serves so(3) and direct sums of copies of it, in any order of the coordinates, beside coordinates that commute
-    with all others. The equation is solved by iteration, which converges where h times the frequencies of the spins is
-    below about 2.
+    It supports so(3) and direct sums of copies of it, in any order of the coordinates, with additional coordinates that
+    commute with all others. The equation is solved by iteration, which converges if h times the frequencies of the
+    spins is below about 2.
 
     References
     ----------
@@ -62,15 +63,15 @@ class SphericalMidpoint(CompiledStepMethod):
     symmetric = True
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the bracket and every Casimir; for some H the energy.
+        """Return the properties: the bracket and every Casimir are kept, and for some H the energy.
 
-        Since y is a multiple of the plain middle, H is kept that is linear, or quadratic and nothing else, in one spin,
-        and so is a sum of such over the spins.
+        Since y is a multiple of the midpoint, H is kept if it is linear, or homogeneous quadratic, in one spin, or a
+        sum of such functions over the spins.
 
         Raises
         ------
         ValueError
-            The algebra is not so(3), nor made of copies of it.
+            The algebra does not consist of copies of so(3).
         """
         check_vectors(system)
         spins = spins_of(system)
@@ -78,11 +79,11 @@ class SphericalMidpoint(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """The step in ``spherical_midpoint.cpp``."""
+        """Name of the step in ``spherical_midpoint.cpp``."""
         return "spherical_midpoint"
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type that has roots.
+        """Return one step, computed in NumPy for any number type with square roots.
 
         Raises
         ------
@@ -100,7 +101,7 @@ class SphericalMidpoint(CompiledStepMethod):
         Raises
         ------
         TypeError
-            A spin has no length: there is no derivative, the direction in which it would lie counts.
+            A spin has length 0, where the step is not differentiable.
         IntegrationError
             The iteration does not converge.
         """
@@ -130,7 +131,7 @@ class SphericalMidpoint(CompiledStepMethod):
         return step, slopes[0]
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of its iterations."""
+        """Return the work of the iterations."""
         from coadjoint.methods.work import work_of_iterations
 
         return work_of_iterations(system, group)
@@ -142,7 +143,7 @@ def _middle(number: Number) -> Coefficients:
 
 
 def _keeps_energy(system: System, spins: NDArray[np.int64]) -> bool:
-    """Return whether H is a sum over spins, of each either linear or quadratic without a linear part."""
+    """Return whether H is a sum over spins of functions that are linear, or quadratic without a linear part."""
     spin_of = np.full(system.dim, -1)
     spin_of[spins] = np.arange(len(spins))[:, None]
     linear, quadratic = np.zeros(system.dim), np.zeros(system.dim, dtype=bool)
@@ -159,7 +160,7 @@ def _keeps_energy(system: System, spins: NDArray[np.int64]) -> bool:
 
 
 def on_spheres(spins: NDArray[np.int64], x: NDArray[Any], m: NDArray[Any]) -> NDArray[Any]:
-    """Return m with each spin as long as it is in x."""
+    """Return m with each spin rescaled to its length in x."""
     y = m.copy()
     squares = ((v[spins] ** 2).sum(axis=1) for v in (x, m))
     for spin, old, new in zip(spins, *squares, strict=True):
@@ -169,30 +170,7 @@ def on_spheres(spins: NDArray[np.int64], x: NDArray[Any], m: NDArray[Any]) -> ND
 
 
 def spins_of(system: System) -> NDArray[np.int64]:
-    """Return the coordinates of each spin, shape (spins, 3), or refuse an algebra that is not made of copies of so(3).
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-
-    Returns
-    -------
-    (k, 3) array of int
-        In the order of their first coordinates.
-
-    Raises
-    ------
-    ValueError
-        It is not.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> two = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(np.ones(6)))
-    >>> spins_of(two).tolist()
-    [[0, 1, 2], [3, 4, 5]]
-    """
+    """Return the coordinates of each spin, shape (spins, 3), ordered by their first; ValueError for other algebras."""
     algebra = system.algebra
     found = None if getattr(algebra, "triples", None) is None else _spins(algebra)
     if found is None:
@@ -205,10 +183,10 @@ def spins_of(system: System) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=16)
 def _spins(algebra: Any) -> NDArray[np.int64] | None:
-    """Return the coordinates of each spin, or None where the algebra has any bracket but those of spins."""
+    """Return the coordinates of each spin; None if the algebra has any brackets other than those of spins."""
     i, j, k, c = (np.asarray(column) for column in algebra.triples)
     rows = np.sort(np.stack([i, j, k], axis=1), axis=1)
-    # Of [e_a, e_b] = c e_d the same number for every cyclic order.
+    # The constant c of [e_a, e_b] = c e_d, made invariant under cyclic permutations.
     cyclic = c * np.sign((j - i) * (k - j) * (k - i))
     spins, place, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
     place = place.ravel()

@@ -32,46 +32,47 @@ if TYPE_CHECKING:
 class Splitting(FlowMethod):
     """Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.
 
-    The first choice for long runs. Each step costs a few rotations or shears. It is a Poisson map to round-off, and
-    keeps every Casimir and the spatial momentum of every representation. The energy is not kept exactly, but its error
-    stays within O(step^order) for exponentially long times.
+    It is the first choice for long runs. Each step costs a few rotations or shears. It is a Poisson map to round-off,
+    and keeps every Casimir and the spatial momentum of every representation. The energy is not kept exactly, but its
+    error stays within O(step^order) for exponentially long times.
 
     Parameters
     ----------
     order : {1, 2, 4, 6, 8, 10}
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` (Lemma 4.1).
-        4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, of smallest error at equal cost on a
-        rigid body.
+        4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, with the smallest error at equal cost on
+        a rigid body.
     parts : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
-        How H is divided into parts. ``"auto"``: commuting coordinates share a part. Multiples of quadratic Casimirs are
-        subtracted from H where this removes a part or lowers the error, and the parts are ordered. The same system
-        always has the same parts; `describe` shows them. ``"coordinates"``: one part for each coordinate, as in the
-        paper. ``"free_body"``: coordinates that span so(3), with all of the energy that is quadratic in them, are one
-        part, which is solved exactly as a free rigid body. A rigid body alone then has no error except rounding. This
-        costs about seven rotations, and is worth it if the rest of H is weak. ``"bonds"``: for copies of so(3), such as
-        spins, each isotropic coupling c z.w of two momenta is solved exactly, as a rotation of both about their sum.
-        Couplings that share no momentum are one part. The total momentum is then kept to rounding, if the couplings
-        keep it. Sets of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts.
-        If M couples coordinates that do not commute, the parts are completed squares.
+        How H is split into parts. ``"auto"``: commuting coordinates share a part. Multiples of quadratic Casimirs are
+        subtracted from H if this removes a part or lowers the error, and the parts are ordered. The same system always
+        has the same parts; `describe` shows them. ``"coordinates"``: one part for each coordinate, as in the paper.
+        ``"free_body"``: coordinates that span so(3), with all of the energy that is quadratic in them, are one part,
+        which is solved exactly as a free rigid body. A rigid body alone then has only rounding errors. This costs about
+        seven rotations, and is worthwhile if the rest of H is weak. ``"bonds"``: for copies of so(3), such as spins,
+        each isotropic coupling c z.w of two momenta is solved exactly, as a rotation of both about their sum. Couplings
+        that share no momentum are one part. The total momentum is then kept to rounding, if the couplings keep it. Sets
+        of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts. If M couples
+        coordinates that do not commute, the parts are completed squares.
     compensated : bool, optional
         Whether the sums of the momentum are compensated, which reduces round-off; the default is no. (Those of the
-        group element always are.) After 10^7 steps of 0.1, the Casimirs of a rigid body, a heavy top and a body on
-        so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 without compensation, growing like the square root of time
-        or a little faster (root mean square of 16 states); with a full M on so(3) it is 6e-12, growing linearly. This
-        is far below the energy error of any order. With compensation they are off by 8e-15, 8e-15 and 3e-14, growing
-        like the square root of time (full M: 4e-13), and a step takes 1.1 to 1.4 times as long.
+        group element always are.) After 10^7 steps of 0.1, the errors of the Casimirs of a rigid body, a heavy top and
+        a body on so(4) are 5e-13, 3e-13 and 8e-13 of abs(x)^2 without compensation, growing like the square root of
+        time or a little faster (root mean square of 16 states); with a full M on so(3) 6e-12, growing linearly. This is
+        far below the energy error of any order. With compensation the errors are 8e-15, 8e-15 and 3e-14, growing like
+        the square root of time (full M: 4e-13), and a step takes 1.1 to 1.4 times as long.
     rotation : {"exact", "rational"}
-        ``"exact"``: by sine and cosine. ``"rational"``: with tan(angle/2) replaced by half the angle, so without
-        trigonometric functions. The step is still a Poisson map and keeps the same invariants, but has another error of
-        order 2. It is refused for a generator that is no rotation of a single frequency, and for an angle that depends
-        on more than its own linear form. A step takes about 1.1 times as long as an exact one, since consecutive steps
-        cannot share a flow. Choose it for maps without transcendental functions, not for speed.
+        ``"exact"``: by sine and cosine. ``"rational"``: with tan(angle/2) replaced by half the angle, and therefore
+        without trigonometric functions. The step is still a Poisson map and keeps the same invariants, but has a
+        different error of order 2. An error is raised for a generator that is not a rotation of a single frequency, and
+        for an angle that depends on more than its own linear form. A step takes about 1.1 times as long as an exact
+        one, since consecutive steps cannot share a flow. Choose it for maps without transcendental functions, not for
+        speed.
     scheme : str, optional
-        A named scheme in place of `order`, one of `coadjoint.methods.splitting_schemes.SCHEMES`: ``"strang"``,
+        A named scheme instead of `order`, one of `coadjoint.methods.splitting_schemes.SCHEMES`: ``"strang"``,
         ``"yoshida4"`` (the paper's fourth-order scheme), ``"suzuki4"``, ``"kahan_li8a"``, ... Processed schemes
-        P K P^-1 (``"blanes_casas_murua6"``, 8, 10) cost one short kernel K a step and the processor P at each point
-        that is looked at: use them with ``watch=False`` and a large `save_every`. A Hamiltonian that depends on time is
-        then also evaluated somewhat before the start and after the end.
+        P K P^-1 (``"blanes_casas_murua6"``, 8, 10) cost one short kernel K per step and the processor P at each point
+        that is saved or watched: use them with ``watch=False`` and a large `save_every`. A Hamiltonian that depends on
+        time is then also evaluated slightly before the start and after the end.
     adjoint : bool
         For order 1: the adjoint sweep X_n(h), ..., X_1(h).
 
@@ -82,8 +83,8 @@ class Splitting(FlowMethod):
 
     See Also
     --------
-    GaussLegendre : For Hamiltonians that do not split; keeps quadratic invariants, the energy among them.
-    Taylor : For an error to be reached with the least work; restores the energy and polynomial Casimirs.
+    GaussLegendre : For Hamiltonians that do not split; keeps quadratic invariants, including a quadratic energy.
+    Taylor : For a given accuracy with the least work; restores the energy and polynomial Casimirs.
 
     References
     ----------
@@ -140,19 +141,19 @@ class Splitting(FlowMethod):
     def tuned(cls, system: LiePoissonSystem, x0: npt.ArrayLike, order: int = 2, **options: Any) -> Splitting:
         """Return a splitting whose parts are chosen for given states: shift and order with the smallest error there.
 
-        The error is what the first term of the modified Hamiltonian makes along a short motion from the state (128
-        steps, some 30 radians), carried on by the tangent map. On bodies, tops and random systems errors were 0.4 to
+        The error is that of the first term of the modified Hamiltonian along a short motion from the state (128 steps,
+        about 30 radians), carried forward by the tangent map. On bodies, tops and random systems errors were 0.4 to
         0.6 times those of the automatic parts (geometric mean of 48), and in one case of twenty larger by a tenth or
-        more. Schemes of order above two are compared by their own first term where that is a polynomial of at most 4000
-        monomials, and by the term of order two elsewhere.
+        more. Schemes of order above two are compared by their own first term if it is a polynomial of at most 4000
+        monomials, and otherwise by the term of order two.
 
         Parameters
         ----------
         system : LiePoissonSystem
             The system.
         x0 : array_like, shape (n,) or (k, n)
-            A state, or a sample of those that matter. Without second derivatives of H, or with more than 64
-            coordinates, the h^2 term is compared at these states alone.
+            A state, or a sample of the states of interest. Without second derivatives of H, or with more than 64
+            coordinates, the h^2 term is compared at these states only.
         order : int
             Order of the scheme.
         **options
@@ -192,7 +193,7 @@ class Splitting(FlowMethod):
         Returns
         -------
         Description
-            Print it, or read its fields.
+            Its text is formatted for printing; the fields have the same data.
 
         Examples
         --------
@@ -215,16 +216,16 @@ class Splitting(FlowMethod):
 
     @property
     def symmetric(self) -> bool:
-        """Whether a step back undoes a step: every order but 1, unless processed.
+        """Whether a backward step undoes a step: true for every order but 1, unless processed.
 
         A processed scheme P K P^-1 has a symmetric kernel K and is conjugate to it, but the processor over -h is not
-        that over h: a step back undoes a step up to O(h^(order + 2)).
+        that over h: a backward step undoes a step up to O(h^(order + 2)).
         """
         return self.order != 1 and not self._named.processed
 
     @property
     def instead(self) -> str:  # type: ignore[override]
-        """What to compose in place of a scheme that is not symmetric."""
+        """The scheme to compose instead of one that is not symmetric."""
         if len(self.processor()) > 0:
             return "; of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
         return "; of a first-order splitting take Splitting(order=2), its composition with its adjoint"
@@ -234,7 +235,7 @@ class Splitting(FlowMethod):
         return super().symmetrized() if self.order != 1 or self.adjoint else replace(self, order=2)
 
     def with_compensation(self) -> Method | None:
-        """Return the same splitting, compensated; None where that was not left open."""
+        """Return the same splitting, compensated; None if the choice was not left open."""
         return replace(self, compensated=True) if self.compensated is None else None
 
     @classmethod
@@ -249,14 +250,14 @@ class Splitting(FlowMethod):
         ]
 
     def properties(self, system: System) -> Properties:
-        """Return what splitting keeps: the Poisson bracket, every Casimir, the spatial momentum in every
-        representation.
+        """Return the properties: the Poisson bracket, every Casimir, and the spatial momentum in every representation
+        are kept.
 
         Raises
         ------
         ValueError
             For a system without a Lie algebra, whose split flows are not linear; for a Hamiltonian that does not split
-            into functions of commuting coordinates; for parts that do not fit it.
+            into functions of commuting coordinates; for parts that do not match it.
         """
         check_vectors(system)
         if isinstance(system, PoissonSystem):

@@ -1,4 +1,4 @@
-"""The named splitting schemes: coefficients read from splitting_schemes.json, exactly as published and polished."""
+"""The named splitting schemes, with coefficients from splitting_schemes.json, exactly as published and refined."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class SplittingScheme(NamedTuple):
         Order of the composition.
     half : tuple of str
         The first half of its palindrome of fractions of the step (with the middle one, if `of_second_order`), to 50
-        digits (40 of a processed scheme).
+        digits (40 for a processed scheme).
     of_second_order : bool
-        Whether it composes the symmetric step of order 2. Otherwise it composes the forward sweep and its adjoint, in
-        turn.
+        Whether it composes the symmetric step of order 2. Otherwise it composes the forward sweep and its adjoint,
+        alternating.
     processor_half : tuple of str
         Fractions of the processor P: second-order steps at these and then at their negatives, the first applied last.
-        Empty where there is none.
+        Empty without a processor.
     source : str
-        Where it was published.
+        Publication.
     """
 
     order: int
@@ -49,7 +49,7 @@ class SplittingScheme(NamedTuple):
         return _alternating([*half, *half[::-1]], number)
 
     def processor(self, number: Callable[[Any], Any]) -> list[Sweep]:
-        """Return the sweeps of the processor P, first to last; none where there is none."""
+        """Return the sweeps of the processor P, first to last; empty without a processor."""
         half = [number(c) for c in self.processor_half]
         return sweeps_of_steps([-c for c in half[::-1]] + half[::-1], number)
 
@@ -61,9 +61,9 @@ def sweeps_of_steps(coefficients: Sequence[Any], number: Callable[[Any], Any]) -
 
 
 def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
-    """Forward, backward, forward, ...: a first-order step and its adjoint.
+    """Return forward and backward sweeps in turn: a first-order step and its adjoint.
 
-    The first moves time before the parts, its adjoint after them. So both of a pair are taken at the same moment.
+    The first advances time before the parts, its adjoint after them: both of a pair are evaluated at the same time.
     """
     sweeps, passed = [], number(0)
     for k, coefficient in enumerate(coefficients):
@@ -89,9 +89,9 @@ def _read() -> dict[str, SplittingScheme]:
 
 SCHEMES = _read()
 
-# Those with the smallest error at equal cost on a rigid body, among schemes without a processor. That depends on the
-# state: on other orbits blanes_moan4 halves the error of order 4. Other schemes of an order are within a factor of 3,
-# or worse.
+# The schemes with the smallest error at equal cost on a rigid body, among those without a processor. This depends on
+# the state: on other orbits blanes_moan4 halves the error of order 4. Other schemes of an order are worse by a factor
+# of up to 3, or by more.
 DEFAULT_SCHEMES = {
     2: "strang",
     4: "suzuki4",

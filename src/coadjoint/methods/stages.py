@@ -1,4 +1,4 @@
-"""What a Runge-Kutta scheme sees of a step: its stages, and the linear systems in them, in any number type."""
+"""Stages of Runge-Kutta steps, and the linear systems in them, in any number type."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Coefficients(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a scheme sees of a step: the system, its coefficients, the state, the times of the stages, and h scale_j."""
+    """A step as seen by Runge-Kutta schemes: the system, coefficients, state, times of the stages, and h scale_j."""
 
     system: System
     coefficients: Coefficients
@@ -66,7 +66,7 @@ class Step(NamedTuple):
         return np.eye(self.x.size) + np.einsum("ij,jab->iab", self.coefficients.mix, derivatives)
 
     def bends(self, momenta: NDArray[Any], points: NDArray[Any] | None = None) -> NDArray[Any]:
-        """Return h scale_j sign J(Z_j) H''(X_j), shape (s, n, n); X = Z where not given."""
+        """Return h scale_j sign J(Z_j) H''(X_j), shape (s, n, n); X = Z if not given."""
         sign, H, J = self.system.sign, self.system.hamiltonian, self.system.structure_matrix
         where = momenta if points is None else points
         parts = zip(momenta, where, self.times, self.lengths, strict=True)
@@ -91,31 +91,9 @@ class Step(NamedTuple):
 
 
 def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficients:
-    """Return a tableau of the shapes that the loops read, or refuse it.
+    """Return a tableau as floats; raise ValueError or TypeError if its shapes or values do not suit the solver.
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        The tableau, of floats.
-    solver : str
-        How the slopes are found: an explicit step cannot read slopes that it has not found yet.
-    scheme : str
-        Name of the scheme, for messages.
-
-    Returns
-    -------
-    Coefficients
-
-    Raises
-    ------
-    ValueError, TypeError
-        The coefficients are no tableau for this solver.
-
-    Examples
-    --------
-    >>> one, zero = np.ones(1), np.zeros(1)
-    >>> checked(Coefficients(zero, one, np.zeros((1, 1)), one), "explicit", "Euler").node
-    array([0.])
+    An explicit step, for instance, cannot read slopes that are computed later.
     """
     if not isinstance(coefficients, tuple) or len(coefficients) != len(Coefficients._fields):
         raise TypeError(f"coefficients of {scheme} must return coadjoint.methods.Coefficients(node, scale, mix, out)")
@@ -139,7 +117,7 @@ def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficient
 
 
 def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> Step:
-    """Return a step at its start, in the number type of x, with the coefficients that `tableau` gives for it."""
+    """Return a step at its start, in the number type of x, with the coefficients that `tableau` returns for it."""
     point = np.asarray(x)
     number: Number = float
     if point.dtype == object:
@@ -162,13 +140,7 @@ def structure_derivative(system: System, x: NDArray[Any], u: NDArray[Any]) -> ND
 
 
 def linear_solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Solve a linear system in any number type, by elimination with partial pivoting; `right` is (m, lanes).
-
-    Examples
-    --------
-    >>> linear_solve(np.array([[0, 2], [1, 1]], dtype=object), np.array([[4], [3]], dtype=object)).tolist()
-    [[1.0], [2.0]]
-    """
+    """Solve a linear system in any number type, by elimination with partial pivoting; `right` is (m, lanes)."""
     if matrix.dtype != object:
         return np.asarray(np.linalg.solve(matrix, right))
     A, B = matrix.copy(), right.copy()

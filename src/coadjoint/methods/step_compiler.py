@@ -1,4 +1,4 @@
-"""Compilation of steps in C++ from files of the user, against the headers of the kernels."""
+"""Compilation of user-written steps in C++ against the headers of the kernels."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ SECONDS = 600.0
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """A step from a file of the user.
+    """A compiled step from a file of the user.
 
     Parameters
     ----------
     name : str
-        The name that its ``STEP_SCHEME`` gives it.
+        Name that ``STEP_SCHEME`` gives it.
     path : str
         The file.
     digest : str
-        Of the content of the file and of the user's headers that it includes, and of the options in ``CXX``.
+        Digest of the file, of the user's headers that it includes, and of the options in ``CXX``.
     """
 
     name: str
@@ -46,10 +46,10 @@ class CompiledStep:
 
     @property
     def address(self) -> int:
-        """The address of the compiled function in this process."""
+        """Address of the compiled function in this process."""
         library = _LIBRARIES.get((self.path, self.digest))
         if library is None:
-            # From another process, perhaps on another machine: the machine code may differ, and its source may not.
+            # Pickled in another process, perhaps on another machine: machine code may differ, its source must not.
             here = compile_step(self.path, self.name)
             if here.digest != self.digest:
                 raise ValueError(
@@ -61,7 +61,7 @@ class CompiledStep:
 
 
 class _Compiled(NamedTuple):
-    """The last compilation of a file: what it depends on, and its digest."""
+    """The last compilation of a file: its dependencies, and its digest."""
 
     settings: object
     stamps: dict[bytes, Stamp]
@@ -69,9 +69,9 @@ class _Compiled(NamedTuple):
 
 
 _LOADED: dict[str, ctypes.CDLL] = {}
-"""The libraries in use, by the digest of all that makes the machine code; they stay while the process lives."""
+"""Libraries in use by digest of all inputs of the machine code; never unloaded."""
 _LIBRARIES: dict[tuple[str, str], ctypes.CDLL] = {}
-"""The same, by the path and the digest of a step."""
+"""The same libraries by path and digest of a step."""
 _LAST: dict[str, _Compiled] = {}
 
 
@@ -89,18 +89,18 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     path : str or Path
         The file.
     name : str, optional
-        The name of the step, where the file has several.
+        Name of the step, required if the file has several.
 
     Returns
     -------
     CompiledStep
-        To be returned as `compiled_step` by a scheme that derives from `CompiledStepMethod`. It stands for the file as
-        it was in this call.
+        The value of `compiled_step` for a scheme that derives from `CompiledStepMethod`. It refers to the file as it
+        was at the time of this call.
 
     Raises
     ------
     ValueError
-        There is no such file, it has no such step, or the compiler refuses it; with its messages.
+        There is no such file, it has no such step, or it does not compile; the message quotes the compiler.
     RuntimeError
         There is no compiler, or it does not work; the environment variable ``CXX`` selects another one.
     """
@@ -113,7 +113,7 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     if not names:
         raise ValueError(f"{source}: has no STEP_SCHEME(name, Type), by which a step is found")
     if name is None and len(names) > 1:
-        raise ValueError(f"{source}: has the steps {', '.join(names)}; say which, by name=")
+        raise ValueError(f"{source}: has the steps {', '.join(names)}; select one by name=")
     if name is not None and name not in names:
         raise ValueError(f"{source}: has no step {short(name)}; it has {', '.join(names)}")
     place = str(source.resolve())
@@ -124,9 +124,9 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
 
 
 def _digest_of_library(place: str) -> str:
-    """Return the digest of a file, of which the library is loaded then."""
-    kernels()  # refuses first, by name, where kernels are missing
-    # compiled for the level in use, so that the bits are the same
+    """Load the library of a file, compiled if necessary, and return its digest."""
+    kernels()  # raises first if the kernels are missing
+    # Compiled for the level in use, so that the bits are the same.
     settings = level_in_use(), dict(os.environ)
     last = _LAST.get(place)
     if last is not None and last.settings == settings and stamps_of(last.stamps) == last.stamps:
@@ -164,7 +164,7 @@ def _load(name: str, place: str, build: Callable[[str, Path], None]) -> ctypes.C
 
 
 def _build(command: Sequence[str], text: bytes, place: str, made: Path) -> None:
-    """Compile the preprocessed text, and not the file, which may have changed since."""
+    """Compile the preprocessed text, not the file, which may have changed since."""
     done = _run([*command, "-shared", "-o", str(made), "-x", "c++-cpp-output", "-"], place, text)
     if done.returncode != 0:
         raise _refusal(command, place, done)
@@ -173,7 +173,7 @@ def _build(command: Sequence[str], text: bytes, place: str, made: Path) -> None:
 
 
 def _run(command: Sequence[str], place: str, text: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    """Run a compiler, which writes its messages in English."""
+    """Run a compiler with messages in English."""
     language = {**os.environ, "LC_ALL": "C"}
     try:
         return subprocess.run(command, input=text, capture_output=True, timeout=SECONDS, check=False, env=language)

@@ -1,4 +1,4 @@
-"""The derivative of a step that is a function: by complex steps, or by differences."""
+"""Derivatives of steps given as functions, by complex steps or differences."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# With so small a step terms of second order vanish, and its products do not underflow.
+# So small that second-order terms vanish, and large enough that products do not underflow.
 COMPLEX_STEP = 2.0**-300
-# The cube root of the unit round-off. Rounding and truncation of a central difference are then of one size.
+# Cube root of the unit round-off, for which rounding and truncation of a central difference are of equal size.
 DIFFERENCE = 2.0**-17
-# A difference shows that a step is no analytic function of x. The error of the difference is at least this.
+# Largest deviation of the complex step from a difference, whose own error is smaller, for an analytic function.
 AGREEMENT = 2.0**-20
 
 
 class Derivative(NamedTuple):
-    """A function and its derivative at a point, and how that was found: "complex step" or "differences"."""
+    """Value and derivative of a function at a point, and the way it was computed: "complex step" or "differences"."""
 
     value: NDArray[np.float64]
     derivative: NDArray[np.float64]
@@ -26,22 +26,10 @@ class Derivative(NamedTuple):
 
 
 def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64]) -> Derivative:
-    """Return a function at x with its derivative.
+    """Return a function (n,) -> (n,) at x with its derivative.
 
-    A complex step is exact to round-off where the function is analytic and written for complex numbers. In one
-    direction it is compared with a difference. Where it cannot be taken, or differs, central differences are taken,
-    with some nine digits.
-
-    Parameters
-    ----------
-    function : callable
-        (n,) -> (n,)
-    x : ndarray, shape (n,)
-        The point.
-
-    Returns
-    -------
-    Derivative
+    A complex step, exact to round-off for an analytic function that supports complex numbers, is compared with a
+    difference in one direction. If it fails or deviates, central differences are used, with about nine digits.
 
     Examples
     --------
@@ -67,7 +55,7 @@ def _by_complex_steps(function: Callable[[NDArray[Any]], Any], x: NDArray[np.flo
     columns = []
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # such as a part that is discarded
+            warnings.simplefilter("error")  # such as ComplexWarning for a discarded imaginary part
             for unit in np.eye(len(x)):
                 moved = np.asarray(function(x + 1j * COMPLEX_STEP * unit))
                 if moved.dtype.kind != "c":

@@ -1,4 +1,4 @@
-"""How long a step of a series may be, and the motion over such steps: what ``taylor_variable.cpp`` does, in Python."""
+"""Step-size selection for Taylor series, and motions in such steps: ``taylor_variable.cpp`` in Python."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-DECIDING = 4  # last terms, and terms in the middle, that decide
+DECIDING = 4  # number of last and of middle terms that determine the length
 LN2 = 0.6931471805599453
-NO_LIMIT = 900.0  # beyond 2^900 a length is as good as endless
+NO_LIMIT = 900.0  # binary logarithm of the largest length
 MOST_STEPS = 1_000_000
 MANY = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
-"""End of the messages about a motion that has no next step; the limit is that of the kernels."""
+"""End of the messages about motions for which no next step exists; the limit is that of the kernels."""
 TOO_SHORT = f"the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; {MANY}"
 
 
 def near_log2(a: float) -> float:
-    """Return the binary logarithm of a positive number, within 2e-5; -1022 of zero."""
+    """Return the binary logarithm of a positive number, within 2e-5; -1022 for zero."""
     if a < 2.0**-1022:
         return -1022.0
     half, exponent = math.frexp(a)
@@ -34,7 +34,7 @@ def near_log2(a: float) -> float:
 
 
 def near_power_of_two(a: float) -> float:
-    """Return 2^a within 4e-6 of it, for a from -1000 to 1000."""
+    """Return 2^a for a from -1000 to 1000, with a relative error of 4e-6."""
     whole = math.floor(a + 0.5)
     r = (a - whole) * LN2
     series = 1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0))))
@@ -42,37 +42,13 @@ def near_power_of_two(a: float) -> float:
 
 
 def logarithm_of_step(sizes: Sequence[float], largest: float, tolerance: float) -> float:
-    """Return the binary logarithm of the length of a step, in units of the time whose powers are in the terms.
+    """Return the binary logarithm of the length of a step, relative to the time h of the terms x_1 h, ..., x_p h^p.
 
-    The last terms would be `tolerance` times `largest` in that time, if they fell from `largest` on as a geometric
-    sequence (four of them are looked at, since even or odd ones may vanish). It is no longer than half the radius of
-    convergence, which the terms from the middle to the last tell: what is left out is then less than the last term, and
-    what dies away does so in the series too.
-
-    Parameters
-    ----------
-    sizes : sequence of float
-        Those of the terms x_1 h, ..., x_p h^p.
-    largest : float
-        The largest size of a state so far.
-    tolerance : float
-        Wanted error of a step, relative to that.
-
-    Returns
-    -------
-    float
-
-    References
-    ----------
-    A. Jorba, M. Zou, A software package for the numerical integration of ODEs by means of high-order Taylor methods,
-    Experimental Mathematics 14 (2005), section 3.2.
-
-    Examples
-    --------
-    The terms of 1/(1 - t) are 1, and those of order eight are 1e-4 after a time of 0.32:
-
-    >>> round(2.0 ** logarithm_of_step([1.0] * 8, 1.0, 1e-4), 2)
-    0.32
+    At this length the last terms are `tolerance` times `largest` (the largest state so far) if the terms decay
+    geometrically from `largest`; the last four terms are tested, since even or odd ones may vanish. The length is at
+    most half the radius of convergence, estimated from the middle and last terms: the truncation error is then less
+    than the last term, and decaying motions decay in the series too. Source: A. Jorba, M. Zou, Experimental Mathematics
+    14 (2005), section 3.2.
     """
     order = len(sizes)
     last = range(max(1, order + 1 - DECIDING), order + 1)
@@ -95,31 +71,11 @@ def through_own_steps(
     tolerance: float,
     back: Callable[[NDArray[Any]], NDArray[Any]],
 ) -> NDArray[Any]:
-    """Return the state after the time h, in steps as long as the series tells.
+    """Return the state after a time h of either sign, in steps whose length is chosen from the series.
 
-    Parameters
-    ----------
-    field : callable
-        Made of sums and products.
-    x : (n,) array of objects
-        Numbers of one type, or `Dual`.
-    h : number
-        The time, of any sign.
-    order : int
-        Of the series.
-    tolerance : float
-        Wanted error of a step, relative to the largest size of a state so far.
-    back : callable
-        What is done with the end of every step: a projection.
-
-    Returns
-    -------
-    (n,) array
-
-    Raises
-    ------
-    IntegrationError
-        The steps no longer change the time.
+    The field consists of sums and products; the entries of x are numbers of one type, or `Dual`. `tolerance` is the
+    error of a step relative to the largest state so far; `back`, a projection, is applied to the end of each step.
+    Raise IntegrationError if steps no longer change the time.
 
     Examples
     --------
@@ -146,13 +102,13 @@ def through_own_steps(
 
 
 def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:
-    """Return about the time in which the state moves by its own size, a power of two with the sign of h."""
+    """Return the approximate time in which the state changes by its own size, a power of two with the sign of h."""
     fast, size = _size(expand(field, x, 1.0, 1)[0]), _size(x)
     return math.copysign(2.0 ** math.floor(near_log2(size) - near_log2(fast)) if fast > 0.0 else 1.0, float(h))
 
 
 def _sum(terms: Sequence[NDArray[Any]], s: Any) -> NDArray[Any]:
-    """Return the sum of terms[k - 1] s^k, from the last."""
+    """Return the sum of terms[k - 1] s^k, by Horner's scheme."""
     total = terms[-1] * s
     for term in reversed(terms[:-1]):
         total = (total + term) * s

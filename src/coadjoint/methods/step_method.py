@@ -1,4 +1,4 @@
-"""Step methods: a scheme of your own, written in Python as one function."""
+"""Base class of user-defined schemes whose step is one Python function."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 class StepMethod(SteppedMethod):
     """A scheme of your own whose step is one Python function.
 
-    Derive from it, as a frozen dataclass whose fields are the parameters of the scheme. Set `order`, `explicit` and
-    `symmetric`, and write `properties` and `step`. Then every run, stepper, composition and choice takes it. Where
-    Numba is installed and can compile the step, it is compiled when a run begins, in a second or two. In compiled code
-    the system offers ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``,
-    ``jacobian(x, t)`` and of its ``hamiltonian`` ``value``, ``gradient`` and ``hessian``. Elsewhere the loop calls
-    Python in each step, and says so once. `tangent` may be written as well; without it the derivative is found by
-    complex steps where the step takes them, else by differences, with nine digits (`Stepper.tangent_by` says which).
+    Derive a frozen dataclass from it, whose fields are the parameters of the scheme. Define `order`, `explicit`,
+    `symmetric`, `properties` and `step`. The scheme then works in every run, stepper, composition and choice. If Numba
+    is installed and can compile the step, it is compiled at the start of a run, in a second or two. In compiled code
+    the system has ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``jacobian(x,
+    t)``, and its ``hamiltonian`` has ``value``, ``gradient`` and ``hessian``. Otherwise the loop calls Python in each
+    step, and warns once. `tangent` may be defined as well; without it the derivative is computed by complex steps if
+    the step supports them, else by differences, with nine digits (see `Stepper.tangent_by`).
 
     See Also
     --------
@@ -33,7 +33,7 @@ class StepMethod(SteppedMethod):
 
     Examples
     --------
-    Kahan's method, for fields that are quadratic:
+    Kahan's method, for quadratic fields:
 
     >>> import dataclasses
     >>> import coadjoint as co
@@ -59,7 +59,7 @@ class StepMethod(SteppedMethod):
     known_to = UNIT_ROUNDOFF
 
     compiles: ClassVar[bool] = True
-    """Whether Numba is asked to compile the step; where not, each step is a call of Python, and nothing is said."""
+    """Whether to compile the step by Numba; if not, each step is a Python call, without a warning."""
 
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
@@ -67,11 +67,11 @@ class StepMethod(SteppedMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps that are functions; they move the momentum alone."""
+        """Return the loop over steps that are functions, for the momentum only."""
         if representation is not None:
             raise ValueError(
-                f"{type(self).__name__} is a StepMethod, whose steps carry no group element, though its properties say "
-                f'attitude="{self.properties(system).attitude}"; they must say "none"'
+                f"{type(self).__name__} is a StepMethod, whose steps carry no group element, but its properties have "
+                f'attitude="{self.properties(system).attitude}"; set it to "none"'
             )
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.step_functions import StepFunction

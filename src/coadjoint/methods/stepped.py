@@ -1,4 +1,4 @@
-"""Schemes whose step is a function of the state and the time: a composition takes it several times."""
+"""Base class of schemes whose step is a function of the state and the time, which compositions repeat."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WHOLE = (1.0,)
 
 
 class SteppedMethod(Method):
-    """A scheme that takes a step from a state; its loop takes any substeps of a step."""
+    """A scheme with a step from a state; its loop supports arbitrary substeps of a step."""
 
     @abstractmethod
     def loop_of_substeps(
@@ -37,7 +37,7 @@ class SteppedMethod(Method):
         h : float
             The step, negative for backward.
         representation : ndarray of shape (n, d, d), "coadjoint", or None
-            What a group element is carried in.
+            Representation in which the group element is computed; None for no group element.
         fractions : sequence of float
             The lengths of the substeps of a step, in units of it.
 
@@ -48,16 +48,16 @@ class SteppedMethod(Method):
 
     @abstractmethod
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of a step of so many substeps, iterations and evaluations of all substeps together.
+        """Return the work of a step with this number of substeps; iterations and evaluations are those of all substeps.
 
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
             The system.
         group : ndarray of shape (n, d, d), "coadjoint", or None
-            What a group element is carried in.
+            Representation in which the group element is computed; None for no group element.
         substeps : int
-            How many there are.
+            Number of substeps.
 
         Returns
         -------
@@ -65,24 +65,24 @@ class SteppedMethod(Method):
         """
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop whose steps are not divided."""
+        """Return the loop without substeps."""
         return self.loop_of_substeps(system, h, representation, WHOLE)
 
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop | None:
-        """Return the loop that carries tangent vectors as well, or None: see `tangent_loop` and `loop_of_substeps`."""
+        """Return the loop that also carries tangent vectors, or None: see `tangent_loop` and `loop_of_substeps`."""
         return None
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop whose steps are not divided, with tangent vectors."""
+        """Return the loop without substeps, with tangent vectors."""
         return self.tangent_loop_of_substeps(system, h, frame, WHOLE)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        """Return the step as it is written, read in formal series: it must be made of sums, products and quotients."""
+        """Return `step` evaluated in formal series: it must consist of sums, products and quotients."""
         from coadjoint.methods.formal_numbers import vector
 
         return vector(map(type(h), self.step(system, x, 0 * h, h)))
@@ -102,7 +102,7 @@ class SteppedMethod(Method):
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the scheme whose step is made of these substeps."""
+        """Return the scheme whose step consists of these substeps."""
         from coadjoint.methods.composed import Substeps
 
         return Substeps(self, tuple(coefficients))

@@ -1,4 +1,4 @@
-"""Which scheme suits a system, before anything is known of the accuracy that is wanted?"""
+"""The suggested scheme for a system, if no accuracy is given."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 RULE: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
-"""The first that serves the system."""
+"""The first scheme that supports the system is suggested."""
 
 
 def suggested_scheme(system: System) -> Method:
     """Return the scheme to begin with.
 
-    The splitting of order 4 where it serves the system: it keeps the Poisson bracket, every Casimir, and the attitude
-    in every representation, and its energy does not drift. Elsewhere, where H has no exact flows or J(x) is not linear
-    in x, Gauss-Legendre with three stages. For a system of matrices the first of the register that serves it as a
-    Poisson map. For a wanted accuracy `choose` finds scheme and step.
+    It is the splitting of order 4 if it supports the system: it keeps the Poisson bracket, every Casimir, and the
+    attitude in every representation, and its energy does not drift. Otherwise, if H has no exact flows or J(x) is not
+    linear in x, it is Gauss-Legendre with three stages. For a system of matrices it is the first registered scheme that
+    is a Poisson map on it. For a given accuracy, `choose` selects scheme and step.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def suggested_scheme(system: System) -> Method:
     Raises
     ------
     TypeError, ValueError
-        Neither serves the system; what the second one says.
+        Neither supports the system; the error is that of the second one.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def suggested_scheme(system: System) -> Method:
 
 
 def _serving(system: MatrixSystem) -> Iterator[Method]:
-    """Return the schemes of the register that serve a system, each as its first example."""
+    """Yield the registered schemes that support a system, each as its first example."""
     for name in names():
         method = scheme(name).examples()[0]
         try:

@@ -24,7 +24,7 @@ from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
 JUMPS = {"triple": 1, "suzuki": 2}
-"""How many steps are on each side of the middle one."""
+"""Number of steps on each side of the middle one."""
 
 
 def even_order(base: Method, order: int, jump: str = "triple") -> Method:
@@ -33,18 +33,18 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     A base that is not symmetric is followed by its adjoint, each over half a step. The result is symmetric and of even
     order, 2 for a base of order 1. A symmetric scheme of order 2 k is composed with itself, ``c h, (1 - 2 c) h, c h``
     with c = 1 / (2 - 2^(1/(2k+1))), or by Suzuki's five steps ``c h, c h, (1 - 4 c) h, c h, c h`` with c = 1 / (4 -
-    4^(1/(2k+1))). The result is of order 2 k + 2. What the base keeps, the result keeps. Choose it for a base of your
-    own; `Splitting` has better compositions of orders 4 to 10 by name.
+    4^(1/(2k+1))). The result has order 2 k + 2 and keeps what the base keeps. Choose it for a base of your own;
+    `Splitting` has better named compositions of orders 4 to 10.
 
     Parameters
     ----------
     base : Method
-        A symmetric scheme, or one with an adjoint: a scheme made of flows, such as ``Splitting(order=1)``, or a
-        Runge-Kutta method given by its tableau.
+        A symmetric scheme, or one with a known adjoint: a scheme that consists of flows, such as
+        ``Splitting(order=1)``, or a Runge-Kutta method given by its tableau.
     order : int
         2, 4, ..., 12, at least the order of the symmetric base.
     jump : {"triple", "suzuki"}
-        Three steps for each two orders, or five. Five are more work, mostly with a smaller error.
+        Three or five steps for each increase of the order by two. Five cost more, mostly with a smaller error.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
 
     Notes
     -----
-    S. Reich 1993, Remark 6.1. The remark leaves out the adjoint; without it the composition of a first-order scheme has
+    S. Reich 1993, Remark 6.1. The remark omits the adjoint, without which the composition of a first-order scheme has
     the wrong error terms. H. Yoshida, Phys. Lett. A 150 (1990) 262; M. Suzuki, Phys. Lett. A 146 (1990) 319.
 
     Examples
@@ -76,7 +76,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
         raise ValueError(f"order is {wanted}; from {base} it is even, and {method.order} or more")
     for reached in range(method.order, wanted, 2):
         sides = JUMPS[jump]
-        # By decimals, since the power of floats is that of the C library.
+        # In decimals, since ** calls pow of the C library, whose bits differ by machine.
         root = float(Context(prec=40).power(Decimal(2 * sides), Decimal(1.0 / (reached + 1))))
         outer = 1.0 / (2 * sides - root)
         method = Composition(method, (*[outer] * sides, 1.0 - 2 * sides * outer, *[outer] * sides))
@@ -90,13 +90,7 @@ def _order_of_pair(base: Method) -> int:
 
 @dataclass(frozen=True)
 class PairOfFlows(FlowsOfBase):
-    """The sweeps of a scheme over half a step, then in reverse over the other half.
-
-    Parameters
-    ----------
-    base : FlowMethod
-        The scheme.
-    """
+    """The sweeps of a scheme over half a step, then in reverse over the other half."""
 
     offered = False
     explicit = True
@@ -106,22 +100,22 @@ class PairOfFlows(FlowsOfBase):
 
     def __post_init__(self) -> None:
         if len(self.base.processor()):
-            raise TypeError(f"{self.base} has a processor, so its adjoint is no list of sweeps; take another scheme")
+            raise TypeError(f"{self.base} has a processor, so its adjoint is not a list of sweeps; take another scheme")
 
     @property
     def order(self) -> int:
-        """The even number from the order of the base on."""
+        """The order of the base, rounded up to an even number."""
         return _order_of_pair(self.base)
 
     def properties(self, system: System) -> Properties:
-        """Return what the base keeps."""
+        """Return the properties of the base."""
         return self.base.properties(system)
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base and their mirror images; times are mirrored too."""
         there = list(self.base.sweeps(number))
         forth = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in there]
-        # A `turn` stands at the second sweep of a pair, which in the mirror image is the first.
+        # `turn` marks the second sweep of a pair, which is the first in the mirror image.
         turns = [there[-1].forward, *(sweep.turn for sweep in reversed(there[1:]))]
         back = [
             Sweep(not forward, c / 2, 1 - moment / 2, turn)
@@ -134,12 +128,7 @@ class PairOfFlows(FlowsOfBase):
 class PairOfTableaux(RungeKuttaMethod):
     """A Runge-Kutta method over half a step, then its adjoint over the other half.
 
-    The adjoint ends where a step back of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
-
-    Parameters
-    ----------
-    base : RungeKuttaMethod
-        The scheme, explicit or implicit.
+    The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
     """
 
     offered = False
@@ -155,12 +144,12 @@ class PairOfTableaux(RungeKuttaMethod):
 
     @property
     def largest(self) -> float:  # type: ignore[override]
-        """As the base."""
+        """As for the base."""
         return self.base.largest
 
     @property
     def order(self) -> int:
-        """The even number from the order of the base on."""
+        """The order of the base, rounded up to an even number."""
         return _order_of_pair(self.base)
 
     @property
@@ -169,12 +158,12 @@ class PairOfTableaux(RungeKuttaMethod):
         return "implicit"
 
     def properties(self, system: System) -> Properties:
-        """Return what the base keeps; a group element is not carried."""
+        """Return the properties of the base, without a group element."""
         kept = self.base.properties(system)
         return Properties(poisson=kept.poisson, energy=kept.energy, casimirs=kept.casimirs, attitude="none")
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau of both."""
+        """Return the combined tableau."""
         node, scale, mix, out = self.base.coefficients(number)
         s = len(node)
         both = np.concatenate([mix, 0 * mix], axis=1), np.concatenate([np.stack([out] * s), out - mix], axis=1)

@@ -1,4 +1,4 @@
-"""Taylor series of the motion, brought back to the level set of the energy and of the Casimirs."""
+"""Taylor series of the motion, projected to the level set of the energy and of the Casimirs."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
 
 MOST = 64
 USUAL, LEAST_ORDER = 16, 4
-ORDERS = range(6, 25, 2)  # sums of higher orders are not written out
-FINER = 32.0  # times smaller tolerances tell an error
+ORDERS = range(6, 25, 2)  # sums of higher orders are not unrolled
+FINER = 32.0  # factor by which the tolerance is reduced for an error estimate
 TOO_FAR = "the group element turns too far in one step for its series"
-# The terms that the series of a group element takes, mostly, and those that it may take beyond the order.
+# Typical number of terms in the series of a group element, and largest number beyond the order.
 TERMS_OF_GROUP, MORE_TERMS = 16, 40
-# Members go side by side up to this dimension, see `SMALL` in ``stepping.cpp``.
+# Largest dimension in which members are computed in vector lanes, see `SMALL` in ``stepping.cpp``.
 WIDEST_TOGETHER = 64
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
 
-# What series of order 1 take, projected or not: a choice asks for that of many orders.
+# Cached operations of series of order 1, projected or not, from which those of other orders are scaled.
 _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictionary()
 
 
@@ -52,40 +52,39 @@ _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictiona
 class Taylor(CompiledStepMethod):
     """The Taylor series of the motion, and a projection that keeps energy and Casimirs at their initial values.
 
-    Choose it for accuracy: if an error is to be reached with the least work, it is mostly the fastest scheme, and
-    `choose` takes it. It is no Poisson map. For statistics of chaotic motion, or for energies that stay close without a
-    projection, take `Splitting`.
+    Choose it for accuracy: for a given error it mostly needs the least work, and `choose` then selects it. It is not a
+    Poisson map. For statistics of chaotic motion, or a bounded energy error without a projection, choose `Splitting`.
 
-    The coefficients follow from each other by products of series, ``x_(k+1) = f_k / (k + 1)``, where f_k are those of
-    the field. A step is explicit and long, up to about the time in which the momentum turns by one radian. It costs
+    The coefficients are computed recursively by products of series, ``x_(k+1) = f_k / (k + 1)``, where f_k are those of
+    the field. A step is explicit and long, up to about the time in which the momentum rotates by one radian. It costs
     about order^2 / 2 evaluations of the products in the field. With a `tolerance` the scheme chooses its own steps, as
-    long as the terms of the series allow. Use this if the motion slows down or speeds up. The step of a run is then the
-    distance of the points that can be saved, and these points do not change the motion.
+    long as the terms of the series allow; use this if the speed of the motion varies. The step of a run is then the
+    distance of the points that can be saved, which do not affect the motion.
 
-    It needs a polynomial Hamiltonian, of any degree, on any algebra. With ``projected`` the energy and the polynomial
-    Casimirs have their initial values after every step, up to rounding, however long the run is: y = z + sum_a lambda_a
-    grad C_a(z), with C_a(y) = C_a(start).
+    It requires a polynomial Hamiltonian, of any degree, on any algebra. With ``projected`` the energy and the
+    polynomial Casimirs have their initial values after every step, up to rounding, however long the run: y = z + sum_a
+    lambda_a grad C_a(z), with C_a(y) = C_a(start).
 
     A group element is computed in every representation, as accurately as the momentum. Over a step the gradient of H is
-    a polynomial of time, and the group equation with this polynomial is solved to rounding. So the element stays in its
-    group: rotations stay orthogonal. The spatial momentum is kept as well as the series is accurate. Take `Splitting`
-    to keep it to rounding.
+    a polynomial of time, and the group equation with this polynomial is solved to rounding. The element therefore stays
+    in its group: rotations stay orthogonal. The spatial momentum is kept with the accuracy of the series; choose
+    `Splitting` to keep it to rounding.
 
     Parameters
     ----------
     order : int, optional
         Order p of the series, from 1 to 64. About 8 for errors of 1e-3, 12 for 1e-6, 18 for 1e-9, 24 for 1e-12. None is
-        16, or what suits the `tolerance`.
+        16, or an order that suits the `tolerance`.
     projected : bool
-        Whether the invariants are reset after every step. Otherwise they are kept as well as the series is accurate.
+        Whether the invariants are reset after every step. Otherwise their errors are those of the series.
     tolerance : float, optional
-        Wanted error of each step, relative to the largest momentum so far, from 1e-18 to 0.1; the scheme then chooses
-        its own steps. Errors of the steps add up, and grow with the motion. By default the steps are those of the run.
+        Error of each step, relative to the largest momentum so far, from 1e-18 to 0.1; the scheme then chooses its own
+        steps. Errors of the steps accumulate, and grow with the motion. By default the steps are those of the run.
 
     Raises
     ------
     ValueError
-        `order` is no whole number from 1 to 64, or `tolerance` lies outside of its range.
+        `order` is not an integer from 1 to 64, or `tolerance` is out of range.
 
     References
     ----------
@@ -100,7 +99,7 @@ class Taylor(CompiledStepMethod):
     >>> sol.drift()["energy"] < 1e-15, sol.drift()["|x|^2"] < 2e-15
     (True, True)
 
-    A chain of particles that fly apart, in steps that become longer and longer:
+    A chain of particles that fly apart, in steps of increasing length:
 
     >>> import numpy as np
     >>> chain = co.systems.toda(5)
@@ -128,21 +127,22 @@ class Taylor(CompiledStepMethod):
 
     @property
     def own_steps(self) -> bool:
-        """Whether there is a tolerance."""
+        """Whether a tolerance is given."""
         return self.tolerance is not None
 
     @property
     def explicit(self) -> bool:
-        """Whether nothing is projected. The multipliers of a projection solve equations."""
+        """True without a projection, whose multipliers solve equations."""
         return not self.projected
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: the group, and with `projected` the energy and the Casimirs that are polynomials.
+        """Return the properties: the group is kept, and with `projected` the energy and the Casimirs that are
+        polynomials.
 
         Raises
         ------
         ValueError
-            The field is not a polynomial: J is a function, or the Hamiltonian has functions in it.
+            The field is not a polynomial: J is a function, or the Hamiltonian contains functions.
         """
         check_vectors(system)
         if system.algebra is None:
@@ -165,36 +165,36 @@ class Taylor(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """The step in ``taylor.cpp``, or those in ``taylor_variable.cpp``."""
+        """Name of the step in ``taylor.cpp``, or in ``taylor_variable.cpp``."""
         return "taylor" if self.tolerance is None else "taylor_variable"
 
     @property
     def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """What a step says of a group element, and one of its own that is too short."""
+        """The message for a group element beyond its series, or for own steps that are too short."""
         return {"UNDEFINED": TOO_FAR if self.tolerance is None else TOO_SHORT}
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the order, and the tolerance."""
+        """Return the order; and the tolerance, if any."""
         return [self.order], [] if self.tolerance is None else [self.tolerance]
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the Casimirs that are polynomials, or None without projection."""
+        """Return the Casimirs that are polynomials; None without projection."""
         return polynomial_casimirs(system) if self.projected else None
 
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps, with the series of the group element where one is carried along."""
+        """Return the loop over steps, with the series of the group element if requested."""
         if representation is not None:
             size = system.dim if isinstance(representation, str) else representation.shape[1]
-            # Of every order the matrix of the group equation and a coefficient of the element, and of orders beyond.
+            # The matrix of the group equation and a coefficient of the element for each order, and for orders beyond.
             need = 8 * (2 * self.order + MORE_TERMS) * size**2
             check_room(need, f"the series of group elements of {size} x {size} numbers")
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the products of series, those of the group element among them; of its own steps by the
-        orders that it has counted.
+        """Return the work of the products of series, including the group element; for own steps, by the number of
+        evaluations.
         """
         found = self.operations(system)
         if group is not None:
@@ -205,7 +205,7 @@ class Taylor(CompiledStepMethod):
         return work_of_operations(found, substeps, SERIES_OF_A_CROWD if together else 1.0)
 
     def _vectors_of_group(self, system: System, group: Representation) -> float:
-        """Return how many vectors of rows of a group element are multiplied in a step."""
+        """Return the number of vectors of rows of a group element that are multiplied in a step."""
         assert system.algebra is not None
         if isinstance(group, np.ndarray):
             size, entries = group.shape[1], int(np.count_nonzero(np.any(group != 0.0, axis=0)))
@@ -216,7 +216,7 @@ class Taylor(CompiledStepMethod):
         return float(blocks * (entries * self.order * (terms - 0.5 * self.order) + size**2))
 
     def reaching(self, system: System, tolerance: float) -> Taylor:
-        """Return the series with another tolerance, and the order with which that takes the least work."""
+        """Return the series with another tolerance, and the order of least work for it."""
         given = min(max(tolerance, LEAST_TOLERANCE), LARGEST_TOLERANCE)
         known = self.operations(system)
 
@@ -229,7 +229,7 @@ class Taylor(CompiledStepMethod):
         return replace(self, order=min(ORDERS, key=cost), tolerance=given)
 
     def finer(self, steps: int, times: float) -> Finer:
-        """Return the same series with a far smaller tolerance, where it has one."""
+        """Return the same series with a much smaller tolerance, if it has one."""
         if self.tolerance is None:
             return super().finer(steps, times)
         tolerance = max(self.tolerance / (FINER * times), LEAST_TOLERANCE)
@@ -237,13 +237,13 @@ class Taylor(CompiledStepMethod):
         return Finer(more, max(steps, OWN_LOOKS), min(0.5, tolerance / self.tolerance))
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the scheme whose step is made of these substeps; those that have a tolerance have none."""
+        """Return the scheme whose step consists of these substeps; raise TypeError with a tolerance."""
         if self.tolerance is not None:
             raise TypeError(f"{self} chooses its own steps, which cannot be composed; give no tolerance")
         return super().composed(coefficients)
 
     def operations(self, system: System) -> Operations:
-        """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
+        """Return the operations of a step: products of series, sparse sums for each coefficient, and the projection."""
         known = _OPERATIONS.setdefault(system, {})
         if self.projected not in known:
             known[self.projected] = series_operations(system, 1, restored_invariants(system) if self.projected else ())
@@ -251,14 +251,14 @@ class Taylor(CompiledStepMethod):
         return one._replace(vectors=one.vectors * self.order**2, waiting=one.waiting * self.order)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type; the values that are kept are those at x.
+        """Return one step, computed in NumPy for any number type; the invariants keep their values at x.
 
         Raises
         ------
         IntegrationError
             The projection does not converge.
         TypeError
-            Fractions with `projected`: no fraction solves its equations.
+            Fractions with `projected`, whose equations have no rational solution.
         """
         self.properties(system)
         start = np.asarray(x)
@@ -292,7 +292,7 @@ class Taylor(CompiledStepMethod):
         return _parted(back(duals + sum(reversed(expand(field, duals, float(h), self.order)))))
 
     def _through(self, system: System, x: NDArray[Any], number: Number, t: Any, h: Any) -> NDArray[Any]:
-        """Return the motion over h in its own steps."""
+        """Return the motion over h in own steps."""
         kept = restored_invariants(system)
 
         def back(z: NDArray[Any]) -> NDArray[Any]:
@@ -327,7 +327,7 @@ def _read_tolerance(given: Any) -> float:
 
 
 def _order_for(tolerance: float | None) -> int:
-    """Return the order with which a tolerance is reached at little cost, where a step costs about p^1.5."""
+    """Return the order that reaches a tolerance at little cost, for steps of cost about p^1.5."""
     if tolerance is None:
         return USUAL
     return max(LEAST_ORDER, math.ceil(math.log(1.0 / tolerance) / 1.5) + 1)

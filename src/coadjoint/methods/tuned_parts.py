@@ -1,4 +1,4 @@
-"""Which parts for a state? Those whose h^2 term, carried along a short motion from there, makes the smallest error."""
+"""Choice of the parts whose h^2 term has the smallest error along short motions from given states."""
 
 from __future__ import annotations
 
@@ -24,44 +24,30 @@ from coadjoint.waiting import waiting
 
 Floats = NDArray[np.float64]
 
-# Larger systems are compared at the given states alone. Brackets cost n^3 operations at each point, and a motion has
-# many.
+# Larger systems are compared at the given states only: brackets cost n^3 operations at each point of a motion.
 LARGEST_FOLLOWED = 64
-# So many choices are compared by the first term of the scheme itself, where its order is above two.
+# Number of choices compared by the first term of the scheme itself, for orders above two.
 MOST_TRIED = 12
-# That term may have so many monomials. Where it has more, the choice for order two is taken.
+# Largest number of monomials of that term; above it, the choice is that for order two.
 MOST_MONOMIALS = 4000
 
 
 @waiting("Splitting.tuned")
 def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
-    """Return shift and order of the automatic parts with the smallest error along short motions from some states.
+    """Return shift and order of the automatic parts with the smallest error along short motions from `starts` (members,
+    n).
 
-    A scheme moves along the field of its modified Hamiltonian. That differs from the field of the motion by J times the
-    gradient of the first term. The tangent map carries this difference from each point to all later ones. For a scheme
-    of order two all permutations of the parts are compared. For a scheme of higher order the best permutations for
-    order two are compared by the scheme's own first term.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    scheme : callable
-        Returns the scheme with a choice of parts.
-    starts : ndarray, shape (members, n)
-        The states.
-
-    Returns
-    -------
-    ChosenParts
-        The choice of ``parts="auto"``, unless another one is better.
+    The field of the modified Hamiltonian of a scheme differs from that of the motion by J times the gradient of the
+    first term; the tangent map carries this difference from each point to all later ones. For a scheme of order two all
+    permutations of the parts are compared; for a higher order the best of these are compared by the scheme's own first
+    term. The automatic choice is returned unless another one is better.
     """
     method = scheme("auto")
     own, terms = decompose(system, "auto").choice, system.hamiltonian.terms()
     if system.dim > LARGEST_FOLLOWED or not all(term.differentiable for term in terms):
         return best_decomposition(system, starts).choice
     orbits = [short_orbit(method, system, start) for start in starts]
-    # All candidates have the same number of parts, the fewest.
+    # All candidates have the same, smallest number of parts.
     if not 1 < len(own.order) <= MOST_ORDERED:
         return best_decomposition(system, np.concatenate([orbit.points for orbit in orbits])).choice
     ranked: list[tuple[float, ChosenParts]] = []
@@ -79,7 +65,7 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
 
 
 def _monomials(system: LiePoissonSystem, order: int) -> float:
-    """Return a bound of the monomials of the first term: of brackets of order + 1 pieces of H."""
+    """Return a bound of the number of monomials of the first term, a sum of brackets of order + 1 pieces of H."""
     H = polynomial_of(system.hamiltonian)
     return np.inf if H is None else comb(system.dim + (order + 1) * (H.degree - 1) + 1, system.dim)
 
@@ -92,7 +78,7 @@ def _remembered(
 
 
 def _least(sizes: Sequence[tuple[float, ChosenParts]], own: ChosenParts) -> ChosenParts:
-    """Return the choice with the least error; the automatic one where no other is clearly less."""
+    """Return the choice with the smallest error; the automatic one unless another is clearly better."""
     least, best = min(sizes, key=lambda one: one[0])
     return best if all(choice != own or least < size * CLEARLY for size, choice in sizes) else own
 
@@ -109,16 +95,10 @@ def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Seque
 
 
 class ErrorsOfOrders:
-    """The errors that each bracket of the h^2 term makes along some orbits; every order of the parts is a sum of them.
+    """Errors of each bracket of the h^2 term along some orbits; the error of every order of the parts is a linear
+    combination.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    parts : Parts
-        The parts of its Hamiltonian, or of the Hamiltonian less a Casimir.
-    orbits : sequence of ShortOrbit
-        Its motions.
+    The parts are those of the Hamiltonian, or of the Hamiltonian minus a Casimir.
     """
 
     def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
@@ -131,7 +111,7 @@ class ErrorsOfOrders:
             self._carried.append(orbit.carried(fields))
 
     def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
-        """Return for several orders of the parts the largest error relative to x, root mean square over the orbits."""
+        """Return the largest error relative to x for several orders of the parts, root mean square over the orbits."""
         weights = np.array([self._brackets.weights(order).ravel() for order in orders])
         total = np.zeros(len(orders))
         for carried, square in zip(self._carried, self._square, strict=True):

@@ -1,4 +1,4 @@
-"""A step of an isospectral Gauss method on two layers, read in NumPy: on dual numbers, as blocks of larger matrices."""
+"""Steps of isospectral Gauss methods on two layers in NumPy, with dual numbers as block matrices."""
 
 from __future__ import annotations
 
@@ -38,28 +38,7 @@ def of_blocks(A: Matrix) -> Matrix:
 def two_layer_increment(
     system: TwoLayerSystem, X: Matrix, h: Any, a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> Matrix:
-    """Return by how much a state changes in a step.
-
-    Parameters
-    ----------
-    system : TwoLayerSystem
-        The system.
-    X : (2, N, N) array
-        The state.
-    h : float
-        The step.
-    a, b : arrays
-        Coefficients of the scheme.
-
-    Returns
-    -------
-    (2, N, N) array
-
-    Raises
-    ------
-    IntegrationError
-        The stages are not found by iterating.
-    """
+    """Return the change (2, N, N) of a state in a step; raise IntegrationError if the stages do not converge."""
     W, one = as_blocks(X), np.eye(2 * len(X[0]))
 
     def stream(M: Matrix) -> Matrix:
@@ -68,7 +47,7 @@ def two_layer_increment(
     Y = [stream(W) for _ in b]
     M, last, change = [W for _ in b], np.inf, np.inf
     for _ in range(MOST_ITERATIONS):
-        # The V are solved for exactly, given the streams: another way than that of the kernels.
+        # V and U are solved exactly for given streams, unlike in the kernels: an independent implementation.
         V, U = _solved(h * a, Y, one, left=False), _solved(-h * a, Y, one, left=True)
         new = [v @ W @ u for v, u in zip(V, U, strict=True)]
         change = max(float(np.abs(n - m).max()) for n, m in zip(new, M, strict=True))

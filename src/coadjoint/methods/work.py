@@ -1,4 +1,4 @@
-"""What does a step cost? Counted in elementary operations, in units of one rotation in a flow."""
+"""Cost model of steps: elementary operations, in units of one rotation in a flow."""
 
 from __future__ import annotations
 
@@ -15,68 +15,68 @@ from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-# All weights of the rule. Change them here when the compiled loops change. The unit is a flow that turns one pair of
+# Weights of the cost model, to be adjusted when the compiled loops change. The unit is a flow that rotates one pair of
 # coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core. An iteration of
-# eight stages of a field in three dimensions, the stages side by side in vector lanes, then costs 1.6.
+# eight stages of a field in three dimensions, in vector lanes, then costs 1.6.
 FLOW = 0.2
 MULTIPLICATION = 0.04
 FUNCTION = 0.6
 COMPENSATED = 1.3
-# A sparse series, beside its multiplications: rows are found by their indices, term after term.
+# A sparse series, in addition to its multiplications: its rows are addressed by indices, term by term.
 SERIES = 5.0
-# The turn of a free body over a short time.
+# The flow of a free body over a short time.
 BODY = 7.0
-# A bond of a lattice, side by side with others, and where the sums are compensated.
+# A bond of a lattice, in vector lanes, and with compensated sums.
 BOND = 1.3
 BOND_COMPENSATED = 12.0
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
-# Dimensions and products of fields whose stages stay in registers where H is quadratic (so(3), e(3), so(4), see
-# ``brackets.hpp``); half as wide for few stages.
+# Dimensions and products of fields whose stages stay in registers if H is quadratic (so(3), e(3), so(4), see
+# ``brackets.hpp``); vectors are half as wide for few stages.
 HELD, FEW_STAGES = ((3, 6), (6, 18), (6, 24)), 4
 IN_REGISTERS = 0.7
 NARROW = 0.65
-# A product of a polynomial is found by its indices.
+# Factor for products of a polynomial, which are addressed by indices.
 BY_INDEX = 2.0
 IMPLICIT_STEP = 5.0
-# A step that does not iterate: products of series, sums that wait for each other, looks at invariants (after the first
-# correction, and after those that follow).
+# A step without iterations: products of series, dependent sums, evaluations of invariants (after the first correction,
+# and after later ones).
 EXPLICIT_STEP = 2.7
 VECTOR = 0.017
 WAITING = 0.136
 LOOK = 0.25
-# To find how long a step is to be.
+# Selection of the length of a step.
 OWN_STEP = 6.0
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
-# With so many members, in up to so many dimensions, flows turn many members at once, and series are multiplied for many
-# of them. Other steps are as wide for one member.
+# From CROWD members on, flows and series in few dimensions are computed for many members in vector lanes, at these
+# fractions of the cost. Other steps fill the lanes with one member.
 CROWD = 16
 FLOWS_OF_A_CROWD = 0.1
 BODIES_OF_A_CROWD = 0.17
 SERIES_OF_A_CROWD = 0.6
 ELIMINATION = 0.015
-# A multiplication in a product of matrices, by BLAS, and what each product takes besides. Of IsospectralGauss on so(3)
-# to so(20) and on spheres of N = 4 to 64 the work is so within a factor of 2.6, or 3.3 for one stage.
+# A multiplication in a matrix product by BLAS, and the overhead per product. For IsospectralGauss on so(3) to so(20)
+# and on spheres of N = 4 to 64 the estimate is correct within a factor of 2.6, or 3.3 for one stage.
 PRODUCT, PRODUCT_CALL = 0.006, 10.0
 
 
 @dataclass(frozen=True)
 class Work:
-    """What a step of a scheme on a system costs.
+    """Cost of a step of a scheme on a system.
 
     Parameters
     ----------
     cost : callable
-        ``cost(iterations, evaluations)`` returns the cost of a step in rotations, from what the loop has counted for a
+        ``cost(iterations, evaluations)`` returns the cost of a step in rotations, from the counts of the loop for a
         step of one member. Linear systems are not counted.
     flows : int
-        How many elementary flows round the momentum in a step; 0 for schemes that are not made of flows.
+        Number of elementary flows that round the momentum in a step; 0 for schemes that do not consist of flows.
     in_a_crowd : float
-        The cost for each of many members, as a part of that.
+        Cost per member in a large ensemble, relative to that of a single member.
     compensated : callable, optional
-        Returns the work of the same step with compensated sums, where that is another.
+        Returns the work of the same step with compensated sums, if it differs.
     """
 
     cost: Callable[[float, float], float]
@@ -86,19 +86,8 @@ class Work:
 
 
 def flow_work(program: Program, compensated: bool) -> float:
-    """Return the cost of one step of a splitting: its rows, each by the blocks that it turns.
-
-    Parameters
-    ----------
-    program : Program
-        The table; where it has a group action, that is counted too.
-    compensated : bool
-        Whether the momentum is summed with compensation.
-
-    Returns
-    -------
-    float
-        In rotations.
+    """Return the cost of one step of a splitting, in rotations: its rows, including the group action, by the blocks
+    that they rotate.
     """
     parts = [_part_work(program, number, compensated) for number in range(len(program.parts))]
     first, last = int(program.rows.section[1]), int(program.rows.section[2])
@@ -115,33 +104,18 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
     if bodies:
         bonds = bool(bodies[0].other)
         cost += len(bodies) * (BODY if not bonds else BOND_COMPENSATED if compensated else BOND)
-        acting = 0 if bonds else acting[0], 0  # sines come with the body
+        acting = 0 if bonds else acting[0], 0  # sines are part of the cost of the body
     cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
     cost += SERIES * series_in(program.state, number)
     if program.group is not None:
-        # The rows of a group element are turned side by side, by one sine.
+        # The rows of a group element are rotated in vector lanes, by one sine.
         acting = action_work(program.group, number)
         cost += MULTIPLICATION * acting[0] * math.ceil(program.group.size / LANES) + FUNCTION * acting[1]
     return cost
 
 
 def iteration_work(system: System, stages: float, group: Any) -> float:
-    """Return the cost of one iteration of an implicit scheme: the field at all stages, and their mixing.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    stages : float
-        Evaluations of the field in an iteration.
-    group : ndarray of shape (n, d, d), "coadjoint", or None
-        What a group element is carried in.
-
-    Returns
-    -------
-    float
-        In rotations.
-    """
+    """Return the cost of one iteration of an implicit scheme, in rotations: the field at all stages, and mixing."""
     multiplications, functions = field_work(system)
     vectors = multiplications + stages * system.dim
     if group is not None and isinstance(system, LiePoissonSystem):
@@ -161,7 +135,7 @@ def _held(system: System) -> bool:
 
 
 def field_work(system: System) -> tuple[float, int]:
-    """Return the multiplications, and the calls of functions, in one evaluation of the vector field."""
+    """Return the numbers of multiplications and function calls in one evaluation of the vector field."""
     terms = system.hamiltonian.terms()
     multiplications = sum(term.multiplications * (1.0 if term.form is not None else BY_INDEX) for term in terms)
     functions = sum(term.called for term in terms)
@@ -171,12 +145,12 @@ def field_work(system: System) -> tuple[float, int]:
 
 
 def flows_of(program: Program) -> int:
-    """Return how many flows a step has."""
+    """Return the number of flows in a step."""
     return int(program.rows.section[2] - program.rows.section[1])
 
 
 def work_of_flows(program: Program, compensated: bool) -> Work:
-    """Return the work of a step that is made of flows."""
+    """Return the work of a step that consists of flows."""
     cost = flow_work(program, compensated)
     better = None if compensated else lambda: work_of_flows(program, True)
     crowd = BODIES_OF_A_CROWD if program.parts.bodies else FLOWS_OF_A_CROWD
@@ -184,7 +158,7 @@ def work_of_flows(program: Program, compensated: bool) -> Work:
 
 
 def work_of_iterations(system: System, group: Any) -> Work:
-    """Return the work of a step that iterates, by the iterations and evaluations that it is seen to take."""
+    """Return the work of a step that iterates, as a function of the counted iterations and evaluations."""
 
     def cost(iterations: float, evaluations: float) -> float:
         rounds = max(1.0, iterations)
@@ -194,7 +168,7 @@ def work_of_iterations(system: System, group: Any) -> Work:
 
 
 def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Work:
-    """Return the work of a step of so many evaluations of the field, with a linear system where it is not explicit."""
+    """Return the work of a step with these evaluations of the field, and a linear system unless it is explicit."""
     cost = IMPLICIT_STEP + evaluations * iteration_work(system, 1, None)
     if not explicit:
         cost += newton_work(system.dim, 1)
@@ -202,15 +176,23 @@ def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Wor
 
 
 def work_of_products(system: Any, products: int, iterated: bool = False) -> Work:
-    """Return the work of a step of so many products of the system's matrices, or of each of its iterations."""
+    """Return the work of a step, or of each of its iterations, with this number of products of matrices."""
     numbers = 4.0 if system.complex else 1.0
     cost = products * (PRODUCT_CALL + PRODUCT * numbers * float(system.algebra.N) ** 3)
     return Work(lambda iterations, evaluations: cost * (max(1.0, iterations) if iterated else 1.0))
 
 
 class Operations(NamedTuple):
-    """What an explicit step with a projection does: vectors of eight that it multiplies, operations that wait for the
-    one before, and terms of invariants that it looks at after every correction, once where there is none.
+    """Operations of an explicit step with a projection, for its cost estimate.
+
+    Parameters
+    ----------
+    vectors : float
+        Number of multiplications of vectors of eight numbers.
+    waiting : float
+        Number of operations that depend on the previous one.
+    looks : float
+        Number of terms of invariants that are evaluated after every correction; once if there is none.
     """
 
     vectors: float
@@ -219,7 +201,7 @@ class Operations(NamedTuple):
 
 
 def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float = 1.0) -> Work:
-    """Return the work of a step of so many substeps; its corrections are counted as iterations."""
+    """Return the work of a step with this number of substeps; its corrections are counted as iterations."""
 
     def cost(iterations: float, evaluations: float) -> float:
         corrections = FIRST_CORRECTION * min(iterations, substeps) + NEXT_CORRECTION * max(0.0, iterations - substeps)
@@ -230,7 +212,7 @@ def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float 
 
 
 def work_of_own_steps(operations: Operations, order: int) -> Work:
-    """Return the work of a scheme that takes steps of its own, each of `order` evaluations, until the next look."""
+    """Return the work of a scheme with own steps, of `order` evaluations each, up to the next output point."""
     step = work_of_operations(operations, 1)
 
     def cost(iterations: float, evaluations: float) -> float:
@@ -242,11 +224,11 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
 
 
 def work_of_projection(base: Work, invariants: int) -> Work:
-    """Return the work of a step of another scheme, and of the way back to so many invariants."""
+    """Return the work of a step of another scheme, and of a projection to this number of invariants."""
     back = LOOK * invariants * (1.0 + FIRST_CORRECTION)
     return Work(lambda iterations, evaluations: base.cost(iterations, evaluations) + back)
 
 
 def newton_work(dim: int, stages: float) -> float:
-    """Return what Newton's method adds to a step: about one elimination of the stages' linear system."""
+    """Return the additional work of Newton's method in a step: about one elimination of the stages' linear system."""
     return ELIMINATION * min(dim * stages, limit("LARGEST_DENSE")) ** 3
