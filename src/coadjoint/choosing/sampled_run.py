@@ -206,7 +206,7 @@ class SampledRun(PreparedRun):
         if not 0.0 <= (t1 - t0) / self._time <= SLACK:
             raise ValueError(
                 f"t_span is {[t0, t1]}; the run was prepared for a time of {self._time:g}, and shorter ones in its "
-                "direction; prepare another one"
+                "direction; prepare another run"
             )
         if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
             self._read = t_span, t0

@@ -108,8 +108,8 @@ def _by_circles(
         ]
     if not max(wrong) <= WORST * scale:
         raise ValueError(
-            f"a function of the Hamiltonian has no derivatives of order {degree} that could be found near "
-            f"{y.tolist()}: on circles in the complex plane it is not analytic"
+            f"derivatives of order {degree} of a function of the Hamiltonian cannot be computed near "
+            f"{y.tolist()}: it is not analytic on circles in the complex plane; take a lower order"
         )
     return {e: found[e] for e in keys}
 
@@ -144,7 +144,7 @@ def _complex_slope(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
             return derivative_of(term, 1, y, 0.0)
     except Exception as reason:
         raise TypeError(
-            "a function of the Hamiltonian is to be differentiated more often than it was given derivatives, and its "
-            f"gradient takes no complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
+            "higher derivatives of a function of the Hamiltonian are needed than were given, and its "
+            f"gradient rejects complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
             "or take a lower order"
         ) from reason
