@@ -21,7 +21,7 @@ from coadjoint.waiting import at
 class Candidate:
     """A scheme that supports a system, with the work of its step.
 
-    `free` tells whether its summation is open, `crowd` whether members are integrated side by side, `group` is the
+    `free` states whether its summation is open, `crowd` whether members are integrated side by side, `group` is the
     representation of the group element.
     """
 

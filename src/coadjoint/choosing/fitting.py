@@ -130,7 +130,7 @@ def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
 
 
 def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
-    """Extrapolate by the order from a trial to the goal; errors below rounding are not extrapolated."""
+    """Extrapolate by the order from a trial to the goal; trial errors count as at least noise / 256."""
     end = max(trial.error, noise / 256) * candidate.growth(pilot, trial)
     per_window = trial.steps * (end / goal) ** (1.0 / candidate.method.order) if end < math.inf else math.inf
     # Above 2^52 steps, consecutive times are not distinguishable in float64.

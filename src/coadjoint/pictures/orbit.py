@@ -36,8 +36,8 @@ def draw_orbit(
 ) -> None:
     """Draw orbits (members, k, 3) on the level surface through the first point of the first one.
 
-    `casimirs` maps names to those of the system. Points are dots unless `joined`. `kept` tells whether the motion stays
-    on the surface, unlike with forces.
+    `casimirs` maps names to those of the system. Points are dots unless `joined`. `kept` states whether the motion
+    stays on the surface, unlike with forces.
     """
     name = surface_casimir(casimirs)
     box = _box_of(members)

@@ -19,7 +19,7 @@ TOO_MANY = COLUMNS // 2
 def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str | None = None, **style: Any) -> None:
     """Draw a series as a line, an envelope or dots, into axes.
 
-    Nonfinite values, and those beyond 1e280, are not drawn. `joined` tells whether lines between the points represent
+    Nonfinite values, and those beyond 1e280, are not drawn. `joined` states whether lines between the points represent
     the series; otherwise dots are drawn. `style` may have ``color``, ``linewidth`` and ``alpha``.
     """
     values = np.where(np.abs(values) < LARGEST, values, np.nan)

@@ -49,7 +49,7 @@ class Coordinates(NamedTuple):
 
     `of_weight[w]` maps Lyndon words of `Letter` to nonzero `flint.fmpq` or `flint.arb`. `neglected` is the largest
     coefficient set to zero, because an order condition holds only up to rounding of the scheme's coefficients; 0 if all
-    hold exactly. `exact` tells whether all coefficients are rational.
+    hold exactly. `exact` states whether all coefficients are rational.
     """
 
     of_weight: tuple[Mapping[Word, Any], ...]

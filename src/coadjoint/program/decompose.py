@@ -190,7 +190,7 @@ def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
     casimirs, whole = quadratic_casimirs(system), system
     if choice.linear:
         if max(choice.linear) >= system.dim:
-            raise ValueError(f"parts has linear coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
+            raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
         whole = with_all_present(system, choice.linear)
     parts = split(whole, "auto", shifted_terms(whole.hamiltonian.terms(), casimirs, choice.shift))
     if whole is not system:
