@@ -7,10 +7,19 @@ from typing import Any, NamedTuple, Protocol
 
 
 class Sweep(NamedTuple):
-    """One pass through the parts over a fraction `coefficient` of the step, forward or backward.
+    """One pass through the parts over a fraction of the step, forward or backward.
 
-    Functions of time are evaluated at `moment`, a fraction of the step. A `turn` makes a second-order step with the
-    previous sweep: the part at which they meet flows once over both.
+    Parameters
+    ----------
+    forward : bool
+        Whether the parts are applied in their order, or in reverse.
+    coefficient : number
+        The fraction of the step.
+    moment : number
+        The moment of the step, as a fraction, at which functions of time are evaluated.
+    turn : bool
+        Whether the sweep forms a second-order step with the previous one: the part at which they meet flows once over
+        both.
     """
 
     forward: bool
