@@ -268,7 +268,7 @@ def test_what_is_no_fluid_is_refused_by_name(ball):
     for kind in ("vorticity", "field spectra", "energy by scale"):
         with pytest.raises(CannotShow, match="rigid_body has no vorticity"):
             body.plot(kind)
-    with pytest.raises(CannotShow, match="moves no matrix"):
+    with pytest.raises(CannotShow, match="rigid_body is not a matrix"):
         body.plot("eigenvalues")
     for options, said in [
         ({"part": "lage"}, "did you mean 'large'"),

@@ -77,7 +77,7 @@ def test_spins_without_a_lattice_say_that_it_is_not_known():
 
 
 def test_spins_of_space_and_of_any_graph():
-    with pytest.raises(CannotShow, match="fills space"):
+    with pytest.raises(CannotShow, match="three-dimensional"):
         places_of_sites("cubic", (2, 2, 2), 8)
     ring = places_of_sites("ring", 12, 12)
     assert np.ptp(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1)) < 1e-14

@@ -186,5 +186,5 @@ def test_number_types_without_elementary_functions_are_refused():
     from fractions import Fraction
 
     s = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"])
-    with pytest.raises(TypeError, match="float and mpmath numbers, not Fraction"):
+    with pytest.raises(TypeError, match="the number type Fraction is not supported"):
         Reading(build_program(s, co.Splitting(), number=Fraction))

@@ -1,1 +1,1 @@
-"""With which scheme and step? The least work for a wanted error, found by short runs from the start."""
+"""Choice of a scheme and a step: least work for a given accuracy, by short trial runs from the initial state."""

@@ -1,4 +1,4 @@
-"""Which scheme, and which step, for a wanted accuracy? A rule, by pilot runs and counted work; no clock is asked."""
+"""Choice of a scheme and a step for a given accuracy, by trial runs and counted work, without timing."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
-# The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
+# Safety factor of the target error; rounding alone may take at most half of the accuracy (ROUNDING_SHARE).
 SAFETY = 3.0
 MODERATE_ORDER = 8
-# An error that is so many times what was aimed at is accepted.
+# Accepted ratio of the error to its target.
 NEARLY = 2.0
 ROUNDING_SHARE = 0.5
-# Steps of a scheme's own cost so many times what a first look shows, or less.
+# Upper bound of the cost of variable steps, relative to their first trial.
 LOOK = 1.5
-# The least error that is aimed at; a smaller one could not be divided by.
+# Smallest target of the error, which is used as a divisor.
 LEAST = 2.0**-1000
 
 
-# The first two series with a constant step say of the others how dear they are; of other kinds the first scheme does.
+# The first two series with a constant step predict the cost of the others; for other kinds the first scheme does.
 SCHEMES: tuple[Method, ...] = (
     Taylor(tolerance=1e-9),
     *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
@@ -54,24 +54,24 @@ PROCESSED: tuple[Method, ...] = tuple(Splitting(scheme=f"blanes_casas_murua{p}")
 
 @dataclass(frozen=True)
 class Choice:
-    """A scheme and a step for a wanted accuracy, with the expected error; printed, it says in one line why.
+    """A scheme and a step for a wanted accuracy, with the expected error; its `str` gives the reason in one line.
 
     Parameters
     ----------
     method : Method
         The scheme.
     step : float
-        The step, positive; a whole number of them is the span.
+        The step, positive; it divides the span.
     accuracy : float
-        What was wanted: the error of the momentum at the end, relative to its largest size on the way.
+        The wanted error of the momentum at the end, relative to its largest size in the run.
     error : float
-        What is expected: truncation and rounding together.
+        The expected error, truncation and rounding together.
     roundoff : float
-        How much of that is rounding.
+        The part of `error` that is rounding.
     cost : float
         Work of the whole run of one member, in units of one rotation in a flow (about 11 ns).
     others : tuple of Choice
-        What else was considered, the cheapest first; without what was given up early as much too dear.
+        The other schemes considered, the cheapest first, without those abandoned early as too expensive.
 
     Examples
     --------
@@ -114,26 +114,26 @@ def choose(
 ) -> Choice:
     """Choose the scheme and the step that reach a wanted accuracy with the least work.
 
-    The same inputs give the same choice, since operations are counted and no time is measured. Schemes run from x0 over
-    a window at the beginning of the span, and are compared with an accurate reference. Schemes that these show to be
-    dearer are left out. The error at other steps follows from the order. The error at the end of the span is
-    extrapolated from its growth over a quarter, a half and the whole window; the growth is taken as linear at least,
-    and as quadratic at least for schemes that are neither symmetric nor Poisson maps. Rounding is estimated. A chosen
-    step is tried over the window once more, and corrected if the error is too large. A motion that changes its
-    character after the window is not foreseen.
+    Operations are counted and no time is measured, so the same inputs give the same choice. Each scheme integrates from
+    x0 over a window at the beginning of the span, and is compared with an accurate reference. Schemes that these trials
+    predict to be more expensive are skipped. The error at other steps follows from the order. The error at the end of
+    the span is extrapolated from its growth over a quarter, a half and the whole window; the growth is assumed to be at
+    least linear, and at least quadratic for schemes that are neither symmetric nor Poisson maps. Rounding is estimated.
+    The chosen step is run over the window once more, and corrected if the error is too large. Changes in the character
+    of the motion after the window are not predicted.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system.
     x0 : array_like, shape (n,) or (members, n)
-        Initial momentum. For an ensemble, the worst of four members decides, which a coarse run selects.
+        Initial momentum. For an ensemble, the choice serves the worst of four members, which a coarse run selects.
     t_span : (float, float)
         Start and end; the end may be the smaller one.
     accuracy : float
         Wanted: abs(x_num(t_end) - x(t_end)) <= accuracy * max abs(x(t)). Between 0 and 1.
     attitude : bool, "coadjoint", or array_like
-        Whether the run computes the group element, as in `integrate`. Schemes that cannot are left out, and its work is
+        Whether the run computes the group element, as in `integrate`. Schemes that cannot are excluded, and its work is
         counted. The accuracy is that of the momentum.
     methods : Method or sequence of Method, optional
         The schemes to choose from; with a single one, only its step is chosen. The default is Taylor series of order 6
@@ -156,7 +156,7 @@ def choose(
 
     See Also
     --------
-    integrate : With ``accuracy=`` it chooses, and runs what was chosen.
+    integrate : With ``accuracy=`` it uses `choose`, and runs the result.
 
     Examples
     --------
@@ -170,7 +170,7 @@ def choose(
     """
     check_vectors(system, "give step= and method=, since the cost of a step of matrices is not known")
     wanted, processed = _checked(accuracy), read_flag(processed, "processed")
-    # Near a blow-up numbers overflow. What comes of it is checked below.
+    # Numbers overflow near a blow-up; the results are checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return _chosen(system, x0, span_of(t_span), wanted, attitude, methods, processed)
 
@@ -223,14 +223,14 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
 
 
 def _goal(candidate: Candidate, wanted: float) -> float:
-    """Return the error that is aimed at: errors of a high order vary more with the step, and less costs little."""
+    """Return the target of the truncation error: lower for high orders, whose errors vary more with the step."""
     if candidate.method.own_steps:
         return wanted / SAFETY
     return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), LEAST)
 
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
-    """Return what the schemes need that may be the best; steps of their own are looked at first and fitted last."""
+    """Fit the schemes that may be the best; those with variable steps get a first trial, and are fitted last."""
     least = least_roundoff(pilot)
     goal_of = partial(_goal, wanted=wanted)
     waiting = [each for each in candidates if not each.method.own_steps]
@@ -238,17 +238,17 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
     seen = [expected(look, goal_of(each)) for each, look in looks if look is not None]
     nearest = min(seen, key=lambda look: look.cost, default=None)
     foresight = Foresight(goal_of, nearest)
-    # What a first look shows is not exact.
+    # The first trial is not exact.
     own = math.inf if nearest is None else LOOK * nearest.cost
     found = list[Fit]()
 
     def sound() -> float:
-        """Return the least cost of what rounding does not spoil."""
+        """Return the least cost among fits with acceptable rounding."""
         return min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
 
     while waiting:
         candidate = waiting.pop(0)
-        # What rounding spoils is no reason to leave others untried, but to try them shortly.
+        # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
         if foresight.least_cost(candidate) > min(own, sound()):
             continue
         limit = min([own, *(each.cost for each in found)])
@@ -260,7 +260,7 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
         if not result.given_up:
             found.append(result)
             if ROUNDING_SHARE * wanted < result.roundoff <= least:
-                # All others have as much rounding.
+                # All other schemes have as much rounding.
                 break
     for candidate, look in looks:
         result = fit_of_tolerance(pilot, candidate, goal_of(candidate), sound(), look)
@@ -270,7 +270,7 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
 
 
 def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
-    """Sort by cost; the first is confirmed, which may make it dearer than others."""
+    """Sort by cost with the first one confirmed; confirmation may increase its cost."""
     waiting, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
     while waiting and (not confirmed_ones or waiting[0].cost < min(each.cost for each in confirmed_ones)):
         first = waiting.pop(0)
@@ -281,7 +281,7 @@ def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
 
 
 def _rounded_well(found: Fit, wanted: float) -> Fit | None:
-    """Return a fit whose rounding leaves room for its error, compensated where that is needed and free to choose."""
+    """Return a fit with acceptable rounding, with compensated summation if necessary and left open; else None."""
     if found.roundoff <= ROUNDING_SHARE * wanted:
         return found
     compensated = found.candidate.compensated()
@@ -310,7 +310,7 @@ def _lost(candidates: Sequence[Candidate], time: float) -> ValueError:
 
 
 def _rounded_up(value: float) -> str:
-    """Return a number in two digits that is no smaller."""
+    """Format a number with two digits, rounded up."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.ceil(value / unit) * unit:.1e}"
 

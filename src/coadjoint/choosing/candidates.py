@@ -1,4 +1,4 @@
-"""Which schemes can serve a system, and what does a step of each cost?"""
+"""Candidate schemes for a system, and the cost of a step of each."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from coadjoint.waiting import at
 
 @dataclass(frozen=True)
 class Candidate:
-    """A scheme that serves a system, with the work of its step; a `crowd` of members goes side by side.
+    """A scheme that supports a system, with the work of its step.
 
-    `free` says whether its summation is left open, `group` what a group element is carried in.
+    `free` states whether its summation is open, `crowd` whether members are integrated side by side, `group` is the
+    representation of the group element.
     """
 
     system: System
@@ -32,7 +33,7 @@ class Candidate:
     group: Any = None
 
     def reaching(self, tolerance: float) -> Candidate:
-        """Return the same scheme, which takes steps of its own, with another tolerance."""
+        """Return the same scheme, with variable steps, for another tolerance."""
         method = self.method.reaching(self.system, tolerance)
         return replace(self, method=method, work=_work_of(self.system, method, self.group))
 
@@ -43,7 +44,7 @@ class Candidate:
 
     @property
     def flows(self) -> int:
-        """Flows of a step; none in schemes that are not made of flows."""
+        """Number of flows per step; 0 for schemes that are not composed of flows."""
         return self.work.flows
 
     def cost(self, trial: Trial) -> float:
@@ -53,17 +54,18 @@ class Candidate:
 
     @property
     def share(self) -> float:
-        """The part of the cost of a step that each of many members has."""
+        """Fraction of the cost of a step per member."""
         return self.work.in_a_crowd if self.crowd else 1.0
 
     def growth(self, pilot: Pilot, trial: Trial) -> float:
-        """Return how many times the error of a trial is larger at the end of the span."""
+        """Return the ratio of the error at the end of the span to that of a trial."""
         return trial.growth.factor(pilot.windows, 1.0 if self._grows_like_time else 2.0)
 
     @cached_property
     def _grows_like_time(self) -> bool:
-        """Whether a scheme keeps what would shift phases ever faster: by its symmetry, as a Poisson map, or since all
-        that is left of the motion is a curve on which invariants are restored.
+        """Whether phase errors grow linearly.
+
+        This holds for symmetric schemes and Poisson maps, and if restored invariants confine the motion to a curve.
         """
         if self.method.symmetric or self.method.properties(self.system).poisson:
             return True
@@ -71,7 +73,7 @@ class Candidate:
         return restored is not None and self.system.dim - len(restored) <= 2
 
     def compensated(self) -> Candidate | None:
-        """Return the same scheme summed with compensation; None where that was not left open."""
+        """Return the same scheme with compensated summation; None if this is not left open."""
         better = self.method.with_compensation() if self.free else None
         if better is None:
             return None
@@ -80,28 +82,9 @@ class Candidate:
 
 
 def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
-    """Return the schemes that serve a system and carry what is asked for.
+    """Return the schemes, at least one, that support a system and the attitude requested.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    schemes : sequence of Method
-        To be looked at, in order.
-    x0, attitude
-        As for `integrate`.
-    strict : bool
-        Whether a scheme that does not serve is refused, rather than left out.
-
-    Returns
-    -------
-    list of Candidate
-        At least one.
-
-    Raises
-    ------
-    ValueError, TypeError
-        What a scheme said, if it is refused, or if none is left.
+    With `strict`, the ValueError or TypeError of an unsupported scheme is raised; else only if no scheme is left.
     """
     members = len(momenta_of(system, x0)[0])
     crowd = members >= CROWD and system.dim <= limit("WIDEST")
@@ -112,7 +95,7 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
         try:
             group = representations_of(system, method, attitude)[0]
             if group is not None:
-                start_of(system, method, x0, attitude)  # which looks at the element that is given
+                start_of(system, method, x0, attitude)  # validates the initial group element
             free = not strict or len(schemes) > 1
             found.append(Candidate(system, method, _work_of(system, method, group), free, crowd, group))
         except (ValueError, TypeError) as error:
@@ -131,6 +114,6 @@ def _work_of(system: System, method: Method, representation: Any) -> Work:
 
 
 def _work(system: System, method: Method, representation: Any) -> Work:
-    """Return the work of a step, if the scheme serves the system."""
+    """Return the work of a step; raise ValueError or TypeError if the scheme does not support the system."""
     method.properties(system)
     return method.work(system, representation)

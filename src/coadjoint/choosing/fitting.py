@@ -1,4 +1,4 @@
-"""Trials of one scheme over the window of a pilot, until its error can be extrapolated to the wanted one."""
+"""Fit of the number of steps of one scheme, by trials over the window of a pilot."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
 from coadjoint.choosing.roundoff import MARGIN, roundoff
 
 MOST_TRIALS = 10
-# A trial costs no more than so many rotations (30 ms), whatever the accuracy: smaller steps follow by the order.
+# Largest cost of a trial, in rotations (30 ms), for any accuracy; smaller steps are extrapolated by the order.
 DEAREST_TRIAL = 3e6
-# The last look at a choice may take longer, and repeat itself.
+# Largest cost of the confirmation of a choice, which may be repeated.
 DEAREST_CONFIRMATION = 16 * DEAREST_TRIAL
 MOST_CORRECTIONS = 6
-# Truncation is told from rounding, and from the error of the reference, when it is so many times larger.
+# Smallest ratio of a measurable truncation error to rounding and to the error of the reference.
 CLEARLY = 16.0
-# Rounding is hardly ever so many times what is expected of it.
+# Errors up to this multiple of the expected rounding may be rounding.
 MOSTLY = 4.0
-# Beyond this relative error the order says nothing.
+# Relative error above which the order does not predict the error.
 LARGE = 0.05
-# So many times the steps with which an unstable scheme fails, it mostly succeeds.
+# Factor on the number of steps at which an unstable scheme fails, with which it mostly succeeds.
 UNSTABLE = 1.5
-# Errors at the end that are no smaller than the motion are not followed to smaller steps.
+# Relative errors at the end from which on no extrapolation to smaller steps is possible.
 WHOLE = 1.0
-# Steps within this factor of what is wanted are near enough to extrapolate.
+# Largest ratio of steps across which a trial is extrapolated without another one.
 NEAR = 1.3
-# A choice that costs (1 + this / order) times as much as another is given up: the higher the order, the better is known
-# from a trial how many steps are needed.
+# A scheme is abandoned at (1 + this / order) times the cost of another: trials predict the steps of high orders more
+# accurately.
 MUCH_DEARER = 6.0
-# A first trial takes no more than so many times the usual steps, and no fewer than one of so many.
+# Bounds of the steps of a first trial: usual * MUCH_FINER and usual / MUCH_COARSER.
 MUCH_FINER, MUCH_COARSER = 4.0, 10.0
 
 
@@ -45,11 +45,11 @@ class Fit:
     error: float
     trial: Trial
     given_up: bool = False
-    """Whether a trial showed that it will be much dearer than another; its steps are a guess then."""
+    """Whether a trial predicted a much higher cost than another scheme's; `steps` is then a guess."""
 
     @cached_property
     def extrapolated(self) -> float:
-        """How many times finer or coarser the steps are than those of the trial; at least 1."""
+        """Ratio, at least 1, between the steps of the fit and those of the trial."""
         ratio = self.steps / (self.trial.steps * self.pilot.windows)
         return max(ratio, 1.0 / ratio)
 
@@ -60,12 +60,12 @@ class Fit:
 
     @cached_property
     def end(self) -> float:
-        """The truncation error expected at the end with the steps of the trial; from `WHOLE` on it tells nothing."""
+        """The truncation error expected at the end with the steps of the trial; meaningless from `WHOLE` on."""
         return self.trial.error * self.candidate.growth(self.pilot, self.trial)
 
     @cached_property
     def roundoff(self) -> float:
-        """Rounding error at the end of the span, at most; steps of a scheme's own are tried as they are run."""
+        """Upper bound of the rounding error at the end; for variable steps the excess seen in the trial counts too."""
         seen = self.end - self.error if self.candidate.method.own_steps else 0.0
         return max(seen, _rounding(self.pilot, self.candidate, self.steps, self.pilot.windows, MARGIN))
 
@@ -75,33 +75,18 @@ def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float, ma
 
 
 def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: float | None = None) -> Fit | None:
-    """Return the number of steps with which a scheme is expected to reach an error at the end of the span.
+    """Fit the number of steps for a truncation error `goal` at the end of the span; None if none is found.
 
-    Parameters
-    ----------
-    pilot : Pilot
-        The window.
-    candidate : Candidate
-        The scheme.
-    goal : float
-        The truncation error wanted at the end.
-    limit : float
-        The cost of the best so far, or what it is likely to be; a scheme that will be much dearer is given up.
-    guess : float, optional
-        How many steps over the span it may need.
-
-    Returns
-    -------
-    Fit or None
-        None where no number of steps was found.
+    `limit` is the lowest cost so far, or its estimate: a scheme predicted to be much more expensive is abandoned.
+    `guess` is an estimate of the steps over the span.
     """
     order = candidate.method.order
     dear = (1.0 + MUCH_DEARER / order) * limit
-    # Without a better guess, the steps of the reference in proportion to the order. Far below them nothing can be seen.
+    # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
     usual = pilot.window / pilot.natural_step * REFERENCE.order / order
     first = usual if guess is None else guess / pilot.windows
     steps = pilot.fitting(min(max(first, usual / MUCH_COARSER), MUCH_FINER * usual))
-    # Where fewer steps fail than the order lets expect, steps are at the border of what is stable.
+    # If more steps fail than the order predicts, the steps are at the limit of stability.
     away = min(UNSTABLE, (LARGE / goal) ** (1.0 / order))
     seen: set[int] = set()
     too_few, best = 0, None
@@ -113,11 +98,11 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
         if trial is None or not trial.error < LARGE:
             too_few = max(too_few, steps)
             if trial is not None and _least_cost(pilot, candidate, trial) > dear:
-                # More of them are dearer still.
+                # More steps are even more expensive.
                 return None if best is None else replace(best, given_up=True)
             if steps > (2**20 if trial is None else DEAREST_TRIAL / candidate.cost(trial)):
                 break
-            # Between a number of steps that failed and one that did not, where there are both.
+            # Bisect between failing and successful numbers of steps, if there are both.
             steps = pilot.fitting(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
             continue
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
@@ -139,16 +124,16 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
 
 
 def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
-    """Return what the run costs at the least with the steps of a trial: shorter ones iterate less, at least once."""
+    """Return a lower bound on the cost with the steps of a trial, with one iteration per step."""
     once = trial._replace(iterations=1.0, evaluations=trial.evaluations / max(trial.iterations, 1.0), newton=False)
     return trial.steps * pilot.windows * candidate.cost(once) * candidate.share
 
 
 def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
-    """Follow the order from a trial to the goal; downward only as far as the trial can be told from rounding."""
+    """Extrapolate by the order from a trial to the goal; trial errors count as at least noise / 256."""
     end = max(trial.error, noise / 256) * candidate.growth(pilot, trial)
     per_window = trial.steps * (end / goal) ** (1.0 / candidate.method.order) if end < math.inf else math.inf
-    # The span cannot be told from its step where there are more steps than float64 counts.
+    # Above 2^52 steps, consecutive times are not distinguishable in float64.
     count = min(max(1.0, pilot.windows * per_window), 2.0**52)
     steps = math.ceil(count * (1.0 - 1e-12))
     error = end * (trial.steps * pilot.windows / steps) ** candidate.method.order if end < math.inf else math.inf
@@ -156,29 +141,17 @@ def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial,
 
 
 def confirmed(found: Fit, goal: float, bound: float) -> Fit:
-    """Run a choice over the window once more, and correct its step where it misses.
+    """Run a choice over the window once more, and correct its step until the error is below `bound`.
 
-    Parameters
-    ----------
-    found : Fit
-        The choice.
-    goal : float
-        The truncation error that it aims at.
-    bound : float
-        What it must not exceed.
-
-    Returns
-    -------
-    Fit
-        With the error that was measured, where it is more than rounding and a run over the window is not too dear; as
-        it was where steps are the scheme's own.
+    `goal` is the target of the truncation error. The error is measured if it exceeds rounding and the run is not too
+    expensive; fits with variable steps are returned unchanged.
     """
     pilot, order = found.pilot, found.candidate.method.order
     if found.candidate.method.own_steps:
-        return found  # its last trial was that of the choice
+        return found  # its last trial had the tolerance chosen
     for _ in range(MOST_CORRECTIONS):
         wanted = found.steps / pilot.windows
-        # No finer than what is run, which could fail where this does not.
+        # At most the steps of the run: a finer trial could succeed where the run fails.
         per_window = found.steps if pilot.whole else pilot.fitting(wanted, finer=False)
         if per_window * found.candidate.cost(found.trial) > DEAREST_CONFIRMATION:
             return found

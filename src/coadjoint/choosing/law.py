@@ -1,4 +1,4 @@
-"""Which schemes need not be tried? The fits of some say about how many steps the others need."""
+"""Cost model of schemes not yet tried: numbers of steps predicted from the fits of others."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from coadjoint.choosing.pilot import REFERENCE, Trial
 from coadjoint.methods.base import Method
 from coadjoint.methods.taylor import Taylor
 
-# What a scheme costs at the least is what its kin foretells by this: series, of which that of the nearest order is
-# believed, and others. The further the steps of kin were extrapolated, the less they are believed. A series that is
-# left out is cheaper by a few per cent, mostly.
+# Divisors that make a cost predicted from related schemes a lower bound: for series, predicted from the nearest order,
+# and for other schemes. The bound is lower still if the related fit was extrapolated far. Series skipped wrongly are
+# mostly cheaper by only a few per cent.
 NEAR_KIN = 1.2
 KIN = 1.6
-# Before two series were tried: constant steps are so many times as many as those that follow the motion, to one order.
+# Before two series were tried: ratio of constant to variable steps at the same order, and the smallest useful estimate.
 AS_LOOK, FEW = 1.25, 12.0
-# Where no kin was tried: schemes of order p needed no less than a quarter of the steps of the series of order p, where
-# they came near to the best. Their iterations of stages took no less than so many rounds, or their order where that is
-# less.
+# Without related schemes: competitive schemes of order p needed at least 1 / AHEAD (typically 1 / OFTEN_AHEAD) of the
+# steps of the series of order p, and at least min(p, ROUNDS) iterations of their stages.
 AHEAD = 4.0
 OFTEN_AHEAD = 2.5
 ROUNDS = 10.0
@@ -31,7 +30,7 @@ LEAST = 2.0**-1000
 
 
 class Law:
-    """The error of series, c (h / r)^p: how many steps a scheme of any order needs, from the fits of two.
+    """Error model of series, c (h / r)^p, fitted to two of them; predicts the steps of any order.
 
     With N steps over the time T, ``log N = log(T / r) + (log c - log goal) / p``.
     """
@@ -49,14 +48,10 @@ class Law:
 
 
 class Foresight:
-    """What the fits so far foretell of the schemes that are left, all with steps that are given to them.
+    """Cost model of the remaining schemes with constant steps, from the fits so far.
 
-    Parameters
-    ----------
-    goal_of : callable
-        The error at the end that a candidate is to reach.
-    look : Fit or None
-        What a look at a scheme with steps of its own has shown.
+    `goal_of` maps a candidate to its target error at the end; `look` is the first trial of a scheme with variable
+    steps, or None.
     """
 
     def __init__(self, goal_of: Callable[[Candidate], float], look: Fit | None) -> None:
@@ -65,9 +60,9 @@ class Foresight:
         self._law: Law | None = None
 
     def learn(self, fit: Fit) -> bool:
-        """Take in what one more scheme needs; return whether something is foretold now, and was not before.
+        """Add a fit; return whether predictions have just become available.
 
-        A fit that was given up counts too, unless its error tells nothing.
+        A fit that was abandoned counts too, unless its error is meaningless.
         """
         if fit.end >= WHOLE:
             return False
@@ -78,7 +73,7 @@ class Foresight:
         return self._law is not None
 
     def guess(self, candidate: Candidate) -> float | None:
-        """Return about how many steps a scheme needs; None where nothing is foretold."""
+        """Estimate the number of steps of a scheme; None if there is no estimate yet."""
         if self._law is None:
             return self._guess_by_look(candidate)
         kin = self._kin_of(candidate)
@@ -87,17 +82,17 @@ class Foresight:
         return self._law.steps(candidate.method.order, self._goal_of(candidate)) / OFTEN_AHEAD
 
     def _guess_by_look(self, candidate: Candidate) -> float | None:
-        """Return about how many steps a series of high order needs, by a look at steps of its own."""
+        """Estimate the steps of a series of high order from a trial with variable steps."""
         order = candidate.method.order
         if self._look is None or order < REFERENCE.order or not _is_series(candidate.method):
             return None
         difference = 1.0 / self._look.candidate.method.order - 1.0 / order
         steps = AS_LOOK * self._look.steps * self._goal_of(candidate) ** difference
-        # Of few steps one more or less matters.
+        # Estimates of few steps are too inaccurate.
         return steps if steps > FEW else None
 
     def least_cost(self, candidate: Candidate) -> float:
-        """Return what a scheme costs at the least; 0 where nothing is foretold."""
+        """Return a lower bound on the cost of a scheme; 0 if there is no estimate yet."""
         if self._law is None:
             return 0.0
         kin = self._kin_of(candidate)
@@ -110,23 +105,23 @@ class Foresight:
         return steps * _cost(candidate, min(float(order), ROUNDS), order / 2)  # no tableau of s stages is above 2 s
 
     def cheapest_first(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """Return the series in the order of what they are foretold to cost, then all others as they were."""
+        """Sort the series by predicted cost; other schemes follow in their order."""
         series = [each for each in candidates if _is_series(each.method)]
         return [*sorted(series, key=self.least_cost), *(each for each in candidates if not _is_series(each.method))]
 
     def _kin_of(self, candidate: Candidate) -> list[Fit]:
-        """Return the fits of the same kind of scheme, the nearest order first."""
+        """Return the fits of related schemes, nearest order first."""
         method = candidate.method
         kin = [each for each in self._fits if not each.trial.newton and _alike(each.candidate.method, method)]
         return sorted(kin, key=lambda each: abs(each.candidate.method.order - method.order))
 
     def _steps(self, law: Law, candidate: Candidate, kin: Fit) -> float:
-        """Return the steps of a scheme: those of its kin, in the proportion of the law."""
+        """Predict the steps of a scheme from those of a related one, scaled by the model."""
         of_kin = law.steps(kin.candidate.method.order, self._goal_of(kin.candidate))
         return kin.steps * law.steps(candidate.method.order, self._goal_of(candidate)) / of_kin
 
     def _cost_as(self, law: Law, candidate: Candidate, kin: Fit) -> float:
-        """Return what a scheme costs as its kin does, and less where that was extrapolated far."""
+        """Predict the cost of a scheme from a related one; reduced if that was extrapolated far."""
         stages = kin.trial.evaluations / max(kin.trial.iterations, 1.0)
         stages *= candidate.method.order / kin.candidate.method.order
         steps = self._steps(law, candidate, kin) / math.sqrt(kin.extrapolated)
@@ -139,7 +134,7 @@ def _cost(candidate: Candidate, iterations: float, stages: float) -> float:
 
 
 def law_of(fits: Sequence[Fit]) -> Law | None:
-    """Return the law by the first two series that are far enough apart; None where there are none among the fits."""
+    """Return the model by the first two series with sufficiently different orders; None if there are none."""
     series = [each for each in fits if _is_series(each.candidate.method)]
     for other, one in ((a, b) for k, a in enumerate(series) for b in series[:k]):
         if abs(one.candidate.method.order - other.candidate.method.order) >= APART:
@@ -148,7 +143,7 @@ def law_of(fits: Sequence[Fit]) -> Law | None:
 
 
 def _alike(one: Method, other: Method) -> bool:
-    """Return whether two schemes differ in their order or their stages alone; of series in anything."""
+    """Test whether two schemes differ only in order or stages (series: in anything)."""
     if _is_series(one) or _is_series(other):
         return _is_series(one) and _is_series(other)
     if type(one) is not type(other) or not is_dataclass(one):
@@ -163,5 +158,5 @@ def _alike(one: Method, other: Method) -> bool:
 
 
 def _is_series(method: Method) -> bool:
-    """Return whether a scheme is a series in steps that are given to it."""
+    """Test whether a scheme is a Taylor series with constant steps."""
     return isinstance(method, Taylor) and not method.own_steps

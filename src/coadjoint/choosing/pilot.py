@@ -1,4 +1,4 @@
-"""Errors of short runs of schemes against a reference, on a few members, over a window from the start."""
+"""Pilot: errors of short trial runs against a reference, for a few members, over a window from the start."""
 
 from __future__ import annotations
 
@@ -20,43 +20,42 @@ from coadjoint.systems.kinds import System
 from coadjoint.waiting import at
 
 REFERENCE = GaussLegendre(8)
-# Where the errors of a window are looked at: many divisors, so that runs of any number of steps share some.
+# Points of a window at which errors are measured; many divisors, so that runs of any number of steps share some.
 POINTS = 240
-# The reference is refined so often at most; changes above this part of the size are not taken for rounding at once.
+# Largest number of refinements of the reference; relative changes above NOT_YET that stop decreasing count as rounding
+# only after PATIENCE refinements.
 REFINEMENTS = 9
 NOT_YET = 1e-3
 PATIENCE = 3
-# The fewest points in which growth can be seen.
+# Smallest number of points from which growth is measured.
 FEW = 12
-# A step of the reference is right when two of half its size agree with it so far.
+# Relative agreement of a step of the reference with two half steps at which it is accepted.
 SETTLED = 2.0**-40
-# A change by halving the step, relative to the size, after which no other is worth while: of the error of a method of
-# order 16 the smaller steps leave 2^-16, and 16 times that is no more than 64 roundings.
+# Relative change at which refinement stops: halving the step of an order-16 method leaves 2^-16 of the error, and 16
+# times that is at most 64 round-offs.
 LAST_CHANGE = 2.0**-35
-# Of two changes by rounding one is hardly ever so many times the other.
+# Ratio that two changes by rounding hardly ever exceed.
 CHANCE = 4.0
-# Runs with other numbers of steps, whose changes by rounding are samples of one distribution.
+# Number of runs with different steps, whose changes by rounding are samples of one distribution.
 REPETITIONS = 3
-# Rounding of so small a part of the accuracy, at the end, does not matter, nor whether it is less.
+# Rounding below this fraction of the accuracy at the end is negligible, and not measured more precisely.
 NOTHING = 2.0**-14
-# Radians, at the rate of the start, that one step of it hardly ever takes.
+# Largest initial step of the search, in radians at the initial rate.
 AT_ONCE = 2.0
 LEAST_PART = 2.0**-60
-# Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
+# Steps of the reference in a window, for dimensions up to 16; proportionally fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
-# Its steps may be so much longer: 256 of them are as good as 240.
+# Tolerance on the length of its steps: 240 steps serve where 256 were needed.
 LONGER = 1.07
 FEW_WINDOWS = 2.5
-# A change of the start, relative to the size of the motion, whose growth is followed.
+# Relative change of the initial state whose growth is measured.
 NUDGE = 2.0**-30
 LOST = 0.1
 SEED = 1993
 
 
 class Trial(NamedTuple):
-    """A run over the window: its steps, its errors, the iterations and evaluations of a step of one member, and whether
-    Newton's method was needed.
-    """
+    """A run over the window: steps, errors, iterations and evaluations per step and member, use of Newton's method."""
 
     steps: int
     growth: Growth
@@ -71,23 +70,11 @@ class Trial(NamedTuple):
 
 
 class Pilot:
-    """A window from the start of a run, a reference over it, and how changes of the start grow in it.
+    """A window from the start of a run, its reference, and the growth of small changes of the initial state in it.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    momenta : ndarray, shape (members, n)
-        Where the sampled members start.
-    t0, span : float
-        When they start, and for how long; negative for backward.
-    accuracy : float, optional
-        The error that is wanted. Rounding that is far smaller is not looked at twice.
-
-    Raises
-    ------
-    ValueError
-        The reference cannot be computed: the motion blows up, or nothing converges.
+    `momenta` (members, n) are the initial states of the sampled members; `span` is negative for backward runs. Rounding
+    far below `accuracy` is not measured again. Raises ValueError if the reference cannot be computed: the motion blows
+    up, or no iteration converges.
     """
 
     def __init__(
@@ -97,12 +84,12 @@ class Pilot:
         self.natural_step = self._natural_step()
         least = POINTS // 5
         steps = max(least, min(WINDOW_STEPS, WINDOW_STEPS * 16 // system.dim))
-        # A span of a few windows is looked at whole.
+        # For a span of a few windows the window is the whole span.
         self.window = abs(span) if abs(span) <= FEW_WINDOWS * steps * self.natural_step else steps * self.natural_step
         self.windows = abs(span) / self.window
         self.points = POINTS if steps >= POINTS else least
         coarse, self.reference, self.reference_steps = self._settled_reference()
-        # At rest everything is zero, so that any size will do.
+        # At rest all errors are zero, for any size.
         found = _largest(self.reference)
         self.size = np.where(found > 0.0, found, 1.0)
         self.sensitivity = self._sensitivity(coarse)
@@ -115,32 +102,23 @@ class Pilot:
         return self.windows == 1.0
 
     def fitting(self, steps: float, finer: bool = True) -> int:
-        """Return the nearest number of steps that shares enough points with the reference, up from `steps` or down."""
+        """Round a number of steps (up if `finer`) to one that shares enough points with the reference."""
         number = max(1, math.ceil(steps) if finer else math.floor(steps))
         while math.gcd(number, self.points) < min(number, FEW if number < 8 * FEW else 2 * FEW, self.points):
             number += 1 if finer else -1
         return number
 
     def run(self, method: Method, steps: int, momenta: NDArray[np.float64] | None = None) -> Run:
-        """Return a run over the window that saves the points it shares with the reference."""
+        """Run over the window, saving the points shared with the reference."""
         start = self.momenta if momenta is None else momenta
         length = math.copysign(self.window, self.span)
         every = steps // math.gcd(steps, self.points)
         return short_run(self.system, method, start, self.t0, length, steps, every)
 
     def trial(self, method: Method, steps: int) -> Trial | None:
-        """Return what a scheme does with so many steps over the window; None where a member fails.
+        """Run a scheme over the window; None if a member fails.
 
-        Parameters
-        ----------
-        method : Method
-            The scheme.
-        steps : int
-            From `fitting`, to see growth as well; any other number is compared where it can be, at the end at least.
-
-        Returns
-        -------
-        Trial or None
+        Growth is available for `steps` from `fitting`; others are compared at the shared points, at least at the end.
         """
         run = self.run(method, steps)
         if np.any(run.state["status"]):
@@ -151,7 +129,7 @@ class Pilot:
         return Trial(steps, self.growth_of(run.saved["x"]), iterations / count, evaluations / count, newton)
 
     def growth_of(self, found: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:
-        """Compare states, saved at evenly spaced points of the window, with the reference, or with another motion."""
+        """Compare states at evenly spaced points of the window with the reference, or with another motion."""
         count = len(found) - 1
         exact = self.reference if motion is None else motion
         apart = np.linalg.norm(found - exact[:: self.points // count], axis=2) / self.size
@@ -160,7 +138,7 @@ class Pilot:
         return Growth(*(float(np.max(part, initial=0.0)) for part in parts))
 
     def _natural_step(self) -> float:
-        """Return the largest step, among halves of the span, at which the reference is right from the start."""
+        """Return the largest step, among halves of the span, at which the reference is accurate from the start."""
         slopes = np.array([self.system.vector_field(x, self.t0) for x in self.momenta])
         speeds = np.linalg.norm(slopes, axis=1)
         if not np.all(np.isfinite(speeds)):
@@ -178,25 +156,25 @@ class Pilot:
             one = one if one is not None or two is None else self._first_steps(h, 1)
             if _agree(one, two):
                 break
-            # Half the step comes half as far as two of them.
+            # The first of two half steps is the next full step.
             one = None if two is None else two[:2]
             h /= 2
         else:
             name = self.system.name
             raise ValueError(f"no step is small enough for {name} at x0: its trial run fails at the first step")
-        # From next to nothing the rate at the start says nothing.
+        # Near x = 0 the initial rate is no scale of the motion, so an accepted first step may grow.
         while h >= begun and 2 * h <= abs(self.span) and _agree(*(self._first_steps(2 * h, n) for n in (1, 2))):
             h *= 2
         return h
 
     def _first_steps(self, time: float, steps: int) -> NDArray[np.float64] | None:
-        """Return the states at the start and after each of few steps over a time; None where a member fails."""
+        """Return the states of a few steps of the reference, with the start; None if a member fails."""
         signed = math.copysign(time, self.span)
         run = short_run(self.system, REFERENCE, self.momenta, self.t0, signed, steps)
         return None if np.any(run.state["status"]) else run.saved["x"]
 
     def _settled_reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-        """Refine the reference until it stops changing; return the last but one, the last, and its steps."""
+        """Refine the reference until it converges; return the last two, and the steps of the last one."""
         fewest = self.points * math.ceil(self.window / self.natural_step / self.points / LONGER)
         last, change, stalled = None, None, 0
         failed: Run | None = None
@@ -209,7 +187,7 @@ class Pilot:
             if last is not None:
                 size, moved = _largest(found), _largest(found - last)
                 stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
-                # Large changes that do not fall yet may do so with smaller steps; or the motion is chaotic.
+                # Large changes may decrease only at smaller steps, or not at all if the motion is chaotic.
                 done = stalled >= (1 if np.all(moved <= NOT_YET * size) else PATIENCE)
                 if done or np.all(moved <= LAST_CHANGE * size):
                     return last, found, steps
@@ -228,10 +206,10 @@ class Pilot:
         )
 
     def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:
-        """Return how far rounding alone moves the reference, relative to the motion, at the worst point."""
+        """Return the rounding error of the reference, relative to the motion, at the worst point."""
         moved = _largest(self.reference - coarse)
         change = CHANCE * moved
-        # One change may be small by chance, or the error of the coarse steps. Other numbers of steps show rounding.
+        # A single change may be small by chance, or truncation of the coarse run; other numbers of steps show rounding.
         if np.any(self.sensitivity.factor(self.windows) * change > NOTHING * accuracy * self.size):
             repeated = [self.run(REFERENCE, self.reference_steps + k * self.points) for k in range(1, REPETITIONS + 1)]
             sound = [again.saved["x"] for again in repeated if not np.any(again.state["status"])]
@@ -241,13 +219,13 @@ class Pilot:
         return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
 
     def _sensitivity(self, coarse: NDArray[np.float64]) -> Growth:
-        """Return how a small change of the start grows, relative to it, by runs with the steps of the coarse one."""
+        """Return the relative growth of a small change of the initial state, with the steps of the coarse reference."""
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
         direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
         run = self.run(REFERENCE, self.reference_steps // 2, self.momenta + direction)
         grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"], coarse)
         if grown is None or grown.whole > LOST:
-            # Beyond the size of the motion nothing grows, and what has reached it says nothing of what follows.
+            # Growth saturates at the size of the motion, so exponential growth is assumed.
             return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)
         return Growth(*(value / NUDGE for value in grown))
 
@@ -263,14 +241,14 @@ class Pilot:
 
 
 def _agree(one: NDArray[np.float64] | None, two: NDArray[np.float64] | None) -> bool:
-    """Return whether one step and two of half its size, which did not fail, end together."""
+    """Test whether one step and two half steps succeed and agree."""
     if one is None or two is None:
         return False
     return bool(np.all(np.linalg.norm(one[-1] - two[-1], axis=1) <= SETTLED * _largest(two)))
 
 
 def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest norm that each member has on the way."""
+    """Return the largest norm of each member in the run."""
     largest: NDArray[np.float64] = np.max(np.linalg.norm(states, axis=2), axis=0)
     return largest
 
@@ -284,7 +262,7 @@ def short_run(
     steps: int,
     save_every: int = 1,
 ) -> Run:
-    """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
+    """Run without attitude and watching, also if it fails; see `status` of its state."""
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
     at(f"a pilot run of {steps} steps by {type(method).__name__}")

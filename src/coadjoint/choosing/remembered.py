@@ -1,4 +1,4 @@
-"""What a choice finds out that depends on the system and not on the state: kept for the next choices."""
+"""Cache of results that depend on the system and not on the state, across choices."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from coadjoint.systems.kinds import System
 
 Found = TypeVar("Found")
 
-# Of larger systems nothing is kept: their tables take room, and beside their steps it takes no time to make them.
+# Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
 LARGEST = 64
-# Of one system so much is kept; then all of it is forgotten. Of the systems it is those that were asked for last.
+# Entries per system, after which its cache is cleared, and number of systems (least recently used first out).
 MOST = 256
 SYSTEMS = 16
 
@@ -25,21 +25,9 @@ def _known_of(system: System) -> dict[Hashable, Any]:
 
 
 def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
-    """Return what was made for a system under a key, or make it.
+    """Return the cached result of `make` for an immutable system and a key, computing it on first use.
 
-    Parameters
-    ----------
-    system : System
-        What moves. It does not change, and neither does what is made for it.
-    key : hashable
-        Of one kind of things; what cannot be hashed is made each time.
-    make : callable
-        It makes what is wanted. What it raises is not kept.
-
-    Returns
-    -------
-    object
-        The same for several calls, which must not change it.
+    Unhashable keys are not cached, nor are exceptions. Callers must not modify the result.
     """
     if system.dim > LARGEST:
         return make()
@@ -57,9 +45,9 @@ def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Foun
 
 
 def loops_of(system: System, method: Method, h: float) -> SystemLoops:
-    """Return the loops of a scheme that follow the energy alone.
+    """Return the loops of a scheme that record the energy alone.
 
-    They are cached where they depend neither on the step nor on functions of the user, which may read something else.
+    They are cached if they depend neither on the step nor on user functions, which may have state.
     """
 
     def made() -> SystemLoops:

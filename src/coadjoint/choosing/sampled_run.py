@@ -1,4 +1,4 @@
-"""A run made ready for an accuracy: chosen once for a sample of states, checked in each run."""
+"""Runs prepared for an accuracy: one choice for a sample of states, validated in each run."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ from coadjoint.runs.times import span_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System, check_system
 
-# The first step of a run may be so many times worse than the worst step of the sample, and a run of a scheme that takes
-# steps of its own may take so many times as many as the longest of the sample.
+# Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
+# evaluations to the largest one of the sample.
 WORSE = 2.0
-# Steps of the sample that are looked at, of each state.
+# Number of steps checked along the motion of each state of the sample.
 LOOKED_AT = 64
-# Two halves of a step differ from the step by a few roundings, whatever its error.
+# Difference between a step and two half steps by rounding alone.
 ROUNDED = 32 * UNIT_ROUNDOFF
 SLACK = 1.0 + 2.0**-40
-# Squares of lengths between these are compared.
+# Range of squared norms in which they are compared.
 LEAST, LARGEST = 2.0**-900, 2.0**900
 
 
 class SampledRun(PreparedRun):
     """A prepared run whose scheme and step serve a sample of states; see `prepare` with ``accuracy=``.
 
-    It does not change, and what a run does depends on no run before it. A run is checked by its first step: two steps
-    of half the size may differ from it by no more than twice what they differ by anywhere along the motions from the
-    sample, relative to the state. A scheme that takes steps of its own looks at each of them, and their errors add up:
-    such a run may take twice as many as those of the sample. A run that does not pass is chosen for by itself, as
-    `integrate` does it.
+    It is immutable, and each run is independent of earlier ones. A run is checked by its first step: its difference
+    from two half steps, relative to the state, may be at most twice the largest one along the motions of the sample.
+    Schemes with variable steps control the error of each step, and these errors add up: such a run may take up to twice
+    as many evaluations as those of the sample. For a run that fails the check a choice of its own is made, as in
+    `integrate`.
 
     Attributes
     ----------
     choice : Choice
-        What was chosen for the sample.
+        The choice for the sample.
     signed_step : float
-        The step, negative where it was prepared backward.
+        The step, negative if prepared backward.
     """
 
     def __init__(
@@ -105,21 +105,21 @@ class SampledRun(PreparedRun):
         events: Any = (),
         **inputs: Any,
     ) -> Solution:
-        """Integrate from an initial state to the accuracy that was asked for; as `PreparedRun.run`.
+        """Integrate from an initial state to the prepared accuracy; see `PreparedRun.run`.
 
         Parameters
         ----------
         x0, save_every, t_eval, attitude, progress, events
-            As in `PreparedRun.run`; of a run that is chosen for by itself `save_every` counts the steps of that choice.
+            As in `PreparedRun.run`; for a run with a choice of its own `save_every` counts the steps of that choice.
         t_span : (float, float)
-            Start and end, in the direction and no longer than the run was prepared for. A whole number of steps.
+            Start and end, in the direction and at most the length prepared; a whole number of steps.
         **inputs : array_like
-            There are none.
+            Not supported.
 
         Returns
         -------
         Solution
-            Its `choice` says what was chosen.
+            Its `choice` is the choice used.
 
         Raises
         ------
@@ -139,21 +139,21 @@ class SampledRun(PreparedRun):
         return with_choice(alone.run(x0, t_span, save_every, **given), choice)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return the state at the end alone, as `PreparedRun.end`; times as in `run`. To check takes 5 us."""
+        """Return only the state at the end, as `PreparedRun.end`; times as in `run`. The check takes 5 us."""
         t0 = self._start_of(t_span)
         if self._own or self.serves(x0, t0):
             return super().end(x0, t_span)
         return self._alone(x0, t_span)[0].run(x0, t_span, EVERY).x[-1]
 
     def serves(self, x0: Any, t0: float = 0.0) -> bool:
-        """Return whether a run from a state, or from all of them, is like those of the sample.
+        """Return whether the choice for the sample serves a run from a state, or from all of several.
 
         Parameters
         ----------
         x0 : array_like, shape (n,) or (members, n)
             Initial momentum.
         t0 : float
-            When it starts.
+            Initial time.
 
         Returns
         -------
@@ -175,11 +175,11 @@ class SampledRun(PreparedRun):
         if LEAST < size < LARGEST:
             off = list(map(sub, one, other))
             return bool(sum(map(mul, off, off)) <= self._allowed**2 * size)
-        # Of zero there is nothing to compare. Where squares leave the range of float64, the run is chosen for.
+        # A zero state passes; if squares overflow or underflow, a choice of its own is made.
         return not (any(one) or any(other))
 
     def _evaluations(self, x0: Any, t0: float) -> float:
-        """Return the most evaluations that a run from one of some states needs, over the time that was prepared."""
+        """Return the largest number of evaluations among runs from some states, over the time prepared."""
         return _most(self._whole.run(x0, (t0, t0 + self._time), EVERY))
 
     def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
@@ -194,26 +194,26 @@ class SampledRun(PreparedRun):
         worst = 0.0
         for states, once in pairs:
             apart, size = _squares(self._whole.end(states, once), self._halves.end(states, once))
-            # A state at rest stays where it is.
+            # Avoids division by zero for states at rest, which stay there.
             worst = max(worst, float(np.max(apart / np.where(size > 0.0, size, 1.0))))
         return math.sqrt(worst)
 
     def _start_of(self, t_span: Any) -> float:
-        """Return when a run starts, in the direction and within the time for which it was prepared."""
+        """Return the initial time; raise ValueError outside the direction and time prepared."""
         if t_span is self._read[0]:
             return self._read[1]
         t0, t1 = span_of(t_span)
         if not 0.0 <= (t1 - t0) / self._time <= SLACK:
             raise ValueError(
                 f"t_span is {[t0, t1]}; the run was prepared for a time of {self._time:g}, and shorter ones in its "
-                "direction; prepare another one"
+                "direction; prepare another run"
             )
         if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
             self._read = t_span, t0
         return t0
 
     def _alone(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
-        """Return what runs a state that is not like those of the sample."""
+        """Return a run, with a choice of its own, for a state that the sample does not represent."""
         given: Any = {"attitude": self._asked["attitude"], "methods": self._among}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice
@@ -224,6 +224,6 @@ def _most(found: Solution) -> float:
 
 
 def _squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the squares of the differences of states, (members, n), and of the first ones."""
+    """Return the squared norms of the differences of states (members, n), and of the first ones."""
     with np.errstate(over="ignore"):
         return np.sum((one - other) ** 2, axis=-1), np.sum(one**2, axis=-1)

@@ -1,4 +1,4 @@
-"""Which members of an ensemble speak for all? Few, found the same way every time."""
+"""Deterministic selection of a few representative members of an ensemble."""
 
 from __future__ import annotations
 
@@ -9,31 +9,19 @@ from coadjoint.choosing.pilot import short_run
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.systems.kinds import System
 
-# Members that a pilot follows, and those among which they are looked for.
+# Number of members followed by a pilot, and of those among which they are selected.
 SAMPLE = 4
 SCREENED = 256
 SCREEN = GaussLegendre(2)
-# Steps in the time in which the fastest member moves by its own size, and how many of them.
+# Steps in the time in which the fastest member moves by its own size, and their total number.
 FINENESS = 8
 STEPS = 128
 
 
 def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: float) -> NDArray[np.float64]:
-    """Return the members that a pilot follows: the first, and those with the largest errors in a coarse short run.
+    """Return the members followed by a pilot: the first, and those with the largest errors in a coarse short run.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    momenta : ndarray, shape (members, n)
-        Where all members start.
-    t0, span : float
-        When they start, and for how long.
-
-    Returns
-    -------
-    ndarray, shape (k, n), k at most 4
-        In the order of the ensemble.
+    `momenta` has shape (members, n). Returns up to 4 of them, shape (k, n), in the order of the ensemble.
     """
     members = len(momenta)
     if members <= SAMPLE:
@@ -42,7 +30,7 @@ def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: flo
     crowd = momenta[looked_at]
     sizes = np.linalg.norm(crowd, axis=1)
     rates = np.array([np.linalg.norm(system.vector_field(x, t0)) for x in crowd]) / np.where(sizes > 0.0, sizes, 1.0)
-    # Where the field is not finite at a member, its pilot will say so.
+    # Members with a nonfinite field are selected first, so that the pilot reports them.
     rates = np.where(np.isfinite(rates), rates, np.inf)
     fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), STEPS / FINENESS / fastest)

@@ -1,4 +1,4 @@
-"""Which tolerance does a scheme need that takes steps of its own? Trials over the window of a pilot."""
+"""Fit of the tolerance of schemes with variable steps, by trials over the window of a pilot."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 
 MOST_TRIALS = 6
-# Errors that are so many times smaller than what is aimed at are near enough.
+# Accepted ratio of the target error to the error.
 NEAR = 4.0
-# From one trial to the next a tolerance changes no more than by this factor.
+# Largest factor between the tolerances of consecutive trials.
 FAR = 1e6
-# What costs so many times as much as another is given up.
+# Ratio of the costs of two schemes above which a fit is abandoned.
 DEARER = 1.2
-# Errors of steps add up: the first guess.
+# Initial ratio of the tolerance to the target error, since errors of steps add up.
 USUAL_SHARE = 0.1
 
 
 def first_look(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
-    """Return what one trial of a scheme that takes steps of its own shows; None where it fails."""
+    """Return the fit by one trial of a scheme with variable steps; None if it fails."""
     return _look(pilot, candidate, _first_tolerance(pilot, goal))
 
 
 def expected(found: Fit, goal: float) -> Fit:
-    """Return about what another error at the end takes, by the order."""
+    """Extrapolate a fit to another error at the end, by the order."""
     if not 0.0 < found.error < math.inf:
         return found
     change = (found.error / goal) ** (1.0 / found.candidate.method.order)
@@ -39,28 +39,11 @@ def expected(found: Fit, goal: float) -> Fit:
 def fit_of_tolerance(
     pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: Fit | None = None
 ) -> Fit | None:
-    """Return the tolerance with which a scheme is expected to reach an error at the end of the span.
+    """Fit the tolerance of a scheme with variable steps to an error `goal` at the end of the span.
 
-    The error is about in proportion to the tolerance, so that few trials find it.
-
-    Parameters
-    ----------
-    pilot : Pilot
-        The window.
-    candidate : Candidate
-        A scheme that takes steps of its own.
-    goal : float
-        The truncation error wanted at the end.
-    limit : float
-        The cost of the best so far; a scheme that will be dearer is given up.
-    first : Fit, optional
-        What a first look has shown.
-
-    Returns
-    -------
-    Fit or None
-        Its candidate has the tolerance, its steps are as many as those that it takes by itself. None where no tolerance
-        was found.
+    The error is roughly proportional to the tolerance, so few trials suffice. A scheme is abandoned if it is more
+    expensive than `limit`, the lowest cost so far. `first` is the first trial. Returns a fit whose candidate has the
+    tolerance, and whose steps are the variable ones; None if no tolerance is found.
     """
     tolerance, best = _first_tolerance(pilot, goal), None
     for count in range(MOST_TRIALS):
@@ -77,7 +60,7 @@ def fit_of_tolerance(
                 best = found
             if goal / NEAR <= end <= goal or expected(found, goal).cost > DEARER * limit:
                 break
-            # Between both ends of what is near enough.
+            # Aim at the geometric mean of the accepted range.
             ratio = goal / (math.sqrt(NEAR) * end) if end > 0.0 else FAR
             after = tolerance * min(max(ratio, 1.0 / FAR), FAR)
         if candidate.reaching(after).method == candidate.reaching(tolerance).method:
@@ -87,14 +70,14 @@ def fit_of_tolerance(
 
 
 def _first_tolerance(pilot: Pilot, goal: float) -> float:
-    """Return a guess: some errors of steps grow as changes of the start do, and others stay."""
+    """Guess a tolerance, between errors of steps that grow like changes of the start and errors that do not grow."""
     return goal * USUAL_SHARE / math.sqrt(max(1.0, pilot.sensitivity.whole))
 
 
 def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
-    """Return what a trial with one tolerance shows; None where it fails.
+    """Return the fit by a trial with one tolerance; None if it fails.
 
-    An error that may be rounding is taken for no more than what the tolerance allows.
+    An error that may be rounding is bounded by what the tolerance allows.
     """
     tried = candidate.reaching(tolerance)
     trial = own_steps_of(pilot, tried)
@@ -107,7 +90,7 @@ def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
 
 
 def own_steps_of(pilot: Pilot, candidate: Candidate) -> Trial | None:
-    """Return what a scheme does over the window, by its own steps in place of those of the run; None where it fails."""
+    """Run a scheme over the window, counting its variable steps in place of those of the run; None if it fails."""
     run = pilot.run(candidate.method, pilot.points)
     if np.any(run.state["status"]):
         return None

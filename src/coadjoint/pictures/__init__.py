@@ -1,1 +1,1 @@
-"""What does it look like? Matplotlib figures of runs; nothing is shown, no global state is touched."""
+"""Matplotlib figures and movies of runs; nothing is shown, and no global state is changed."""

@@ -1,4 +1,4 @@
-"""Which times between the saved points does a smooth curve need? Those at which no chord leaves the motion by much."""
+"""Times between the saved points at which states are needed so that straight chords look smooth."""
 
 from __future__ import annotations
 
@@ -14,38 +14,29 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 SMOOTH = 1e-3
-"""How far the motion may leave a chord, as a part of its range: half a pixel of a picture of 500."""
+"""Largest distance of the motion from a chord, relative to its range: half a pixel of 500."""
 TURN = 0.14
-"""Radians that an attitude may turn from one point to the next: 45 points a turn."""
+"""Largest rotation of an attitude between points (radians): 45 points per turn."""
 MOST_BETWEEN = 10_000
-"""Points of a curve that is filled: 16 for each column of pixels."""
+"""Largest number of points of a refined curve: 16 per column of pixels."""
 MOST_NUMBERS = 2**22
-"""Numbers of the states that are looked at, 32 MB."""
+"""Largest number of state entries examined: 32 MB."""
 MOST_SECONDS = 1.5
-"""What the states between may take, by this estimate."""
+"""Largest estimated time (s) for computing states between the saved ones."""
 SECONDS = {"stretch": 4e-4, "point": 2e-5, "state": 4e-6}
-"""Of looking back, beside the steps: for each saved point, each time, each state of a member."""
+"""Cost model of intermediate states (s), besides the steps: per saved interval, time, and state of a member."""
 SAMPLED = 64
 ENOUGH = 16
-"""Saved points by which a motion is measured."""
+"""Number of saved points that suffice to measure a motion."""
 NUDGE = 1e-5
-"""How far along its path, as a part of its range, a state is moved to see how the field turns."""
+"""Relative displacement along the path for the finite difference of the field."""
 
 
 def times_between(drawn: Drawn, looked: Drawn) -> Floats | None:
-    """Return the times at which the motion has to be known for a smooth curve, with the saved ones among them.
+    """Return the times, with the saved ones, at which a smooth curve needs states.
 
-    Parameters
-    ----------
-    drawn : Drawn
-        The run.
-    looked : Drawn
-        The same run, or with states between its saved points that are known already: what its motion is measured by.
-
-    Returns
-    -------
-    ndarray or None
-        None where the saved points are enough, or where states between them would be too many or take too long.
+    The motion is measured on `looked`, the same run or a refinement of it. None if the saved points suffice, or if the
+    states between them would be too many or too expensive.
     """
     run = drawn.solution
     length = min(_length_of_path(looked), TURN / fastest_turn(looked))
@@ -61,9 +52,9 @@ def times_between(drawn: Drawn, looked: Drawn) -> Floats | None:
 
 
 def few_times(drawn: Drawn) -> Floats | None:
-    """Return times between saved points that are too few to measure a motion by; None where they are enough.
+    """Return a coarse set of times between the saved points, enough to resolve a motion of a few periods.
 
-    They are so many that a motion of a few periods is seen.
+    None if the saved points suffice to measure the motion, or if the times are too expensive.
     """
     stretches = len(drawn.t) - 1
     if stretches >= ENOUGH or _seconds(drawn.solution, stretches, SAMPLED) > MOST_SECONDS:
@@ -72,7 +63,7 @@ def few_times(drawn: Drawn) -> Floats | None:
 
 
 def _divided(t: Floats, parts: npt.NDArray[np.int64]) -> Floats:
-    """Return times with each stretch divided into so many parts; the given ones stay as they are to the bit."""
+    """Divide each interval into the given number of parts; the given times are unchanged bitwise."""
     inside = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     return np.append(np.repeat(t[:-1], parts) + np.repeat(np.diff(t) / parts, parts) * inside, t[-1])
 
@@ -80,13 +71,13 @@ def _divided(t: Floats, parts: npt.NDArray[np.int64]) -> Floats:
 def _seconds(run: Solution, stretches: int, points: int) -> float:
     members = 1 if run.failed is None else len(run.failed)
     work = run.stats
-    # Steps are taken again, and a part of one for each state.
+    # The steps are repeated, with a partial step for each state.
     again = work.seconds * (1.0 + points / max(1, work.steps))
     return again + SECONDS["stretch"] * stretches + (SECONDS["point"] + SECONDS["state"] * members) * points
 
 
 def _length_of_path(drawn: Drawn) -> float:
-    """Return how long a stretch of time may be so that its chord shows the motion: it leaves it by a dt^2 / 8."""
+    """Return the longest time interval whose chord is close to the motion: the distance is about a dt^2 / 8."""
     shortest = np.inf
     sizes = [float(np.linalg.norm(np.ptp(path, axis=0))) for path in drawn.x]
     each = max(2, SAMPLED // len(sizes))
@@ -101,7 +92,7 @@ def _length_of_path(drawn: Drawn) -> float:
 
 
 def _turning(drawn: Drawn, m: int, x: Floats, t: float, size: float) -> float:
-    """Return the second derivative of the motion, from its field a little further on."""
+    """Return the size of the second derivative of the motion, by a finite difference of the field."""
     field = drawn.slope(x, t, m)
     speed = float(np.linalg.norm(field))
     if not speed > 0.0:
@@ -111,17 +102,7 @@ def _turning(drawn: Drawn, m: int, x: Floats, t: float, size: float) -> float:
 
 
 def fastest_turn(drawn: Drawn) -> float:
-    """Return how fast the attitude turns, in radians for each unit of time, at its fastest; above zero.
-
-    Parameters
-    ----------
-    drawn : Drawn
-        A run. Without an attitude nothing turns.
-
-    Returns
-    -------
-    float
-    """
+    """Return the largest angular speed of the attitude (radians per unit of time); positive also without attitude."""
     rho: Any = getattr(drawn.family, "representation", None)
     fastest = float(np.finfo(np.float64).tiny)
     if drawn.solution.carried != "representation" or rho is None:
@@ -131,6 +112,6 @@ def fastest_turn(drawn: Drawn) -> float:
         hamiltonian = drawn.system_of(m).hamiltonian
         for k in np.linspace(0, len(drawn.t) - 1, min(each, len(drawn.t))).astype(np.int64).tolist():
             rate = np.tensordot(hamiltonian.gradient(path[k], float(drawn.t[k])), rho, axes=1)
-            # A rotation about one axis has two entries of its rate.
+            # The rate of a rotation about one axis has two entries of equal size.
             fastest = max(fastest, float(np.linalg.norm(rate[:3, :3] if rate.shape[-1] == 4 else rate)) / 2.0**0.5)
     return fastest

@@ -1,4 +1,4 @@
-"""A certificate as a figure: errors over the step, defects over the step, and invariants over time."""
+"""Figure of a certificate: errors and defects over the step, and invariants over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a run is drawn? Its members, its names, and whether its points lie close enough for lines."""
+"""Plot data of a run: members, names, and whether saved points are dense enough for lines."""
 
 from __future__ import annotations
 
@@ -28,46 +28,23 @@ from coadjoint.wording import short
 Floats = npt.NDArray[np.float64]
 
 MOST_MEMBERS = 20
-MOST_POINTS = 20_000  # of a curve, more than a printed line can show
-SAMPLED = 64  # stretches between points that are looked at
-NUMBERS_SAMPLED = 2**19  # of large states fewer, but FEWEST_SAMPLED
+MOST_POINTS = 20_000  # of a curve; more than printed lines resolve
+SAMPLED = 64  # intervals examined
+NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least FEWEST_SAMPLED intervals
 FEWEST_SAMPLED = 4
-ROUNDS = 4  # of looking at a motion more finely, as often as that shows that it turns faster
-# How far a motion may leave the chord, as a part of its range. Over time a line through 11 points of a circle shows it.
-# A curve that closes is drawn over and over, and chords of it make a ribbon: there a circle needs 24 points.
+ROUNDS = 4  # of refinement, while the motion turns out to be faster
+# Largest distance of a motion from the chord, relative to its range: FLAT for curves over time (11 points per circle),
+# NARROW for closed curves, whose repeated chords would form a ribbon (24 points per circle).
 FLAT = 0.015
 NARROW = 0.003
-LARGEST_TURN = 0.26  # radians from one point of the path of an axis to the next: the same 24 points
+LARGEST_TURN = 0.26  # radians between points of the path of an axis: 24 points per circle
 
 
 class Drawn:
-    """A run as pictures see it: at most 20 members, evenly spread, by one axis of members, also where there is one.
+    """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
 
-    Parameters
-    ----------
-    solution : Solution
-        The run.
-    members : sequence of int, optional
-        Those that are drawn, from 0, at most 20.
-
-    Attributes
-    ----------
-    solution : Solution
-        As given.
-    system : LiePoissonSystem or PoissonSystem
-        That of the first member.
-    family : LiePoissonSystem or PoissonSystem
-        The same, without the forces that it may have.
-    telling : Telling or None
-        What is known of the system by its name.
-    of_members : int
-        How many members the run has.
-    t : ndarray, shape (k,)
-        All saved times.
-    x : ndarray, shape (members, k, n)
-        States of the members that are drawn.
-    n : int
-        How many numbers a state has.
+    `members` selects members by number. `family` is the system without its forces, `telling` its gallery metadata or
+    None, `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
     """
 
     def __init__(self, solution: Solution, members: Any = None) -> None:
@@ -80,7 +57,7 @@ class Drawn:
         self.family: Any = getattr(self.system, "system", self.system)
         self.telling: Telling | None = telling_of(self.family.name)
         self.single = solution.failed is None
-        # A matrix of complex numbers is drawn as its real and imaginary parts, in turns.
+        # Complex matrices are drawn as interleaved real and imaginary parts.
         states = np.ascontiguousarray(solution.x)
         self._type = states.dtype
         states = states.view(np.float64) if np.iscomplexobj(states) else states
@@ -92,16 +69,16 @@ class Drawn:
         self.x = self._of_drawn(states)
 
     def _of_drawn(self, states: Floats) -> Floats:
-        # A crowd of few is seen, not copied: states may be large.
+        # A view if all members are drawn, since states may be large.
         every = np.array_equal(self._chosen, np.arange(self.of_members))
         return np.swapaxes(states if every else states[:, self._chosen], 0, 1)
 
     @cached_property
     def between(self) -> Drawn:
-        """The same run with the states between its saved points that smooth curves need, where these can be had.
+        """The run refined by the states between saved points that smooth curves need, if available.
 
-        They are those of `Solution.at`: parts of steps of the same scheme. Where they cannot be had, for a noise, for
-        members that failed, or since they would be too many, it is the run itself.
+        The states are those of `Solution.at`: partial steps of the same scheme. The run itself is returned for noise,
+        failed members, or too many states.
         """
         if not isinstance(self.solution, Solution) or self.random or len(self.t) < 2 or not np.isfinite(self.x).all():
             return self
@@ -119,11 +96,11 @@ class Drawn:
 
     @cached_property
     def random(self) -> bool:
-        """Whether a force is a noise: there is no field, and no state between two steps."""
+        """Whether a force is noise: then there is neither a field, nor a state between two steps."""
         return any(force.random for force in getattr(self.system, "forces", ()))
 
     def _at(self, times: Floats) -> Drawn:
-        """Return the same run at other times, the saved ones among them."""
+        """Return the same run at other times, which include the saved ones."""
         found = self.solution.at(times)
         filled = copy.copy(self)
         for name in ("attitude", "rotation", "kept", "joined", "turned_little", "close", "between"):
@@ -137,17 +114,7 @@ class Drawn:
         return filled
 
     def of_each(self, series: npt.ArrayLike) -> Floats:
-        """Return a series of the run, (k, ...) or (k, members, ...), for the members that are drawn, (members, k, ...).
-
-        Parameters
-        ----------
-        series : array_like
-            Such as the energy.
-
-        Returns
-        -------
-        ndarray
-        """
+        """Select the drawn members of a series (k, ...) or (k, members, ...); returns (members, k, ...)."""
         values = np.asarray(series)
         values = values[:, None] if self.single else values
         return np.swapaxes(values[:, self._chosen], 0, 1)
@@ -160,7 +127,9 @@ class Drawn:
 
     @cached_property
     def rotation(self) -> Floats | None:
-        """Attitude as rotations of space, (members, k, 3, 3): of the group element itself, or of its first block."""
+        """Attitude as rotation matrices (members, k, 3, 3): the group element, or its first block; None if not a
+        rotation.
+        """
         g = self.attitude
         if g is None or g.shape[-1] not in (3, 4):
             return None
@@ -171,18 +140,18 @@ class Drawn:
 
     @cached_property
     def invariants(self) -> Mapping[str, Floats]:
-        """The energy and the Casimirs, name to (members, k)."""
+        """The energy and the Casimirs, {name: (members, k)}."""
         series = {"energy": self.solution.energy, **self.solution.casimirs}
         return {name: self.of_each(values) for name, values in series.items()}
 
     @property
     def driven(self) -> bool:
-        """Whether the Hamiltonian depends on time, so that the energy is no invariant."""
+        """Whether the Hamiltonian depends on time, so that the energy is not an invariant."""
         return is_driven(self.system)
 
     @cached_property
     def left(self) -> Mapping[str, Floats] | None:
-        """The change of each invariant less the work of the forces on it, which is an error; None without forces."""
+        """The change of each invariant minus the work of the forces on it, which is an error; None without forces."""
         work = getattr(self.solution, "work", None)
         if not work:
             return None
@@ -194,7 +163,7 @@ class Drawn:
 
     @property
     def quantity(self) -> str:
-        """What the coordinates are."""
+        """Physical quantity of the coordinates."""
         return "momentum" if self.telling is None else self.telling.quantity
 
     @cached_property
@@ -207,22 +176,7 @@ class Drawn:
         return coordinate(self.names[i])
 
     def place(self, chosen: Any) -> int:
-        """Return the number of a coordinate that is given by number or by name.
-
-        Parameters
-        ----------
-        chosen : int or str
-            From 0; or one of `names`.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        CannotShow
-            There is no such coordinate; the nearest name is given.
-        """
+        """Return the index of a coordinate given by number or name; raise CannotShow, with the nearest name."""
         try:
             if isinstance(chosen, str):
                 return self.names.index(read_choice(chosen, "coordinate", self.names))
@@ -232,31 +186,31 @@ class Drawn:
 
     @cached_property
     def kept(self) -> npt.NDArray[np.int64]:
-        """The points of curves in space: all, or evenly some 20 000 and the last."""
+        """Indices of the points of curves in space: all, or about 20 000 evenly spread, and the last."""
         every = max(1, -(-len(self.t) // MOST_POINTS))
         return np.unique(np.append(np.arange(0, len(self.t), every), len(self.t) - 1))
 
     @cached_property
     def joined(self) -> bool:
-        """Whether lines between the points of a curve show the motion. Where they do not, points are drawn as dots."""
+        """Whether lines between the points of a curve represent the motion; otherwise points are drawn as dots."""
         return self._flat(self.kept, NARROW)
 
     @cached_property
     def turned_little(self) -> bool:
-        """Whether lines between the points of the path of an axis show how the attitude turns."""
+        """Whether lines between the points of the path of an axis represent the rotation of the attitude."""
         steps = np.abs(np.diff(self.t[self.kept]))
         return self.joined and (not steps.size or float(np.quantile(steps, 0.9)) * fastest_turn(self) <= LARGEST_TURN)
 
     @cached_property
     def close(self) -> bool:
-        """The same for all saved points."""
+        """Whether lines between all saved points represent the motion over time."""
         return self._flat(np.arange(len(self.t)), FLAT)
 
     @QUIET
     def _flat(self, kept: npt.NDArray[np.int64], part: float) -> bool:
-        """Say whether nine of ten stretches between points are nearly straight, for the first member that is finite.
+        """Test whether nine of ten intervals between points are nearly straight, for the first finite member.
 
-        The motion leaves the chord by about ``|f(x1) - f(x0)| dt / 8``, with its known field f.
+        The distance of the motion from the chord is about ``|f(x1) - f(x0)| dt / 8``, with its field f.
         """
         if self.random or len(kept) < 3:
             return not self.random
@@ -278,7 +232,7 @@ class Drawn:
         return found if np.isfinite(found) else 0.0
 
     def at(self, part: Any) -> int:
-        """Return the number of the saved point at a part of the span, 0 for the start and 1 for the end."""
+        """Return the index of the saved point at a fraction of the span: 0 is the start, 1 the end."""
         return round(min(max(read_number(part, "at"), 0.0), 1.0) * (len(self.t) - 1))
 
     def state(self, k: int) -> npt.NDArray[Any]:
@@ -286,19 +240,9 @@ class Drawn:
         return self._shaped(self.x[0, k])
 
     def of_state(self, function: Any, k: int) -> tuple[Floats, float]:
-        """Return values of a saved state, and the largest of start, end and this one: a scale that pictures share.
+        """Evaluate function(system, state) at saved point k; also return the largest value at start, end and k.
 
-        Parameters
-        ----------
-        function : callable
-            Of the system, without the forces that it may have, and of a state.
-        k : int
-            Which saved point.
-
-        Returns
-        -------
-        ndarray
-        float
+        The latter is a common scale of pictures; `system` is without forces.
         """
         found = {j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}}
         return found[k], max(float(np.nanmax(np.abs(values))) for values in found.values()) or 1.0
@@ -307,7 +251,7 @@ class Drawn:
         return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
 
     def system_of(self, m: int) -> Any:
-        """Return the system of a member that is drawn; those of a batch differ."""
+        """Return the system of a drawn member; those of a batch differ."""
         given = self.solution.system
         return given[int(self._chosen[m])] if isinstance(given, Batch) else self.system
 
@@ -319,7 +263,7 @@ class Drawn:
 
 
 def _members(solution: Solution, given: Any) -> npt.NDArray[np.int64]:
-    """Return the numbers of the members that are asked for, checked."""
+    """Validate the members selected."""
     count = 1 if solution.failed is None else len(solution.failed)
     listed = read_list(given, "members", "give numbers of members, such as [0, 3]")
     chosen = [read_whole(m, "a member", 0, count - 1) for m in listed]
@@ -329,7 +273,7 @@ def _members(solution: Solution, given: Any) -> npt.NDArray[np.int64]:
 
 
 def spread(count: int, most: int) -> npt.NDArray[np.int64]:
-    """Return at most so many of 0 ... count - 1, evenly spread.
+    """Return at most `most` of 0 ... count - 1, evenly spread.
 
     Examples
     --------

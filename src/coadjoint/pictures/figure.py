@@ -1,4 +1,4 @@
-"""A figure that a notebook shows as it stands, also in a first cell, where nothing has told it how."""
+"""Figure with a PNG representation, which notebooks display without a Matplotlib backend."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 
 class ShownFigure(Figure):
-    """A figure of Matplotlib that is its own picture; nothing global is touched.
+    """Matplotlib figure that represents itself as PNG; no global state is changed.
 
     Examples
     --------

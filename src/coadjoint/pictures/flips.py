@@ -1,4 +1,4 @@
-"""When does a coordinate change its sign, and after which time again?"""
+"""Times at which a coordinate changes its sign."""
 
 from __future__ import annotations
 
@@ -15,36 +15,9 @@ HALVINGS = 52
 
 
 def flips(system: Any, t: Floats, x: Floats, i: int, most: int | None = None) -> Floats:
-    """Return the times at which a coordinate of a motion goes through zero.
+    """Return the times, in the order of t, at which coordinate i of a motion crosses zero; the first `most` of them.
 
-    Between two points the motion is taken to be the cubic through both with its known slopes, so that the error is of
-    the fourth order in the distance of the points.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        What moves; its field gives the slopes.
-    t : ndarray, shape (k,)
-        Times.
-    x : ndarray, shape (k, n)
-        States.
-    i : int
-        The coordinate.
-    most : int, optional
-        How many times are wanted, from the start on.
-
-    Returns
-    -------
-    ndarray
-        Rising or falling with t, as t does.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1]))  # turns with the period 2 pi
-    >>> sol = co.integrate(spin, (1.0, 0.0, 0.5), (0, 10), 0.1)
-    >>> (flips(spin, sol.t, sol.x, 0) / np.pi).round(6)
-    array([0.5, 1.5, 2.5])
+    Between two points the motion is the cubic through both with the slopes of the field, with an error of fourth order.
     """
     values = x[:, i]
     places = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) * np.sign(values[1:]) <= 0.0))
@@ -60,7 +33,7 @@ def flips(system: Any, t: Floats, x: Floats, i: int, most: int | None = None) ->
 
 
 def _root(a: float, b: float, slope: float, end_slope: float) -> float:
-    """Return where in [0, 1] a cubic is zero, with its values and slopes at both ends; it changes sign there."""
+    """Return the zero in [0, 1] of a cubic Hermite polynomial with a change of sign, by bisection."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         s = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""What of a quantized fluid is drawn? Its fields on a grid, of one matrix or of two."""
+"""Plot data of quantized fluids: fields on a grid, of one matrix or of two."""
 
 from __future__ import annotations
 
@@ -21,22 +21,7 @@ SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "to
 
 
 def fluid_of(drawn: Drawn) -> FluidSystem:
-    """Return the fluid of a run, on its surface; where two fields move, the one without the second field.
-
-    Parameters
-    ----------
-    drawn : Drawn
-        The run.
-
-    Returns
-    -------
-    FluidSystem
-
-    Raises
-    ------
-    CannotShow
-        The system is no fluid on a surface.
-    """
+    """Return the fluid of a run, of two fields the one without the second; raise CannotShow for other systems."""
     family = drawn.family
     if isinstance(family, FluidSystem):
         return family
@@ -58,34 +43,21 @@ def surface_of(fluid: FluidSystem) -> str:
 
 
 def vorticity_of(state: Any) -> npt.NDArray[Any]:
-    """Return the matrix of the vorticity: the state, or the second of two fields."""
+    """Return the vorticity matrix: the state, or the second of two fields."""
     W = np.asarray(state)
     return W[1] if W.ndim == 3 else W
 
 
 def carried_by(state: Any) -> npt.NDArray[Any]:
-    """Return the matrix whose spectrum is kept: the state, or the first of two fields, which is carried."""
+    """Return the matrix with constant spectrum: the state, or the first of two fields, which is carried."""
     W = np.asarray(state)
     return W[0] if W.ndim == 3 else W
 
 
 def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, int]) -> Floats:
-    """Return a part of the vorticity, the stream function or the carried field on a grid.
+    """Evaluate a part of the vorticity, the stream function or the carried field on a grid.
 
-    Parameters
-    ----------
-    fluid : FluidSystem
-        From `fluid_of`.
-    state : (N, N) or (2, N, N) array
-        The matrix W, or a carried field and W.
-    part : {"all", "large", "small", "stream", "carried"}
-        As the picture "vorticity" has it.
-    shape : (int, int)
-        Of the grid.
-
-    Returns
-    -------
-    ndarray
+    `state` is W, (N, N), or the carried field and W, (2, N, N); for `part` see the picture "vorticity".
     """
     if part == "carried":
         return fluid.to_grid(carried_by(state), shape)

@@ -1,4 +1,4 @@
-"""Every system in one picture, and a page of them."""
+"""Gallery: one picture for each system, and an HTML page of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.systems.ready_made import ready_made_systems, telling_of
 from coadjoint.wording import short
 
 PAGE = "index.html"
-DOTS = 110  # to the inch
+DOTS = 110  # per inch
 
 _STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff}"
@@ -30,17 +30,7 @@ _STYLE = (
 
 @dataclass(frozen=True)
 class Piece:
-    """One picture of a gallery.
-
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    figure : matplotlib.figure.Figure
-        Its picture.
-    summary, says, run : str
-        What the system is, what is to be seen, and what was run.
-    """
+    """One picture of a gallery: its system's name and summary, the figure, its caption `says`, and the run drawn."""
 
     name: str
     figure: Any
@@ -64,7 +54,7 @@ def piece(name: str) -> Piece:
     Raises
     ------
     ValueError
-        No such system, or it declares no telling run.
+        There is no such system, or it declares no example run.
     """
     need("a gallery", "matplotlib")
     if name in SCENES:
@@ -82,7 +72,7 @@ def piece(name: str) -> Piece:
 
 
 def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callable[[str], None] = print) -> str:
-    """Draw systems one after the other, and return the page that shows them.
+    """Draw systems one after the other, and return an HTML page of them.
 
     Parameters
     ----------
@@ -96,7 +86,7 @@ def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callab
     Returns
     -------
     str
-        HTML that needs nothing but the pictures beside it; each has its text for who cannot see it.
+        HTML that needs only the pictures in its folder; each has an alternative text.
     """
     pieces = []
     for number, name in enumerate(names, start=1):
@@ -108,7 +98,7 @@ def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callab
 
 
 def file_of(name: str) -> str:
-    """Return the name of the file of a picture.
+    """Return the file name of a picture.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Paths on a sphere, seen from outside: what lies on its far side is fainter."""
+"""Paths on a sphere seen from outside; the far side is drawn fainter."""
 
 from __future__ import annotations
 
@@ -13,42 +13,21 @@ Floats = npt.NDArray[np.float64]
 
 FACE, LINES = "#EDF2F8", "#C3CEDB"
 VIEW = (35.0, 22.0)
-"""From where one looks: degrees around the third axis from the first, and degrees above the plane of the first two."""
+"""Direction of view in degrees: around the third axis from the first, and above the plane of the first two."""
 ASIDE = 25.0
-"""Degrees around from the middle of a path: an axis that points there would end in its middle."""
+"""Degrees of azimuth from the middle of a path, so that the label of an axis there does not cover it."""
 
 
 def view_of(points: Floats) -> tuple[float, float]:
-    """Return from where a path on a sphere is seen best: from the side on which it lies, if it lies on one.
-
-    Parameters
-    ----------
-    points : ndarray, shape (k, 3)
-        The path; what is not finite does not count.
-
-    Returns
-    -------
-    (float, float)
-        As `VIEW`.
+    """Return the view, as `VIEW`, for a path (k, 3) on a sphere: from its side, if it lies on one. Nonfinite points are
+    ignored.
     """
     x, y, _ = np.mean(points[np.isfinite(points).all(axis=1)], axis=0)
     return (float(np.degrees(np.arctan2(y, x))) + ASIDE, VIEW[1]) if np.hypot(x, y) > 0.15 else VIEW
 
 
 class Globe:
-    """A sphere in flat axes of equal aspect.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Changed in place.
-    names : sequence of str
-        Names of its three axes.
-    view : (float, float)
-        As `VIEW`.
-    radius : float
-        Of the sphere.
-    """
+    """Sphere of a given radius in flat axes of equal aspect, with labels for its three axes and a view as `VIEW`."""
 
     def __init__(self, axes: Any, names: Any, view: tuple[float, float] = VIEW, radius: float = 1.0) -> None:
         self.axes, self.radius = axes, radius
@@ -63,7 +42,7 @@ class Globe:
         axes.axis("off")
 
     def seen(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return where points (..., 3) appear, (..., 2), and how near they are, positive on the near side."""
+        """Project points (..., 3) to (..., 2); also return their depth, positive on the near side."""
         turned = points @ self.frame.T
         return turned[..., :2], turned[..., 2]
 
@@ -95,18 +74,9 @@ class Globe:
             self.axes.text(*place, name, bbox=paper, **text)
 
     def path(self, points: Floats, colour: str, joined: bool, linewidth: float = 1.1, alpha: float = 1.0) -> None:
-        """Draw a path (k, 3) on the sphere.
+        """Draw a path (k, 3) on the sphere, as lines if `joined`, else as dots.
 
-        Parameters
-        ----------
-        points : ndarray, shape (k, 3)
-            In order.
-        colour : str
-            Of the path.
-        joined : bool
-            Whether lines between the points show the path; otherwise they are dots.
-        linewidth, alpha : float
-            Of the near side.
+        `linewidth` and `alpha` are those of the near side.
         """
         if joined:
             near = {"color": colour, "linewidth": linewidth, "alpha": alpha}
@@ -121,20 +91,12 @@ class Globe:
         front = depth >= 0.0
         for side, style, order in ((front, near, zorder), (~front, far, zorder - 1)):
             if style is not None and side.any():
-                # A stretch is drawn with the side on which it begins or ends, so that no gap is left.
+                # Segments across the edge belong to both sides, to avoid gaps.
                 shown = side | np.append(side[1:], False)
                 self.axes.plot(*np.where(shown[:, None], flat, np.nan).T, zorder=order, **style)
 
     def mark(self, point: Floats, colour: str, label: str | None = None, marker: str = "o", size: float = 5.0) -> None:
-        """Mark a point of the sphere; hollow where it lies on the far side.
-
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Where.
-        colour, label, marker, size
-            As Matplotlib has them.
-        """
+        """Mark a point (3,) of the sphere, hollow on the far side."""
         flat, depth = self.seen(point)
         filled = colour if depth >= 0.0 else "white"
         self.axes.plot(

@@ -1,4 +1,4 @@
-"""Triangles of a level surface of any function of three coordinates, by marching through tetrahedra."""
+"""Triangulation of level surfaces of functions of three coordinates, by marching tetrahedra."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from coadjoint.wording import short
 
 BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 
-# A cube is six tetrahedra around its diagonal, one for each order of the axes: neighbouring cubes then fit.
+# A cube is six tetrahedra around its diagonal, one per order of the axes, so that neighbouring cubes match.
 _CUBE = np.array(list(itertools.product((0, 1), repeat=3)))
 _TETRAHEDRA = np.array(
     [np.cumsum([[0, 0, 0], *(np.eye(3, dtype=int)[list(order)])], axis=0) for order in itertools.permutations(range(3))]
@@ -40,13 +40,13 @@ def level_surface(
     cells : int
         Cells along each edge of the box.
     period : float
-        Positive for a multivalued function, which is known up to multiples of this: the surface on which it is
-        `level` plus any of them.
+        Positive for a multivalued function, which is defined modulo this number: the surface has the values `level`
+        plus any multiple of it.
 
     Returns
     -------
     ndarray, shape (triangles, 3, 3)
-        Corners; empty where the surface does not meet the box.
+        Corners; empty if the surface does not meet the box.
 
     Raises
     ------
@@ -74,12 +74,12 @@ def level_surface(
         where = tuple(np.moveaxis(corner + tetrahedron, -1, 0))
         triangles += _cut(points[where], _one_branch(values[where], period))
     found = np.concatenate(triangles)
-    # Where a corner of the grid lies on the surface, triangles shrink to points.
+    # Drop triangles that degenerate to points, at grid corners on the surface.
     return found[np.any(found != found[:, :1], axis=(1, 2))]
 
 
 def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return a function at many points, shape (..., 3); NaN where it is not defined."""
+    """Evaluate a function at points (..., 3); NaN where it is undefined."""
     if isinstance(function, Polynomial):
         total = np.zeros(points.shape[:-1])
         for exponents, coefficient in function.monomials.items():
@@ -97,19 +97,19 @@ def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -
 
 
 def _one_branch(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.float64]:
-    """Return values that differ by less than half a period within a tetrahedron, the first that near zero."""
+    """Shift values by periods so that they vary by less than half a period within a tetrahedron."""
     if period <= 0.0:
         return values
     with np.errstate(over="ignore", invalid="ignore"):
         first = values[:, :1] - period * np.rint(values[:, :1] / period)
         step = values - values[:, :1]
         step = step - period * np.rint(step / period)
-        # Around its axis a multivalued function changes by much within a cell, and branches cannot be told apart.
+        # Near its axis a multivalued function varies so fast within a cell that branches cannot be separated.
         return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
 
 
 def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
-    """Return the triangles in which tetrahedra (m, 4, 3) are cut where the values (m, 4) change their sign."""
+    """Return the triangles in which tetrahedra (m, 4, 3) intersect the zero level of values (m, 4)."""
     good = np.all(np.isfinite(values), axis=1)
     above = np.sum(values > 0.0, axis=1)
     order = np.argsort(values, axis=1)

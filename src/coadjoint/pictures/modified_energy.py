@@ -1,4 +1,4 @@
-"""How well is a modified Hamiltonian kept along a run? Deviations of growing orders, on a logarithmic scale."""
+"""Deviations of modified Hamiltonians of increasing order along a run, on a logarithmic scale."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
 
 MOST_POINTS = 5000
-"""More than a printed line can show."""
+"""More points than a printed line resolves."""
 
 
 def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
-    r"""Return a figure of how far the energy and modified energies of growing order stray from their start in a run.
+    r"""Return a figure of the deviations of the energy and of modified energies from their initial values.
 
-    Each order should lie lower than the one before, by a factor like the square of the step, until round-off is
-    reached. None should grow. Then the run is the motion of a nearby Hamiltonian system.
+    Each order should lie below the previous one, by a factor of about the square of the step, until round-off is
+    reached, and none should grow. Then the run is the motion of a nearby Hamiltonian system.
 
     Parameters
     ----------
@@ -61,24 +61,14 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
 
 
 def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> None:
-    """Draw how far energy and modified energies stray from their start, into axes.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where.
-    solution : Solution
-        By a splitting; of an ensemble the first member is drawn.
-    orders : sequence of int
-        Orders of the modified Hamiltonians.
-    """
+    """Draw the deviations of the energy and of modified energies of the first member from the start into axes."""
     series = {"energy $H$": solution.energy}
     series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
     every = max(1, -(-len(solution.t) // MOST_POINTS))
     for place, (label, values) in enumerate(series.items()):
         own = values.reshape(len(values), -1)[:, 0]
         deviation = np.abs(own - own[0])[::every]
-        # Zero has no logarithm: the line has gaps where nothing has changed in any bit.
+        # Zero deviations have no logarithm, and leave gaps.
         visible = np.where(deviation > 0.0, deviation, np.nan)
         axes.plot(solution.t[::every], visible, color=colour(place), linewidth=0.9, label=label)
     axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")

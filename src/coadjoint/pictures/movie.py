@@ -1,4 +1,4 @@
-"""What does a movie of a run show? One picture, at many of its times."""
+"""Frames of movies of runs: one picture at many saved times."""
 
 from __future__ import annotations
 
@@ -16,31 +16,14 @@ from coadjoint.systems.telling import Picture
 
 MOST_FRAMES = 5000
 PIXELS = (64, 4096)
-"""Fewest and most along a side."""
+"""Smallest and largest number of pixels along a side."""
 WIDE, HIGH = 8.0, 4.5
-"""Of the figure in inches, at least: letters grow with the pixels."""
+"""Smallest size of the figure in inches; text scales with the pixels."""
 
 
 class SavedFrames:
-    """Frames of a run: a picture at some of its saved times.
-
-    Parameters
-    ----------
-    drawn : Drawn
-        The run.
-    kind : Kind
-        Of the picture.
-    picture : Picture
-        At the start.
-    places : sequence of int
-        Which saved points.
-    size : (int, int)
-        Width and height in pixels.
-
-    Attributes
-    ----------
-    count : int
-    size : (int, int)
+    """Iterator over `count` frames of a run: one picture at the saved points `places`, `size` (width, height) in
+    pixels.
     """
 
     def __init__(
@@ -59,7 +42,7 @@ class SavedFrames:
         assert update is not None, f"the picture {kind.name!r} is said to move"
         self._update = update
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # nothing moves but what the picture shows
+        figure.set_layout_engine("none")  # keeps the layout constant between frames
 
     def __iter__(self) -> Iterator[memoryview]:
         for k in self._places:
@@ -71,35 +54,12 @@ class SavedFrames:
 def frames_of(
     solution: Solution, picture: str | Picture | None = None, frames: int = 240, size: tuple[int, int] = (960, 540)
 ) -> SavedFrames:
-    """Return the frames of a movie of a run, drawn one by one when they are asked for.
+    """Return the frames of a movie of the first member of a run, drawn lazily.
 
-    Parameters
-    ----------
-    solution : Solution
-        The run; of an ensemble the first member is shown.
-    picture : str or Picture, optional
-        What is shown: a kind of picture that shows one time, with its options, such as ``Picture("vorticity",
-        part="large")``. By default the first of its kind that the system declares. Its colours do not change with time.
-    frames : int
-        How many at most, from 2 to 5000: saved times, evenly spread. No time is invented between them.
-    size : (int, int)
-        Width and height in pixels, even numbers.
-
-    Returns
-    -------
-    SavedFrames
-
-    Raises
-    ------
-    TypeError, ValueError
-        The system has nothing that a movie shows, or a value is wrong.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> sol = co.integrate(co.systems.fluid_triad(), (0.02, 1.0, 0.02), (0, 4), 0.5)
-    >>> [frame.shape for frame in frames_of(sol, frames=2, size=(128, 96))]
-    [(96, 128, 4), (96, 128, 4)]
+    `picture` is a kind that shows one time, by name or with options, such as ``Picture("vorticity", part="large")``; by
+    default the first such kind that the system declares. Colour scales are constant in time. At most `frames` (2 to
+    5000) saved times, evenly spread, are shown, without interpolation; `size` (width, height) is in pixels, even.
+    Raises TypeError or ValueError for wrong values, or if nothing can be shown.
     """
     check_solution(solution)
     need("a movie", "matplotlib")
@@ -120,12 +80,7 @@ def _read_size(size: Any) -> tuple[int, int]:
 
 
 def declared_picture(name: str) -> Picture:
-    """Return the first picture of one time that a system declares, by its name.
-
-    Raises
-    ------
-    CannotShow
-        It declares none.
+    """Return the first picture of a single time that a system declares; raise CannotShow if there is none.
 
     Examples
     --------
@@ -145,7 +100,7 @@ def _moving_kinds() -> list[str]:
 
 
 def _moving(drawn: Drawn, wanted: Any) -> tuple[Kind, Picture]:
-    """Return what is shown, at the start."""
+    """Return the picture of a movie and its kind, at the start."""
     if wanted is None:
         wanted = declared_picture(drawn.family.name)
     elif isinstance(wanted, str) and drawn.telling is not None:

@@ -1,4 +1,4 @@
-"""The orbit in three dimensions, drawn on its coadjoint orbit: a level surface of a Casimir."""
+"""Three-dimensional plot of orbits on their coadjoint orbit, a level surface of a Casimir."""
 
 from __future__ import annotations
 
@@ -18,13 +18,7 @@ LIGHT = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
 
 
 def surface_casimir(casimirs: Mapping[str, Any]) -> str | None:
-    """Return the name of the Casimir whose level surface is drawn: the first polynomial one, else the first.
-
-    Examples
-    --------
-    >>> surface_casimir({"f": Invariant(lambda x: x[0]), "g": Polynomial({(2, 0, 0): 1})})
-    'g'
-    """
+    """Return the name of the Casimir whose level surface is drawn: the first polynomial one, else the first."""
     for kind in (Polynomial, Invariant):
         for name, casimir in casimirs.items():
             if isinstance(casimir, kind):
@@ -40,22 +34,10 @@ def draw_orbit(
     joined: bool = True,
     kept: bool = True,
 ) -> None:
-    """Draw orbits on the level surface through the first point of the first.
+    """Draw orbits (members, k, 3) on the level surface through the first point of the first one.
 
-    Parameters
-    ----------
-    axes : mpl_toolkits.mplot3d.Axes3D
-        Where.
-    members : ndarray, shape (members, k, 3)
-        One orbit or several.
-    casimirs : mapping
-        Name to Casimir, of the system.
-    names : sequence of three str
-        Names of the coordinates.
-    joined : bool
-        Whether lines between the points show the motion; otherwise the points are dots.
-    kept : bool
-        Whether the motion stays on the surface; forces may move it away.
+    `casimirs` maps names to those of the system. Points are dots unless `joined`. `kept` states whether the motion
+    stays on the surface, unlike with forces.
     """
     name = surface_casimir(casimirs)
     box = _box_of(members)
@@ -92,13 +74,13 @@ def draw_orbit(
 
 
 def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tuple[Any, Any]:
-    """Return the triangles of a level surface and their box: a compact one as a whole, else what is near the orbits."""
+    """Return the triangles of a level surface and its box: the whole surface if compact, else near the orbits."""
     period = getattr(casimir, "period", 0.0)
     radius = 1.1 * float(np.nanmax(np.linalg.norm(members, axis=-1))) or 1.0
     cube = np.array([[-radius, radius]] * 3)
     triangles = level_surface(casimir, level, cube, period=period)
     reach = float(np.max(np.abs(triangles), initial=0.0))
-    # Where the surface leaves the cube, it is not compact.
+    # A surface that leaves the cube is taken for noncompact.
     if reach < radius * (1.0 - 2.0**-20):
         return triangles, cube
     box = _box_of(members)
@@ -106,7 +88,7 @@ def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tu
 
 
 def _box_of(members: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return a box with room around the orbits."""
+    """Return a box with margins around the orbits."""
     low, high = np.nanmin(members, axis=(0, 1)), np.nanmax(members, axis=(0, 1))
     widest = float(np.max(high - low)) or 1.0
     half = np.maximum(0.7 * (high - low), 0.05 * widest)
@@ -124,7 +106,7 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
     triangles, normals = triangles[wide], normals[wide] / size[wide]
     if not len(triangles):
         return
-    # A surface has two sides, and triangles have no orientation. So light falls on both sides alike.
+    # Triangles have no orientation, so both sides are lit alike.
     brightness = 0.72 + 0.28 * np.abs(normals @ LIGHT)
     faces = np.column_stack([brightness[:, None] * np.array(to_rgb(SURFACE)), np.full(len(triangles), 0.35)])
     x, y, z = triangles.reshape(-1, 3).T
@@ -134,20 +116,10 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
 
 
 def frame_space(axes: Any, box: npt.NDArray[np.float64], names: Sequence[str]) -> None:
-    """Give axes in space their limits, thin lines, and names.
-
-    Parameters
-    ----------
-    axes : mpl_toolkits.mplot3d.Axes3D
-        Changed in place.
-    box : ndarray, shape (3, 2)
-        Limits.
-    names : sequence of three str
-        Names of the axes.
-    """
+    """Set limits, the box (3, 2), and labels of three-dimensional axes, with thin lines."""
     axes.computed_zorder = False
     axes.set(xlim=box[0], ylim=box[1], zlim=box[2])
-    axes.set_box_aspect((1, 1, 1), zoom=0.93)  # the layout does not know of labels in space
+    axes.set_box_aspect((1, 1, 1), zoom=0.93)  # the layout ignores labels in space
     for set_label, name in zip((axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), names, strict=True):
         set_label(name, fontsize=9, labelpad=-2)
     axes.tick_params(labelsize=7, width=0.5, pad=0, colors=INK)

@@ -1,4 +1,4 @@
-"""How a phase error grows: the lead with its line, and what is left without it."""
+"""Figure of a phase error: the lead with its fitted line, and the remainder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     drift : PhaseDrift
         From `phase_drift`.
     predicted : float, optional
-        A slope to be drawn beside the fitted line.
+        A slope drawn in addition to the fitted line.
 
     Returns
     -------
@@ -62,16 +62,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
 
 
 def with_error(value: float, error: float) -> str:
-    r"""Return a value with its error in mathematical text, with two digits of the error.
-
-    Parameters
-    ----------
-    value, error : float
-        The error is not negative.
-
-    Returns
-    -------
-    str
+    r"""Format a value with its (nonnegative) error as mathematical text, with two digits of the error.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How does a sphere lie in the plane? Equal-area maps, and the view from outside, from any direction."""
+"""Projections of the sphere to the plane: equal-area maps, and the orthographic view, from any direction."""
 
 from __future__ import annotations
 
@@ -16,15 +16,10 @@ TABLE = 4001
 
 @dataclass(frozen=True)
 class Projection:
-    """A map of the sphere inside of an ellipse, as wide as `half_width` and as high as 1 to each side.
+    """A map of the sphere into an ellipse with the half axes `half_width` and 1.
 
-    Parameters
-    ----------
-    half_width : float
-        2 for maps of the whole sphere, 1 for the view from outside.
-    onto, back : callable
-        Longitudes and latitudes in radians, seen from the middle of the map, to x, y; and back. What is not seen is
-        NaN.
+    `half_width` is 2 for maps of the whole sphere, 1 for the view from outside. `onto` maps longitudes and latitudes in
+    radians, relative to the centre, to x, y, and `back` inverts it; invisible points are NaN.
     """
 
     half_width: float
@@ -32,19 +27,9 @@ class Projection:
     back: Callable[[Floats, Floats], Pair]
 
     def directions(self, columns: int, centre: tuple[float, float]) -> Floats:
-        """Return what the pixels of the map show, as unit vectors; NaN outside of it.
+        """Return the unit vectors of square pixels, (rows, columns, 3), lowest row first; NaN outside the map.
 
-        Parameters
-        ----------
-        columns : int
-            Pixels across; squares.
-        centre : (float, float)
-            Longitude and latitude of the middle of the map in degrees.
-
-        Returns
-        -------
-        (rows, columns, 3) array
-            The lowest row first.
+        `centre` is the longitude and latitude of the middle of the map in degrees.
         """
         rows = round(columns / self.half_width)
         x = self.half_width * ((2 * np.arange(columns) + 1) / columns - 1)
@@ -55,30 +40,24 @@ class Projection:
         return found
 
     def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> Pair:
-        """Return a line on the sphere as one on the map, with NaN where it leaves over an edge."""
+        """Project a line on the sphere, with NaN where it leaves over an edge of the map."""
         seen = unit_vectors(longitude, latitude) @ turned(centre).T
         across = np.arctan2(seen[:, 1], seen[:, 0])
         x, y = self.onto(across, np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
-        # By the angle: near the poles both edges of a map are close to each other.
+        # Tested by the angle, since near the poles the edges of a map are close to each other.
         over = np.append(np.abs(np.diff(across)) > np.pi, False)
         return np.where(over, np.nan, x), y
 
 
 def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
-    """Return directions (..., 3).
-
-    Examples
-    --------
-    >>> unit_vectors(np.array(0.0), np.array(0.0))
-    array([1., 0., 0.])
-    """
+    """Return directions (..., 3)."""
     return np.stack(
         [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
     )
 
 
 def turned(centre: tuple[float, float]) -> Floats:
-    """Return the rotation whose rows are the axes of the map: towards its middle, to the right, and upward.
+    """Return the rotation whose rows are the axes of the map: towards its centre, to the right, and upward.
 
     Examples
     --------
@@ -128,4 +107,4 @@ PROJECTIONS = {
     "hammer": Projection(2.0, _hammer_onto, _hammer_back),
     "outside": Projection(1.0, _outside_onto, _outside_back),
 }
-"""The first two are equal-area maps of the whole sphere; the last one is what is seen from far away."""
+"""Mollweide and Hammer are equal-area maps of the whole sphere; "outside" is the orthographic view."""

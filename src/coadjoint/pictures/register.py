@@ -1,4 +1,4 @@
-"""Which kinds of pictures are there? A kind is one file in the folder `kinds`, and nothing else names it."""
+"""Registry of the kinds of pictures; each kind is one file in the folder `kinds`."""
 
 from __future__ import annotations
 
@@ -19,36 +19,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Update = Callable[[int], None]
-"""What shows another saved point in a picture that was put into axes."""
+"""Changes a drawn picture to another saved point."""
 Paint = Callable[["Axes"], Update | None]
-"""What puts a picture into axes; of kinds that `Kind.moves` it returns what shows another time."""
+"""Draws a picture into axes; kinds with `Kind.moves` return an `Update`."""
 Prepare = Callable[..., Paint]
-"""A function of a `coadjoint.pictures.drawn.Drawn` and options that returns a `Paint`."""
+"""Function of a `coadjoint.pictures.drawn.Drawn` and options that returns a `Paint`."""
 
 
 class CannotShow(ValueError):
-    """A run cannot show a picture; the message says what is missing and what would be right."""
+    """The run lacks what a picture needs; the message names what is missing and how to provide it."""
 
 
 @dataclass(frozen=True)
 class Kind:
     """A kind of picture.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    prepare : callable
-        ``prepare(drawn, **options)`` returns the function that draws into axes. It raises `CannotShow` where the run
-        has not what is shown.
-    over_time : bool
-        Whether it is wide and low, over time: such panels stand one over the other.
-    projection : str or None
-        Of the axes, as Matplotlib calls it.
-    low : bool
-        Whether two of the kind are drawn one over the other, where others have a column of their own.
-    moves : bool
-        Whether it is drawn at one time, and can show another one: movies are made of it.
+    ``prepare(drawn, **options)`` returns a `Paint`, or raises `CannotShow`. `over_time` panels are wide and low, and
+    stacked; two `low` pictures share a column. `projection` is that of Matplotlib axes. Kinds with `moves` show a
+    single time, and can be updated to another one for movies.
     """
 
     name: str
@@ -59,18 +47,7 @@ class Kind:
     moves: bool = False
 
     def check(self, picture: Picture) -> None:
-        """Refuse options that this kind does not have.
-
-        Parameters
-        ----------
-        picture : Picture
-            Of this kind.
-
-        Raises
-        ------
-        ValueError
-            With the nearest option that there is.
-        """
+        """Raise ValueError, with the nearest option, if a picture has options that this kind does not have."""
         known = list(inspect.signature(self.prepare).parameters)[1:]
         for option in picture.options:
             if option not in known:
@@ -85,12 +62,12 @@ _FOUND: dict[str, Kind] = {}
 def kind(
     name: str, *, over_time: bool = False, projection: str | None = None, low: bool = False, moves: bool = False
 ) -> Callable[[Prepare], Prepare]:
-    """Register a function that prepares a picture, as a kind.
+    """Register a function that prepares a picture as a kind.
 
     Parameters
     ----------
     name : str
-        By which systems and `Solution.plot` ask for it.
+        The name by which systems and `Solution.plot` refer to it.
     over_time, projection, low, moves
         As for `Kind`.
 
@@ -108,7 +85,7 @@ def kind(
 
 
 def kinds() -> Mapping[str, Kind]:
-    """Return all kinds by name; every file of the folder `kinds` is imported for it.
+    """Return all kinds by name, after importing every file of the folder `kinds`.
 
     Returns
     -------
@@ -126,7 +103,7 @@ def kinds() -> Mapping[str, Kind]:
 
 
 def read_picture(given: Any) -> tuple[Kind, Picture]:
-    """Return the kind of a picture, and the picture; refuse what is none.
+    """Parse a picture; return its kind and the picture.
 
     Parameters
     ----------
@@ -141,7 +118,7 @@ def read_picture(given: Any) -> tuple[Kind, Picture]:
     Raises
     ------
     TypeError, ValueError
-        No picture, an unknown kind, or an option that it does not have; the nearest name is given.
+        Not a picture, an unknown kind, or an option that it does not have; the message has the nearest name.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Runs that take longer than a gallery of everything may: drawn when they are named."""
+"""Long example runs, which the gallery draws only by name."""
 
 from __future__ import annotations
 
@@ -14,17 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scene:
-    """A run and its pictures.
-
-    Parameters
-    ----------
-    run : callable
-        Returns the solution.
-    pictures : tuple of Picture
-        What of it is drawn.
-    summary, says : str
-        What is run, and what is to be seen.
-    """
+    """A run, as a function that returns its solution, with its pictures, summary and caption `says`."""
 
     run: Callable[[], Solution]
     pictures: tuple[Picture, ...]
@@ -33,30 +23,10 @@ class Scene:
 
 
 def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> Solution:
-    """Run a random vorticity on the sphere, of the degrees 3 to 8, until few vortices are left.
+    """Integrate a random vorticity on the sphere, of the degrees 3 to 8, until few vortices are left.
 
-    It has a root mean square of 1.
-
-    Parameters
-    ----------
-    N : int
-        Size of the matrices.
-    seed : int
-        Of the random field.
-    end : float
-        The time at the end; a fluid of vorticity 1 turns about itself once in 4 pi.
-    step : float
-        Of the isospectral midpoint rule.
-
-    Returns
-    -------
-    Solution
-        With a state for each unit of time.
-
-    Examples
-    --------
-    >>> decaying_turbulence(N=12, end=2.0, step=0.1).x.shape
-    (3, 12, 12)
+    Its root mean square is 1, and the fluid rotates about itself once in 4 pi. The solution has a state per unit of
+    time; `step` is that of the isospectral midpoint rule.
     """
     from coadjoint.runs.integrate import integrate
     from coadjoint.systems.sphere_euler import sphere_euler
@@ -84,4 +54,4 @@ SCENES = {
         "streamlines.",
     )
 }
-"""By name."""
+"""Scenes by name."""

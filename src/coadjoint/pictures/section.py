@@ -1,4 +1,4 @@
-"""Crossings of a surface, drawn as dots: two components of the states, a colour for each member."""
+"""Plot of the crossings of a surface as dots: two components of the states, one colour per member."""
 
 from __future__ import annotations
 
@@ -15,30 +15,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FEW = 2000
-"""Crossings that are drawn as dots of a size that is seen; more are drawn finer."""
+"""Number of crossings drawn with dots of full size; larger numbers have smaller dots."""
 
 
 def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> Figure:
-    """Draw crossings.
+    """Draw the crossings found by events, for two coordinates (right, up); by default those that vary most.
 
-    Parameters
-    ----------
-    events : Events
-        What was found.
-    components : (int or str, int or str), optional
-        Which coordinates are drawn, to the right and upwards; by default the two that vary most.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown, not saved.
-
-    Raises
-    ------
-    TypeError, ValueError
-        There are no crossings, states are matrices, or there is no such coordinate.
+    Raises TypeError or ValueError without crossings, for matrix states, or for unknown coordinates.
     """
     need("pictures", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
@@ -62,10 +45,10 @@ def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> 
 
 
 def places(events: Events, components: Any = None) -> tuple[int, int]:
-    """Return which coordinates are drawn, to the right and upwards; parameters and refusals of `draw_crossings`."""
+    """Return the indices of the coordinates drawn (right, up); arguments and errors of `draw_crossings`."""
     names = events.coordinates
     if len(names) < 2:
-        raise TypeError("crossings are drawn by two coordinates of vectors; plot what you take of these states")
+        raise TypeError("crossings of matrix states cannot be drawn; plot two quantities computed from the states")
     if not len(events):
         raise ValueError("there are no crossings to draw; take a longer run, or another event")
     if components is None:

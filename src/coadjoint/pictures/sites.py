@@ -1,4 +1,4 @@
-"""Where do the sites of a lattice lie in a picture?"""
+"""Positions of the sites of a lattice in pictures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coadjoint.pictures.register import CannotShow
 Floats = npt.NDArray[np.float64]
 
 HALF, HIGH = 0.5, math.sqrt(0.75)
-# The two edges of a cell, and the places of its sites.
+# The edges of a cell, and the positions of its sites.
 CELLS: dict[str, tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]] = {
     "chain": (((1.0, 0.0),), ((0.0, 0.0),)),
     "square": (((1.0, 0.0), (0.0, 1.0)), ((0.0, 0.0),)),
@@ -24,11 +24,11 @@ CELLS: dict[str, tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float
 
 
 ROW = 30
-"""Sites of a chain that are drawn in one row; a longer one is folded into rows, as text is."""
+"""Largest number of sites in one row; longer chains are folded into rows, like text."""
 
 
 def sites_of_row(lattice: Any, count: int) -> int:
-    """Return how many sites a row of a folded chain has; all where it is not folded.
+    """Return the sites per row of a folded chain; all if it is not folded.
 
     Examples
     --------
@@ -39,34 +39,13 @@ def sites_of_row(lattice: Any, count: int) -> int:
 
 
 def places_of_sites(lattice: Any, shape: Any, count: int) -> Floats:
-    """Return where the sites of a lattice lie in the plane; those of a ring or of any graph lie on a circle.
+    """Return the positions (count, 2) of sites in the plane, cell by cell, the last axis of `shape` first.
 
-    Parameters
-    ----------
-    lattice : str or edges
-        As the system has it.
-    shape : int or tuple of int
-        Cells along each axis.
-    count : int
-        Number of sites.
-
-    Returns
-    -------
-    ndarray, shape (count, 2)
-        Sites one cell after the other, along the last axis first. A long chain is folded into rows, the first above.
-
-    Raises
-    ------
-    CannotShow
-        The lattice fills space.
-
-    Examples
-    --------
-    >>> places_of_sites("square", (2, 2), 4).tolist()
-    [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
+    Long chains are folded into rows, the first on top; rings and general graphs are drawn as a circle. Raises
+    CannotShow for three-dimensional lattices.
     """
     if lattice == "cubic":
-        raise CannotShow("the lattice fills space, and spins are drawn in a plane")
+        raise CannotShow("the lattice is three-dimensional, and spins are drawn in a plane")
     if not isinstance(lattice, str) or lattice not in CELLS or shape is None:
         turn = 2.0 * np.pi * np.arange(count) / count
         return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)

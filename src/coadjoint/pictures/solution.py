@@ -1,4 +1,4 @@
-"""A run in one figure: what its system wants to show first, beside its components and the drift of its invariants."""
+"""Figure of a run: the pictures declared by its system, its components, and the drift of its invariants."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def draw_solution(
     Parameters
     ----------
     solution : Solution
-        One run or an ensemble. Of many members 20 are drawn, and of many coordinates 8, spread evenly; the figure says
-        so.
+        One run or an ensemble. At most 20 members and 8 coordinates are drawn, evenly spread; the figure states the
+        numbers.
     panels : sequence of str or Picture, optional
-        Kinds of pictures, by name or with their options; `coadjoint.pictures.register.kinds` has them. By default the
-        drift, the components, what was observed, and what the system declares; where it declares nothing that this run
-        can show, for three coordinates the orbit on its coadjoint orbit.
+        Kinds of pictures, by name or with options; `coadjoint.pictures.register.kinds` lists them. By default the
+        drift, the components, the observed quantities, and the pictures that the system declares; if this run can show
+        none of these, for three coordinates the orbit on its coadjoint orbit.
     components : sequence of int or str, optional
         The coordinates that are drawn over time, by number from 0 or by name.
     axes : Axes or sequence of Axes, optional
@@ -48,13 +48,13 @@ def draw_solution(
     Returns
     -------
     matplotlib.figure.Figure
-        Neither shown nor saved; ``figure.savefig("run.png")`` does that.
+        Neither shown nor saved; use ``figure.savefig("run.png")``.
 
     Raises
     ------
     TypeError, ValueError
         An unknown kind or option, with the nearest name; a picture that this run cannot show, with the reason; or
-        another number of axes than of panels.
+        different numbers of axes and panels.
 
     Examples
     --------
@@ -74,17 +74,17 @@ def draw_solution(
 
 
 def _components(drawn: Drawn, chosen: Any) -> Picture:
-    """Return the picture of components: those that are asked for, else those that the system declares."""
+    """Return the picture of components: those requested, else those that the system declares."""
     if chosen is not None:
         return Picture("components", chosen=read_list(chosen, "components", "give numbers or names of coordinates"))
     return Picture("components") if drawn.telling is None else drawn.telling.components
 
 
 def _declared(drawn: Drawn, plain: Picture) -> list[tuple[Kind, Paint]]:
-    """Return drift, components and observed quantities, and the pictures of the system that this run can show."""
+    """Return drift, components and observed quantities, and the declared pictures that this run can show."""
     wanted = () if drawn.telling is None else drawn.telling.pictures
     own = drawn.telling is not None and plain is drawn.telling.components
-    # What the system declares may name coordinates that this one of its family does not have.
+    # The declared coordinates may not exist for these parameters of the system.
     series = (_shown(drawn, (plain,)) if own else []) or [_prepared(drawn, Picture("components") if own else plain)]
     first = _shown(drawn, (Picture("drift"),)) + series + _shown(drawn, (Picture("observed"),))
     unnamed = (Picture("coadjoint orbit"), Picture("eigenvalues"))
@@ -113,7 +113,7 @@ def _asked(drawn: Drawn, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]
 
 
 def _as_declared(drawn: Drawn, plain: Picture, panel: Any) -> Any:
-    """Return a kind that is asked for by its name alone as the system declares it, where it does."""
+    """Replace a kind given by name by the picture that the system declares of it, if any."""
     told = () if drawn.telling is None else drawn.telling.pictures
     return next((p for p in (plain, *told) if isinstance(panel, str) and p.kind == panel), panel)
 
@@ -122,7 +122,7 @@ def _drawn_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
     given = (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
     if len(given) != len(prepared):
         names = ", ".join(kind.name for kind, _ in prepared)
-        raise ValueError(f"axes are {len(given)}, and there are {len(prepared)} panels to draw: {names}")
+        raise ValueError(f"axes has {len(given)} entries, and there are {len(prepared)} panels to draw: {names}")
     for into, (kind, paint) in zip(given, prepared, strict=True):
         if not hasattr(into, "plot"):
             raise TypeError(f"axes holds {short(into)}; give axes of Matplotlib")
@@ -160,7 +160,7 @@ def _figure(solution: Solution, drawn: Drawn, prepared: list[tuple[Kind, Paint]]
 
 
 def _columns(pictures: list[tuple[Kind, Paint]]) -> list[list[tuple[Kind, Paint]]]:
-    """Return one picture for each column, or two low ones, one over the other."""
+    """Arrange one picture per column, or two low ones."""
     columns: list[list[tuple[Kind, Paint]]] = []
     for picture in pictures:
         if picture[0].low and columns and len(columns[-1]) == 1 and columns[-1][0][0].low:

@@ -1,4 +1,4 @@
-"""Where does an axis of the body point in space?"""
+"""Paths of body axes in space."""
 
 from __future__ import annotations
 
@@ -15,32 +15,15 @@ Floats = npt.NDArray[np.float64]
 
 
 def axis_in_space(drawn: Drawn, axis: Any, up: Any) -> tuple[Floats, str]:
-    """Return the path of an axis of the body in space, and the name of the axis.
+    """Return the path of a body axis in space, unit vectors (members, k, 3), and the name of the axis.
 
-    Parameters
-    ----------
-    drawn : Drawn
-        A run that carried its attitude.
-    axis : int or array_like
-        Number of the axis, 0 to 2, or a direction in the body.
-    up : sequence of three ints or str, or None
-        Coordinates of a vector of the body that is constant in space, such as the momentum or the vertical: it is the
-        third axis of the space that is shown. None: space as the attitude has it.
-
-    Returns
-    -------
-    ndarray, shape (members, k, 3)
-        Unit vectors.
-    str
-
-    Raises
-    ------
-    CannotShow
-        No attitude was carried, or it is no rotation.
+    `axis` is a number, 0 to 2, or a direction in the body. `up` has the coordinates of a body vector that is constant
+    in space (momentum, vertical), which becomes the third axis of the picture; None: space as in the attitude. Raises
+    CannotShow without an attitude that is a rotation.
     """
     A = drawn.rotation
     if A is None:
-        raise CannotShow("no attitude was carried that is a rotation; integrate with attitude=True")
+        raise CannotShow("the run has no attitude that is a rotation; integrate with attitude=True")
     if np.ndim(axis):
         given = read_finite(axis, "axis")
         if given.shape != (3,) or not given.any():
@@ -58,7 +41,7 @@ def axis_in_space(drawn: Drawn, axis: Any, up: Any) -> tuple[Floats, str]:
 
 
 def _raised(vertical: Floats) -> Floats:
-    """Return the shortest rotation that takes a vector to the third axis."""
+    """Return the shortest rotation of a vector to the third axis."""
     size = float(np.linalg.norm(vertical))
     if size == 0.0:
         return np.eye(3)

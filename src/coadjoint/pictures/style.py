@@ -1,4 +1,4 @@
-"""Colours and axes that all figures share; nothing global is changed."""
+"""Colours and axes shared by all figures; no global state is changed."""
 
 from __future__ import annotations
 
@@ -8,25 +8,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's colours, told apart by colour-blind readers and in grey print; the yellow is too light for lines.
+# Okabe and Ito's colours, distinct for colour-blind readers and in grey print; without yellow, too light for lines.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
 INK = "#333333"
 GRID = "#DDDDDD"
 
 
 def colour(i: int) -> str:
-    """Return the colour of line i.
-
-    Examples
-    --------
-    >>> colour(0) == colour(8)
-    True
-    """
+    """Return the colour of line i, cyclically."""
     return COLOURS[i % len(COLOURS)]
 
 
 def dots(count: int) -> dict[str, Any]:
-    """Return the style of so many points that no line joins: finer where they are many, so that curves stay thin.
+    """Return the style of `count` unconnected points: smaller for many points, so that curves stay thin.
 
     Examples
     --------
@@ -38,13 +32,7 @@ def dots(count: int) -> dict[str, Any]:
 
 
 def plain_axes(axes: Axes) -> None:
-    """Give flat axes thin lines, a light grid and no box.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Changed in place.
-    """
+    """Set thin lines, a light grid and no box on flat axes."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set(linewidth=0.6, color=INK)
     axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
@@ -56,31 +44,14 @@ def plain_axes(axes: Axes) -> None:
 
 
 def key(axes: Axes, **options: Any) -> None:
-    """Add the key of the lines, small and without a frame, where it hides least.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Changed in place.
-    **options
-        Of `Axes.legend`.
-    """
+    """Add a legend, small and without a frame; `options` are those of `Axes.legend`."""
     drawn = axes.legend(**{"fontsize": 8, "frameon": False, "loc": "best", "handlelength": 2.2, **options})
     for line in drawn.get_lines():
         line.set(linewidth=max(1.0, line.get_linewidth()), alpha=1.0)
 
 
 def symbol(name: str) -> str:
-    r"""Return the name of an invariant as mathematical text.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``"energy"``, ``"|x|^2"`` or ``"log C"``.
-
-    Returns
-    -------
-    str
+    r"""Return the name of an invariant, such as ``"energy"``, ``"|x|^2"`` or ``"log C"``, as mathematical text.
 
     Examples
     --------
@@ -108,16 +79,7 @@ GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", 
 
 
 def coordinate(name: str) -> str:
-    r"""Return the name of a coordinate as mathematical text.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``"x1"``, ``"gamma3"`` or ``"E"``; what is longer stays plain text.
-
-    Returns
-    -------
-    str
+    r"""Return the name of a coordinate as mathematical text; long names stay plain text.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""As which elementary flows? Parts, generators, the table of rows, and its plain reading in any number type."""
+"""Splittings as tables of elementary flows: parts, generators, rows, and a reference interpreter."""

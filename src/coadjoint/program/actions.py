@@ -1,4 +1,4 @@
-"""The action of every part in one representation, as runs of equal blocks: the rows' right-hand column."""
+"""Action of each part in one representation, as runs of equal blocks."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from coadjoint.program.wide_generators import check_products
 
 
 class Action(NamedTuple):
-    """exp(theta D) of every part on vectors of `size` components.
+    """exp(theta D) of each part on vectors of `size` components, stored by columns.
 
-    Part p has the runs run[p] to run[p + 1]. A run has `angles` of them, theta[angle], theta[angle + 1], ..., and for
-    each of them `repeat` blocks of one kind with the same constants (a shear has a constant for each block). `width` is
-    the number of coordinates of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as
-    compressed sparse rows, `width` + 1 starts and the columns after the coordinates, the values of D (of a CUBIC block
-    then those of D^2, and what rounding left of them) after the constants.
+    Part p has the runs run[p] to run[p + 1]. A run applies theta[angle], theta[angle + 1], ... (`angles` of them), each
+    to `repeat` blocks of one kind with shared constants (a shear has a constant per block), from indices[place] and
+    constants[constant] on. For CUBIC and SERIES blocks, `width` is the number of coordinates, `degree` the number of
+    terms of the sum, and the coordinates are followed by compressed sparse rows: `width` + 1 starts, then `entries`
+    columns. The values of D (of a CUBIC block those of D^2 and their rounding errors) follow the constants.
     """
 
     size: int
@@ -44,26 +44,9 @@ class Action(NamedTuple):
 
 
 def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) -> Action:
-    """Classify the generators of every part and lay them out in runs.
+    """Classify the generators of each part and arrange their blocks in runs.
 
-    Parameters
-    ----------
-    matrices : BasisMatrices
-        The representation.
-    parts : Parts
-        Their forms name the generators; the order of the forms is the order of the angles.
-    number : callable
-        Number type of the constants.
-
-    Returns
-    -------
-    Action
-        The table.
-
-    Raises
-    ------
-    TooWide
-        There are many generators of very many products.
+    The angles have the order of `parts.forms`. Raises TooWide if the generators are sums of too many products.
     """
     check_products(matrices.products(parts.forms), "the Hamiltonian")
     tables = [block_table(some, roundoff(number)) for some in matrices.combinations(parts.forms, number)]
@@ -77,8 +60,9 @@ def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) 
 
 
 class _Groups(NamedTuple):
-    """Blocks of one kind that share an angle (and their constants, unless they are shears), in the order of the table;
-    group g has the blocks block[g] to block[g + 1], and begins a run where it does not continue the one before.
+    """Blocks of one kind that share an angle (and constants, except for shears), in table order.
+
+    Group g has the blocks block[g] to block[g + 1]; `begins` marks the groups that start a new run.
     """
 
     part: Integers
@@ -88,11 +72,9 @@ class _Groups(NamedTuple):
 
 
 def _levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
-    """Return a level for each angle: generators of one level have no coordinate in common, and one level follows the
-    other.
+    """Assign a level to each angle, so that generators of one level have no coordinate in common.
 
-    The generators of a part commute, but a single block of one need not commute with a single block of another that it
-    overlaps.
+    The generators of a part commute, but single overlapping blocks of two of them need not.
     """
     angle = np.repeat(blocks.angle, blocks.width)
     _, place = expand(blocks.begin[:-1], blocks.begin[:-1] + blocks.width)
@@ -106,7 +88,7 @@ def _levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
 
 
 def _alike(blocks: BlockTable) -> Integers:
-    """Return equal numbers for blocks of one kind that may share a group: shears, and equal constants."""
+    """Label the blocks that may share a group: shears, and blocks of one kind with equal constants."""
     shared = np.zeros(len(blocks.kind), dtype=np.int64)
     apart = blocks.entries > 0
     shared[apart] = np.flatnonzero(apart)
@@ -119,9 +101,9 @@ def _alike(blocks: BlockTable) -> Integers:
 
 
 def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
-    """Form groups and order them, so that groups of one shape whose angles follow each other become one run.
+    """Group the blocks, and order the groups so that equal shapes with consecutive angles form one run.
 
-    Within a level no blocks share coordinates.
+    Blocks of one level have no coordinate in common, so their order is free.
     """
     shared = _alike(blocks)
     order = order_by(blocks.angle, blocks.kind, shared)
@@ -143,7 +125,7 @@ def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tup
 
 
 def _ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
-    """Number the groups of one angle and shape, in the order of their first blocks."""
+    """Number the groups of one angle and shape by their first blocks."""
     order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
     first = fresh(angle[order], kind[order], count[order])
     place = np.arange(len(order))
@@ -156,7 +138,7 @@ def _laid_out(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> A
     first = np.flatnonzero(groups.begins)
     leader = groups.block[first]
     kind = blocks.kind
-    # Blocks of one group but shears share their constants: those of the first are kept.
+    # The blocks of a group share the constants of its first block, except for shears.
     kept = (kind == Kind.SHEAR) | (kind == Kind.CUBIC) | (kind == Kind.SERIES)
     kept[groups.block[:-1]] = True
     length = np.where(kept, np.diff(blocks.constant_begin), 0)
@@ -184,7 +166,7 @@ def _laid_out(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> A
 
 
 def empty_action() -> Action:
-    """Return the action on nothing: no group element is carried."""
+    """Return the action of a program without a group element."""
     return _empty(0, 0, float)
 
 

@@ -1,4 +1,4 @@
-"""The blocks of many generators at once: their connected sets of coordinates, and the kind of each."""
+"""Table of the blocks of many generators: connected sets of coordinates, classified by kind."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from coadjoint.program.sparse_rows import joined_starts, starts_of
 
 
 class BlockTable(NamedTuple):
-    """Blocks as columns, angle after angle, in each by the first coordinates; a shear is a block for every entry.
+    """Blocks by columns, sorted by angle and then by first coordinate; each entry of a shear is a block.
 
-    Block b belongs to angle[b] and has `width` coordinates from indices[begin[b]] on, in the order of its
-    formula. A CUBIC or SERIES block has its entries as compressed sparse rows after them: `width` + 1 starts, and
-    `entries` columns. Its constants from constant_begin[b] on are those of its `Block`, then the values of its entries,
-    column after column.
+    Block b belongs to angle[b]; its `width` coordinates start at indices[begin[b]], in the order of its formula. For
+    CUBIC and SERIES blocks they are followed by compressed sparse rows: `width` + 1 starts and `entries` columns. The
+    constants from constant_begin[b] on are those of `Block`, then the values of its entries, column by column.
     """
 
     angle: Integers
@@ -35,7 +34,7 @@ class BlockTable(NamedTuple):
     constants: NDArray[Any]
 
     def take(self, chosen: NDArray[Any]) -> BlockTable:
-        """Return the chosen blocks, in the order given."""
+        """Select blocks, in the order given."""
         index = expand(self.begin[chosen], self.begin[chosen + 1])[1]
         constant = expand(self.constant_begin[chosen], self.constant_begin[chosen + 1])[1]
         return self._replace(
@@ -47,12 +46,12 @@ class BlockTable(NamedTuple):
         )
 
 
-# The columns with one entry for each block.
+# Columns with one entry per block.
 ALIKE = ("angle", "kind", "width", "entries", "degree")
 
 
 def joined_tables(tables: Sequence[BlockTable]) -> BlockTable:
-    """Return the blocks of several tables, one after the other."""
+    """Concatenate tables of blocks."""
     if len(tables) == 1:
         return tables[0]
     joined: dict[str, Any] = {
@@ -64,19 +63,9 @@ def joined_tables(tables: Sequence[BlockTable]) -> BlockTable:
 
 
 def block_table(generators: Generators, u: Any) -> BlockTable:
-    """Take generators apart into blocks.
+    """Decompose generators, given by sorted nonzero entries, into blocks in the order of their angles.
 
-    Parameters
-    ----------
-    generators : Generators
-        Their nonzero entries, sorted.
-    u : number
-        Unit round-off of the number type, for the tests that are up to rounding.
-
-    Returns
-    -------
-    BlockTable
-        In the order of the angles.
+    `u` is the unit round-off of the number type, used in tests for equality up to rounding.
     """
     sets, sheared, depth = components_of(generators)
     width = sets.width
@@ -120,7 +109,7 @@ def _table(
     constant_begin: Any,
     constants: Any,
 ) -> BlockTable:
-    """Make a table; what an index list is longer than its coordinates are the starts and columns of its entries."""
+    """Build a table; index entries beyond the coordinates of a block are its row starts and columns."""
     size = len(angle)
     widths = np.broadcast_to(width, size).astype(np.uint32)
     lengths = np.diff(begin) - widths
@@ -149,7 +138,7 @@ def _scales(sets: Components) -> BlockTable:
 
 
 def _planes(sets: Components) -> BlockTable:
-    """Return the ROTATE and PLANE blocks of two coordinates."""
+    """Build the ROTATE and PLANE blocks, of two coordinates."""
     matrix = np.repeat(0 * sets.value[sets.first[:-1]], 4).reshape(-1, 2, 2)
     matrix[sets.owner, sets.row, sets.column] = sets.value
     (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
@@ -166,7 +155,7 @@ def _planes(sets: Components) -> BlockTable:
 
 
 def _series(sets: Components, depth: Integers) -> BlockTable:
-    """Return the SERIES blocks of nilpotent patterns, finite sums."""
+    """Build the SERIES blocks of nilpotent patterns, whose exponentials are finite sums."""
     width, count, size = sets.width, sets.lengths, len(sets.angle)
     begin = starts_of(2 * width + 1 + count)
     index = np.empty(begin[-1], dtype=np.int64)
@@ -186,7 +175,7 @@ def _series(sets: Components, depth: Integers) -> BlockTable:
 
 
 def _larger(sets: Components, u: Any) -> BlockTable:
-    """Return the blocks of patterns with cycles; a lattice has equal ones at every site, which are classified once."""
+    """Build the blocks of patterns with cycles; equal blocks, as at the sites of a lattice, are classified once."""
     known: dict[Any, int] = {}
     models: list[Block] = []
     tails: list[Integers] = []
@@ -201,7 +190,7 @@ def _larger(sets: Components, u: Any) -> BlockTable:
             local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
             known[key] = len(models)
             models.append(model := larger_block(width[s], local, u))
-            given = model.kind == Kind.SERIES  # then the entries are those of D, and there may be very many
+            given = model.kind == Kind.SERIES  # its entries are those of D as given, possibly very many
             tails.append(_tail(width[s], row, column) if given else _tail_of(model))
             flat.append(np.array([*model.constants, *value] if given else _flat_constants(model), dtype=value.dtype))
         which[s] = known[key]
@@ -220,7 +209,7 @@ def _larger(sets: Components, u: Any) -> BlockTable:
 
 
 def _tail(width: int, row: Integers, column: Integers) -> Integers:
-    """Return what follows the coordinates of a block: where its rows begin, and the columns."""
+    """Return the sparse rows that follow the coordinates of a block: row starts, then columns."""
     return np.concatenate([starts_of(np.bincount(row, minlength=width)), column])
 
 
@@ -235,25 +224,7 @@ def _flat_constants(block: Block) -> list[Any]:
 
 
 def blocks_of(entries: Mapping[tuple[int, int], Any], u: Any) -> list[Block]:
-    """Take one sparse matrix D apart into blocks.
-
-    Parameters
-    ----------
-    entries : mapping
-        (row, column) -> nonzero value.
-    u : number
-        Unit round-off of the number type, for the tests that are up to rounding.
-
-    Returns
-    -------
-    list of Block
-        In the order of their first coordinates; a shear is one block for each of its entries.
-
-    Examples
-    --------
-    >>> [block.kind.name for block in blocks_of({(0, 1): -1.0, (1, 0): 1.0, (2, 3): 5.0}, 2.0**-53)]
-    ['ROTATE', 'SHEAR']
-    """
+    """Decompose one sparse matrix D, (row, column) -> nonzero value, into blocks sorted by first coordinate."""
     keys = sorted(entries)
     given = [entries[key] for key in keys]
     values = np.array(given, dtype=np.float64 if all(isinstance(value, float) for value in given) else object)

@@ -1,4 +1,4 @@
-"""Kinds of blocks: which closed form gives exp(theta D) on a connected set of coordinates."""
+"""Kinds of blocks: the closed forms of exp(theta D) on a connected set of coordinates."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 
 class Kind(IntEnum):
-    """How exp(theta D) - 1 acts on a block.
+    """Closed form of exp(theta D) - 1 on a block.
 
-    SCALE: one coordinate, expm1(theta d). ROTATE: (0, -w; w, 0). PLANE: any other 2 x 2, by the entire functions
-    sinh(sqrt z)/sqrt z and cosh(sqrt z) - 1, without a discriminant to decide. SHEAR: D^2 = 0 with no coordinate both
-    source and target. CUBIC: D^3 = lam D, two terms (Rodrigues' formula in any basis). SERIES: a finite sum where D is
-    nilpotent, else the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
+    SCALE: one coordinate, expm1(theta d). ROTATE: (0, -w; w, 0). PLANE: any other 2 x 2 matrix, by the entire functions
+    sinh(sqrt z)/sqrt z and cosh(sqrt z) - 1, so without a case distinction on the discriminant. SHEAR: D^2 = 0, no
+    coordinate both source and target. CUBIC: D^3 = lam D, two terms (Rodrigues' formula in any basis). SERIES: a finite
+    sum if D is nilpotent, else the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
     """
 
     SCALE = 0
@@ -30,23 +30,23 @@ class Kind(IntEnum):
     SERIES = 5
 
 
-# Degree of the Taylor series in a substep of norm at most 1: the rest, 1/21! = 2e-20, has one sign and must not add up
-# over the steps.
+# Degree of the Taylor series in a substep of norm <= 1. The remainder, 1/21! = 2e-20, has one sign and must not
+# accumulate over the steps.
 TAYLOR_DEGREE = 20
-# Constants of a CUBIC block before the values of its entries.
+# Number of constants of a CUBIC block before the values of its entries.
 CUBIC_HEADER = 6
-# Larger matrices are not multiplied to tell their kind where one of their columns tells it.
+# Above this size one column is tested before whole matrix products are formed.
 MOST_MULTIPLIED = 64
 MOST_SUBSTEPS = 4096
-"""Substeps of norm one that a SERIES block takes at most: no step of use needs more."""
+"""Largest number of substeps of norm one in a SERIES block; longer flows are rejected."""
 
 
 class Block(NamedTuple):
-    """One block: its kind, coordinates (in the order of its formula), constants, and entries for CUBIC and SERIES.
+    """One block: kind, coordinates in the order of its formula, constants, and entries for CUBIC and SERIES.
 
-    An entry is (row, column, value of D), of a CUBIC block followed by the value of D^2 and what its rounding left. The
-    constants of a CUBIC block are lam, sqrt(abs(lam)), 1/sqrt(abs(lam)) and 1/lam, the last two each followed by what
-    its rounding left; of a SERIES block its norm (zero where it is nilpotent). `degree` is the last power of a series.
+    An entry is (row, column, value of D); for CUBIC blocks followed by the value of D^2 and its rounding error.
+    Constants of CUBIC: lam, sqrt(abs(lam)), then 1/sqrt(abs(lam)) and 1/lam, each followed by its rounding error; of
+    SERIES: the 1-norm (zero if nilpotent). `degree` is the highest power of a series.
     """
 
     kind: Kind
@@ -57,22 +57,9 @@ class Block(NamedTuple):
 
 
 def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> Block:
-    """Return the block of a connected matrix of three or more coordinates, numbered from 0, with a cycle in its
-    pattern.
+    """Classify a connected matrix of size >= 3 whose pattern has a cycle as CUBIC or SERIES.
 
-    Parameters
-    ----------
-    size : int
-        Number of coordinates.
-    local : tuple of (row, column, value)
-        Its entries, sorted.
-    u : number
-        Unit round-off of the number type.
-
-    Returns
-    -------
-    Block
-        CUBIC, or SERIES.
+    `local` has its sorted entries (row, column, value), numbered from 0; `u` is the unit round-off of the number type.
     """
     coordinates = tuple(range(size))
     rows, columns, values = (np.array(column) for column in zip(*local, strict=True))
@@ -94,8 +81,9 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
 
 
 def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> bool:
-    """Return whether one column of D^2 and of D^3 - lam D, that of the largest entry, is nonzero by far more than
-    rounding can do. Whole products of large matrices, which would say so too, take size^3 multiplications.
+    """Test whether D^2 and D^3 - lam D are nonzero, far beyond rounding, in the column of the largest entry of D.
+
+    Avoids the size^3 multiplications of full matrix products.
     """
 
     def times(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -118,8 +106,9 @@ def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values:
 
 
 def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
-    """Return the block with D^2, 1/sqrt(abs(lam)) and 1/lam to twice the precision: their rounding would turn a
-    rotation into one that always stretches, or always shrinks, by a little.
+    """Build a CUBIC block with D^2, 1/sqrt(abs(lam)) and 1/lam in twice the precision.
+
+    Rounding them to float64 would make a rotation systematically stretch or shrink.
     """
     if matrix.dtype == np.float64:
         square, lam = _exact_square(matrix)
@@ -135,7 +124,7 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
 
 
 def _exact_square(matrix: NDArray[np.float64]) -> tuple[NDArray[Any], Fraction]:
-    """Return D^2 in fractions, of the nonzero entries of D alone, and lam with D^3 = lam D at the largest entry."""
+    """Return D^2 in fractions at its nonzero entries, and lam of D^3 = lam D from the largest entry of D."""
     rows = [{j: Fraction(matrix[i, j]) for j in np.flatnonzero(matrix[i]).tolist()} for i in range(len(matrix))]
     square = np.full(matrix.shape, Fraction(0), dtype=object)
     for i, row in enumerate(rows):
@@ -159,7 +148,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _twice(value: Any) -> tuple[Any, Any]:
-    """Return a rational as two floats that add up to it; a number of any other type, and zero."""
+    """Split a fraction into two floats with its value as their sum; other numbers are followed by zero."""
     if not isinstance(value, Fraction):
         return value, 0 * value
     high = float(value)
@@ -171,6 +160,6 @@ def _vanishes(matrix: NDArray[Any], bound: NDArray[Any]) -> bool:
 
 
 def _cubic_factor(matrix: NDArray[Any], cube: NDArray[Any]) -> Any:
-    """Return the only lam that D^3 = lam D can hold with: the ratio at the largest entry of D."""
+    """Return the only possible lam of D^3 = lam D: the ratio at the largest entry of D."""
     largest = int(np.argmax(abs(matrix)))
     return cube.flat[largest] / matrix.flat[largest]

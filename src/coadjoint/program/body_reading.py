@@ -1,4 +1,4 @@
-"""The flow of free bodies read in any number type: the Taylor series of the motion, with its exact tangent map."""
+"""Flow of free bodies in any number type: Taylor series of the motion, with the exact tangent map."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ if TYPE_CHECKING:
     from coadjoint.program.reading import Reading
 
 Vectors = NDArray[Any]
-PIECE = 0.25  # radians and logarithms in one series
+PIECE = 0.25  # largest norm of tau times the generator in one series
 MOST_TERMS = 4096
 
 
 class Moving(NamedTuple):
-    """What a flow moves, or one term of its series: the momentum, and the rows of a group element and tangent vectors
-    where there are any.
-    """
+    """State of a flow, or a term of its series: momentum, and optionally a group element (rows) and tangent vectors."""
 
     x: Vectors
     group: Vectors | None
@@ -30,25 +28,10 @@ class Moving(NamedTuple):
 
 
 def flow_of_bodies(reading: Reading, part: int, tau: Any, moving: Moving) -> None:
-    """Move everything by the flow of a part that is made of free bodies, in place.
+    """Apply the flow of a part of free bodies over the time `tau`, in place.
 
-    Along x' = sum_a theta_a(x) D_a x with linear theta_a, every term of the series in time is bilinear in those before.
-
-    Parameters
-    ----------
-    reading : Reading
-        Of the program.
-    part : int
-        The part.
-    tau : number
-        The time.
-    moving : Moving
-        What is moved.
-
-    Raises
-    ------
-    ValueError
-        The body turns too far.
+    In x' = sum_a theta_a(x) D_a x with linear theta_a, each term of the time series is bilinear in the earlier ones.
+    Raises ValueError if the rotation angle is too large.
     """
     body = _Bodies(reading, part)
     count = reading.pieces(lambda: abs(tau) * body.speed(moving.x) / PIECE)
@@ -64,7 +47,7 @@ def flow_of_bodies(reading: Reading, part: int, tau: Any, moving: Moving) -> Non
 
 
 class _Entries(NamedTuple):
-    """Entries of a matrix, or of several, one after the other: `owner` is the generator that each belongs to."""
+    """Sparse entries of several matrices, one after the other; `owner` is the generator of each entry."""
 
     owner: NDArray[np.int64]
     row: NDArray[np.int64]
@@ -72,7 +55,7 @@ class _Entries(NamedTuple):
     value: NDArray[Any]
 
     def times(self, rates: NDArray[Any], vectors: Vectors) -> Vectors:
-        """Return sum_a rate_a D_a on vectors (n,) or (n, m)."""
+        """Apply sum_a rate_a D_a to vectors (n,) or (n, m)."""
         factors = rates[self.owner] * self.value
         moved = vectors[self.column] * (factors if vectors.ndim == 1 else factors[:, None])
         result = 0 * vectors
@@ -81,24 +64,24 @@ class _Entries(NamedTuple):
 
 
 class _Bodies:
-    """The generators and the angular velocities of one part."""
+    """Generators and angular velocities of one part."""
 
     def __init__(self, reading: Reading, part: int) -> None:
         program = reading.program
         first, last = (program.terms.row[program.share[p]] for p in (part, part + 1))
         self.terms = program.terms
-        # The first turn of a body has no weights.
+        # The first row of a body has no weights, and is not an angular velocity.
         self.rows = [r for r in range(int(first), int(last)) if self.terms.entry[r] < self.terms.entry[r + 1]]
         angles = [r - int(first) for r in self.rows]
         self.state = _entries(reading, program.state, part, angles)
         self.group = None if program.group is None else _entries(reading, program.group, part, angles)
 
     def speed(self, x: Vectors) -> Any:
-        """Return a bound of how fast vectors turn."""
+        """Bound the angular speed of vectors."""
         return sum(abs(rate) * max(abs(self.state.value), default=0) for rate in self.rates(x))
 
     def rates(self, x: Vectors) -> NDArray[Any]:
-        """Return the angular velocities along the generators, or their changes by the columns of x."""
+        """Return the angular velocities along the generators, or their derivatives along the columns of x."""
         terms, found = self.terms, np.empty((len(self.rows), *x.shape[1:]), dtype=x.dtype)
         for a, r in enumerate(self.rows):
             entries = range(terms.entry[r], terms.entry[r + 1])
@@ -106,7 +89,7 @@ class _Bodies:
         return found
 
     def next_term(self, terms: Sequence[Moving], tau: Any) -> Moving:
-        """Return the term of one order more, with its power of the time."""
+        """Return the next term of the series, times its power of tau."""
         n = len(terms)
         sums: list[Any] = [None if item is None else 0 * item for item in terms[0]]
         for k, term in enumerate(terms):
@@ -131,12 +114,12 @@ def _entries(reading: Reading, action: Action, part: int, angles: Sequence[int])
 
 
 def largest_of(term: Iterable[Vectors | None]) -> Any:
-    """Return the largest entry of each array of a term."""
+    """Return the largest absolute entry of each array of a term."""
     return [np.max(np.abs(item), initial=0) for item in term if item is not None]
 
 
 def pieces(reach: Any, ceil: Callable[[Any], int]) -> int:
-    """Return in how many pieces a flow goes that reaches so far; one that reaches too far is refused."""
+    """Return the number of pieces of a flow of length `reach`; raise ValueError if it is too long."""
     if not reach <= MOST_SUBSTEPS:
         raise ValueError(
             f"a free body turns too far in one step: it would take {float(reach):.3g} pieces, and at most "

@@ -1,4 +1,4 @@
-"""Bonds as parts: isotropic couplings between the momenta of two copies of so(3), each with its exact flow."""
+"""Bonds as parts: exact flows of isotropic couplings between the momenta of two copies of so(3)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import QuadraticTerm
 
 MOST_BONDS = 100_000
-BYTES_PER_BOND = 8000  # while the tables are made
+BYTES_PER_BOND = 8000  # peak memory of building the tables
 
 
 class Bond(NamedTuple):
-    """The energy strength z.w between the momenta z, w of two triples, in units of their scale."""
+    """The energy strength z.w of two triples with momenta z and w, in units of their scale."""
 
     first: int
     second: int
@@ -35,41 +35,20 @@ class Bond(NamedTuple):
 
 
 class Bonds(NamedTuple):
-    """The parts, which add up to H - sum c C, and the Casimirs C that were taken off; None where too long to write."""
+    """Parts that add up to H - sum c C, and the Casimirs C subtracted; None if too long to write."""
 
     parts: Parts
     shift: tuple[tuple[Polynomial, float], ...] | None
 
 
 def bonds(system: LiePoissonSystem) -> Bonds:
-    """Take a Hamiltonian apart into the exact flows of single bonds and what is left.
+    """Split a Hamiltonian into exact flows of single bonds and a remainder.
 
-    A bond is an isotropic coupling c z.w between the momenta z, w of two copies of so(3). It is c |z + w|^2/2 up to
-    Casimirs, so both momenta turn about their sum, which is constant, by the angle c tau |z + w|. Bonds that share no
-    momentum commute. They are coloured by first fit in the order of their momenta, and those of one colour are one
-    part. A field with several components is a rotation about its axis. All else becomes parts as for ``"auto"``.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-
-    Returns
-    -------
-    Bonds
-        The bonds first, colour after colour.
-
-    Raises
-    ------
-    ValueError
-        There is no such bond, there are too many, or the rest does not split.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> chain = co.systems.spin_lattice("chain", 4)
-    >>> [(share.coordinates, share.other) for share in bonds(chain).parts.bodies.values()]
-    [((0, 1, 2), (3, 4, 5)), ((6, 7, 8), (9, 10, 11)), ((3, 4, 5), (6, 7, 8))]
+    A bond c z.w couples the momenta z, w of two copies of so(3). Up to Casimirs it equals c |z + w|^2/2, so both
+    momenta rotate about the constant z + w by the angle c tau |z + w|. Bonds without a common momentum commute: edge
+    colouring by first fit makes each colour one part. A field with several components is a rotation about its axis. The
+    remainder is split as with ``"auto"``. Raises NotSplit if there are no bonds, too many, or the remainder does not
+    split.
     """
     commutation = Commutation(system.algebra)
     terms = terms_by_degree(system)
@@ -101,26 +80,8 @@ def bonds(system: LiePoissonSystem) -> Bonds:
 
 
 def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:
-    """Return a colour for each edge by first fit, in the order given: edges that share an end have different ones.
-
-    Parameters
-    ----------
-    edges : sequence of (int, int)
-        Pairs of numbers below `count`.
-    count : int
-        The number of ends.
-
-    Returns
-    -------
-    list of int
-        From 0; fewer than twice the largest number of edges at one end.
-
-    Examples
-    --------
-    >>> colours([(0, 1), (0, 2), (1, 2), (2, 3)], 4)
-    [0, 1, 2, 0]
-    """
-    used = [0] * count  # the bits are the colours at each end
+    """Colour edges by first fit in the order given; needs fewer than twice the largest degree of a node."""
+    used = [0] * count  # bit mask of the colours used at each node
     found = []
     for i, j in edges:
         free = ~(used[i] | used[j])
@@ -131,7 +92,7 @@ def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:
 
 
 def _ideals(algebra: LieAlgebra) -> list[Triple]:
-    """Return the triples that span so(3) and commute with all else."""
+    """Return the triples that span so(3) and commute with all other coordinates."""
     start, every = algebra.actions
     return [
         triple
@@ -141,7 +102,7 @@ def _ideals(algebra: LieAlgebra) -> list[Triple]:
 
 
 def _isotropic(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
-    """Return the couplings between two triples of one scale that are multiples of the unit matrix there."""
+    """Return the couplings between two triples of equal scale that are multiples of the identity."""
     home, axis = _places(spins, len(form.linear))
     one, two = home[form.rows], home[form.indices]
     between = np.flatnonzero((one >= 0) & (one < two))
@@ -155,7 +116,7 @@ def _isotropic(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
         rows, columns = axis[form.rows[entries]], axis[form.indices[entries]]
         first, second = pair[begin].tolist()
         scale = spins[first].scale
-        rounding = 0.0 if scale == (1.0, 1.0, 1.0) else 8 * UNIT_ROUNDOFF  # scales are roots
+        rounding = 0.0 if scale == (1.0, 1.0, 1.0) else 8 * UNIT_ROUNDOFF  # scales are square roots, hence rounded
         strengths = form.values[entries] / np.array(scale) ** 2
         alike = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
         if alike and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
@@ -164,7 +125,7 @@ def _isotropic(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
 
 
 def _places(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return for each coordinate its triple, -1 for none, and its number in it."""
+    """Return the triple of each coordinate (-1 if none), and its index in the triple."""
     home, axis = np.full(dim, -1), np.full(dim, -1)
     inside = np.array([triple.coordinates for triple in spins])
     home[inside], axis[inside] = np.arange(len(spins))[:, None], np.arange(3)
@@ -172,11 +133,11 @@ def _places(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArr
 
 
 def _shares(found: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int]) -> Parts:
-    """Return one share for each bond, by colours."""
+    """Build one share per bond, and one part per colour."""
     order = np.argsort(colour, kind="stable").tolist()
     own = [found[k] for k in order]
     ends = np.array([(spins[b.first].coordinates, spins[b.second].coordinates) for b in own])  # (bonds, 2, 3)
-    pairs = np.sort(ends, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # those of the turns about 3, 1, 2, 3
+    pairs = np.sort(ends, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a free body: axes 3, 1, 2, 3
     count = len(own)
     squares = np.array([np.square(spins[b.first].scale) for b in own])
     strengths = np.array([b.strength for b in own])[:, None] * squares
@@ -210,7 +171,7 @@ def _shares(found: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int
 def _left_of(
     form: QuadraticTerm, found: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
 ) -> QuadraticTerm | None:
-    """Return what is left of a quadratic term without the bonds and the fixed axes; None where nothing is."""
+    """Return a quadratic term without the bonds and the fixed axes; None if nothing is left."""
     home, _ = _places(spins, len(form.linear))
     count = len(spins)
     bonded = np.array([k for b in found for k in (b.first * count + b.second, b.second * count + b.first)])
@@ -225,7 +186,7 @@ def _left_of(
 
 
 def _squares(found: Sequence[Bond], spins: Sequence[Triple], dim: int) -> Polynomial:
-    """Return the Casimir that the bonds have taken off: -c (|z|^2 + |w|^2)/2 for each."""
+    """Return the Casimir subtracted by the bonds: the sum of -c (|z|^2 + |w|^2)/2."""
     total = np.zeros(len(spins))
     for bond in found:
         total[[bond.first, bond.second]] -= 0.5 * bond.strength

@@ -1,4 +1,4 @@
-"""How many products of monomials do the brackets of a modified Hamiltonian take? Counted before any is made."""
+"""Cost estimate of a modified Hamiltonian: number of products of monomials in its brackets, from sparsity alone."""
 
 from __future__ import annotations
 
@@ -11,41 +11,19 @@ from coadjoint.program.parts import Parts
 from coadjoint.program.sparse_rows import SparseRows
 
 LARGEST = 1500
-"""Dimension up to which products are counted. Larger systems are lattices, whose brackets are short."""
+"""Largest dimension for which products are counted. Larger systems are lattices, whose brackets are short."""
 LARGEST_CUBIC = 400
-"""Dimension up to which brackets of brackets are counted, with n^3 bytes."""
+"""Largest dimension for which nested brackets are counted, which takes n^3 bytes."""
 LOOKS = 6
-"""How often the brackets so far are counted on the way through the parts."""
+"""Number of points along the parts at which the brackets are counted."""
 
 
 def products_ahead(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
-    """Return about how many products of monomials `sweep_logarithm` takes at least, from the sparsity alone.
+    """Estimate a lower bound on the products of monomials in `sweep_logarithm`, from the sparsity pattern.
 
-    The part p acts on the series R of the parts behind it, once for the h^2 term, and for higher ones on what comes of
-    that. Products up to h^3 are counted, which are few beside those of higher powers.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra whose bracket is taken.
-    parts : Parts
-        Of a quadratic Hamiltonian.
-    highest : int
-        Power of h of the last term.
-
-    Returns
-    -------
-    float
-        0 where nothing is known: for parts that are no quadratic forms, and for very large systems.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> from coadjoint.program.split import split
-    >>> M = [[3.0, 1.0, 1.0], [1.0, 3.0, 1.0], [1.0, 1.0, 3.0]]
-    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M))
-    >>> products_ahead(body.algebra, split(body, "auto"), 3)
-    151.0
+    Part p acts on the series R of the parts after it. Products up to h^3 are counted, few compared with those of higher
+    powers up to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large
+    systems.
     """
     n = algebra.dim
     if highest < 2 or parts.special or n > LARGEST:
@@ -53,9 +31,9 @@ def products_ahead(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
     i, j, k, _ = algebra.triples
     acting = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k])
     cubic = highest > 2 and n <= LARGEST_CUBIC
-    slopes = np.zeros((n, n), dtype=bool)  # slopes[i]: the coordinates in the derivative of R_1 by x_i
-    second = np.zeros((n, n, n) if cubic else 0, dtype=bool)  # second[m]: the pairs that stand beside x_m in R_2
-    counts = np.zeros(n)  # counts[i]: the monomials in the derivative of R_2 by x_i
+    slopes = np.zeros((n, n), dtype=bool)  # slopes[i]: coordinates in dR_1/dx_i
+    second = np.zeros((n, n, n) if cubic else 0, dtype=bool)  # second[m]: pairs that multiply x_m in R_2
+    counts = np.zeros(n)  # counts[i]: monomials in dR_2/dx_i
     every = max(1, len(parts) // LOOKS)
     total = 0.0
     angles = np.split(np.argsort(parts.part_of_angle, kind="stable"), np.cumsum(np.diff(parts.angle))[:-1])
@@ -91,8 +69,9 @@ def _field(
     shifted: bool,
     n: int,
 ) -> tuple[NDArray[np.float64], Integers]:
-    """Return the numbers of monomials in the components of the field of (form.x) (weights.x), and, as i n + k, where
-    J(x) form has x_k in the component i.
+    """Count the monomials in each component of the field of (form.x) (weights.x).
+
+    The second result encodes as i n + k where component i of J(x) form contains x_k.
     """
     row, column, k = acting
     there = form[column]
@@ -104,7 +83,7 @@ def _field(
 
 
 def _pairs(moved: Integers, slopes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which pairs of coordinates stand in the products of the two linear factors of a bracket, symmetric."""
+    """Return the symmetric pattern of coordinate pairs in the products of the two linear factors of a bracket."""
     n = len(slopes)
     linear = np.zeros((n, n), dtype=np.float32)
     linear[np.divmod(moved, n)] = 1.0
@@ -113,7 +92,7 @@ def _pairs(moved: Integers, slopes: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _beside(second: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return for each coordinate how many monomials contain it, of a cubic polynomial given by pairs."""
+    """Count for each coordinate the monomials that contain it, in a cubic polynomial given by pairs."""
     n = len(second)
     found = np.empty(n)
     for i in range(n):

@@ -1,4 +1,4 @@
-"""Parts that were chosen: an order, and multiples of Casimirs to take off; what `Splitting.tuned` returns inside."""
+"""Explicit choice of parts: an order, and multiples of Casimirs to subtract, as made by `Splitting.tuned`."""
 
 from __future__ import annotations
 
@@ -12,27 +12,12 @@ from coadjoint.wording import short
 
 @dataclass(frozen=True)
 class ChosenParts:
-    """An explicit choice of parts: those of ``parts="auto"`` after a given shift, in a given order.
+    """Explicit choice of parts: those of ``parts="auto"`` after a given shift, in a given order.
 
-    Parameters
-    ----------
-    order : tuple of int
-        Numbers of the parts as they come for the shifted Hamiltonian, first applied first.
-    shift : tuple of (str, float)
-        Name of a quadratic Casimir C and factor c: the parts add up to H - sum c C, which moves the momentum as H does.
-    linear : tuple of int
-        Coordinates whose coefficients in the linear term of H count as present where they are zero: so systems that
-        differ in these coefficients alone have the same parts.
-
-    Raises
-    ------
-    ValueError
-        If `order` is not a permutation.
-
-    Examples
-    --------
-    >>> ChosenParts((1, 0), (("|x|^2", 0.25),)).order
-    (1, 0)
+    `order` numbers the parts of the shifted Hamiltonian, first applied first, and must be a permutation. `shift` has
+    pairs of a quadratic Casimir's name and a factor c; the parts add up to H - sum c C, which generates the same
+    motion. `linear` lists coordinates whose linear coefficients count as present even if zero, so that systems that
+    differ only in these coefficients have the same parts.
     """
 
     order: tuple[int, ...]
@@ -61,7 +46,7 @@ class ChosenParts:
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> ChosenParts:
-        """Return the choice from its written form, ``{"order": [...], "shift": {...}, "linear": [...]}``."""
+        """Construct a choice from ``{"order": [...], "shift": {...}, "linear": [...]}``."""
         unknown = set(given) - {"order", "shift", "linear"}
         if unknown or "order" not in given:
             raise ValueError(
@@ -73,6 +58,6 @@ class ChosenParts:
         return cls(given["order"], tuple(shift.items()), given.get("linear", ()))
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the written form."""
+        """Return the mapping accepted by `from_mapping`."""
         present = {"linear": list(self.linear)} if self.linear else {}
         return {"order": list(self.order), "shift": dict(self.shift), **present}

@@ -1,4 +1,4 @@
-"""Which coordinates, and which parts, of a system commute?"""
+"""Commutation of coordinates, and of parts, of a system."""
 
 from __future__ import annotations
 
@@ -18,30 +18,26 @@ from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
 
 Pairs = tuple[Integers, Integers]
 
-# Forms are looked up in a dense table up to this many entries.
+# Largest number of entries of a dense lookup table of forms.
 LARGEST_TABLE = 1 << 22
 
 
 class Commutation:
-    """Which coordinates and parts of an algebra commute.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra.
-    """
+    """Commuting coordinates and parts of an algebra."""
 
     def __init__(self, algebra: LieAlgebra) -> None:
         self._algebra = algebra
 
     @property
     def pattern(self) -> Pairs:
-        """Which coordinates commute: equal for algebras that differ in the sizes of their constants alone."""
+        """Noncommuting pairs as compressed sparse rows; equal for algebras that differ only in the values of their
+        constants.
+        """
         return self._algebra.neighbours()
 
     @property
     def products(self) -> Integers:
-        """How many entries the generator of each coordinate has, shape (n,)."""
+        """The number of entries in the generator of each coordinate, shape (n,)."""
         return np.diff(self._algebra.actions[0])
 
     def first_clash(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
@@ -53,7 +49,7 @@ class Commutation:
         return (int(i[clash[0]]), int(j[clash[0]])) if clash.size else None
 
     def clashing(self, label: Integers) -> NDArray[np.bool_]:
-        """Return for each label whether two of the coordinates that have it do not commute; none has a negative one."""
+        """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
         i, j, _, _ = self._algebra.triples
         found = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
         both = label[i]
@@ -61,14 +57,14 @@ class Commutation:
         return found
 
     def touching(self, parts: Parts) -> Pairs:
-        """Return the pairs of parts (first <= second) with coordinates that do not commute, even if the forms do."""
+        """Return the pairs of parts (first <= second) with noncommuting coordinates, even if the forms commute."""
         if max(len(parts.offset), self._algebra.dim) > LARGEST_PATTERN:
             return self._touching(parts)
         where = (parts.forms.start, parts.forms.coordinate, parts.angle)
         return _remembered_touching(Pattern((self, parts), *where, *self.pattern))
 
     def clashes(self, parts: Parts, touching: Pairs) -> Pairs:
-        """Return those of the pairs of parts that touch which do not commute, the first number below the second."""
+        """Select the noncommuting pairs from touching pairs of parts, first < second."""
         first, second = touching
         apart = first != second
         first, second = first[apart], second[apart]
@@ -91,7 +87,7 @@ class Commutation:
         start, holder = starts_of(held), part[order]
         if int(held[i] @ held[j]) > count * (count + 1) // 2:
             if max(count, size) ** 2 <= LARGEST_TABLE:
-                # Numbers of pairs of coordinates, which in float32 are zero only where there are none.
+                # Counts of coordinate pairs; float32 suffices, since only zero or nonzero matters.
                 holds, apart = np.zeros((count, size), dtype=np.float32), np.zeros((size, size), dtype=np.float32)
                 holds[part, coordinate], apart[i, j], apart[j, i] = 1.0, 1.0, 1.0
                 first, second = np.nonzero(np.triu(holds @ apart @ holds.T))
@@ -106,7 +102,7 @@ class Commutation:
         return _without_repeats(np.minimum(one, other), np.maximum(one, other))
 
     def _forms_commute(self, parts: Parts, first: Integers, second: Integers) -> NDArray[np.bool_]:
-        """Return for pairs of parts whether every form of one commutes with every form of the other, to rounding."""
+        """Test for pairs of parts whether all their forms commute, up to rounding."""
         angle, forms, size = parts.angle, parts.forms, self._algebra.dim
         count = np.diff(angle)
         pair, place = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
@@ -151,7 +147,7 @@ def _remembered_touching(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
 
 
 class _Lookup:
-    """The value of forms at coordinates, zero where a form has none."""
+    """Coefficient lookup of sparse forms by (form, coordinate); zero if absent."""
 
     def __init__(self, start: Integers, coordinate: Integers, value: NDArray[np.float64], size: int) -> None:
         owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
@@ -171,7 +167,7 @@ class _Lookup:
 
 
 def _pairs(start: Integers, holder: Integers, i: Integers, j: Integers) -> Pairs:
-    """Return every pair of a holder of i with a holder of j."""
+    """Return all pairs of a holder of i and a holder of j."""
     row, one = expand(start[i], start[i + 1])
     again, other = expand(start[j[row]], start[j[row] + 1])
     return holder[one[again]], holder[other]

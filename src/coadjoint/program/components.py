@@ -1,4 +1,4 @@
-"""Which coordinates does a generator connect? The sets of many generators at once, and what their patterns are like."""
+"""Connected components of the patterns of generators."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from coadjoint.program.sparse_rows import order_by, starts_of
 
 
 class Components(NamedTuple):
-    """Connected sets of coordinates, one after the other; set s has the members low[s] to low[s + 1] and the entries
-    first[s] to first[s + 1], each numbered in its set.
+    """Connected sets of coordinates by columns.
+
+    Set s has the members low[s] to low[s + 1] and the entries first[s] to first[s + 1], whose rows and columns are
+    local.
     """
 
     angle: Integers
@@ -28,7 +30,7 @@ class Components(NamedTuple):
     value: NDArray[Any]
 
     def take(self, chosen: Integers) -> Components:
-        """Return the chosen sets, in the order given."""
+        """Select sets, in the order given."""
         member = expand(self.low[chosen], self.low[chosen + 1])[1]
         entry = expand(self.first[chosen], self.first[chosen + 1])[1]
         return Components(
@@ -58,8 +60,10 @@ class Components(NamedTuple):
 
 
 def components_of(generators: Generators) -> tuple[Components, NDArray[np.bool_], Integers]:
-    """Return the connected sets by angle and first coordinate, which of them have no coordinate that is both source
-    and target, and the longest path in the pattern of the others (-1 where it has a cycle).
+    """Return the connected sets by angle and first coordinate, a shear flag and a depth for each.
+
+    A shear has no coordinate that is both source and target. The depth of other sets is the longest path in their
+    pattern, -1 if it has a cycle.
     """
     angle, row, column, value = generators
     size = int(max(row.max(initial=0), column.max(initial=0))) + 1
@@ -97,7 +101,7 @@ def components_of(generators: Generators) -> tuple[Components, NDArray[np.bool_]
 
 
 def _depths(label: Integers, chosen: NDArray[np.bool_], source: Integers, target: Integers) -> Integers:
-    """Return the number of edges on the longest path in each chosen set, -1 where there is a cycle."""
+    """Return the number of edges on the longest path in each chosen set; -1 if it has a cycle."""
     own = chosen[label[target]]
     layer = layers(len(label), source[own], target[own])
     depth = np.zeros(len(chosen), dtype=np.int64)

@@ -1,8 +1,8 @@
-"""Of which Lie series is a composition of sweeps the exponential? The same one for all systems.
+"""Logarithm of a composition of sweeps as a Lie series, the same for all systems.
 
 A forward sweep over the step h is exp(h Y1 + h^2 Y2 + ...) with free letters Y1, Y2, ...; a backward one is its
-adjoint, and has (-1)^(k+1) Yk. Where a Sweep says `turn`, two rational rotations of one part meet and turn as one. That
-differs from two rotations, and the difference has letters of its own.
+adjoint, with (-1)^(k+1) Yk. A `turn` merges two adjacent rational rotations of one part into one. The merged rotation
+differs from the two separate ones, and the difference has letters of its own.
 """
 
 from __future__ import annotations
@@ -31,32 +31,25 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
 
 BITS = 320
-"""Precision of balls: half as much again as the longest coefficients have."""
+"""Precision (bits) of balls: 1.5 times that of the longest coefficients."""
 
 SHORT = 30
-"""A decimal text of fewer digits is a rational number; a longer one was rounded, by half a unit of its last digit."""
+"""Decimal texts with fewer digits are exact; longer ones were rounded, to half a unit in the last digit."""
 
 
 class Letter(NamedTuple):
-    """A letter h^weight Y: that of a sweep, or that of the first or last part where two sweeps meet."""
+    """A letter h^weight Y: of a sweep, or of the first or last part where two sweeps meet."""
 
     weight: int
     place: str = "sweep"
 
 
 class Coordinates(NamedTuple):
-    """The Lie series of a step: for each weight the factors of the brackets of Lyndon words.
+    """Lie series of a step: for each weight the coefficients of the brackets of Lyndon words.
 
-    Parameters
-    ----------
-    of_weight : sequence of mapping
-        At place w a mapping from Lyndon words of `Letter` to factors, `flint.fmpq` or `flint.arb`. Factors that are
-        zero are left out.
-    neglected : float
-        The largest factor that was taken as zero, because only rounding of the scheme's coefficients keeps an order
-        condition from holding. 0 where the conditions hold exactly.
-    exact : bool
-        Whether all factors are rational numbers.
+    `of_weight[w]` maps Lyndon words of `Letter` to nonzero `flint.fmpq` or `flint.arb`. `neglected` is the largest
+    coefficient set to zero, because an order condition holds only up to rounding of the scheme's coefficients; 0 if all
+    hold exactly. `exact` states whether all coefficients are rational.
     """
 
     of_weight: tuple[Mapping[Word, Any], ...]
@@ -65,7 +58,7 @@ class Coordinates(NamedTuple):
 
     @property
     def leading(self) -> int | None:
-        """The smallest weight above 1 that has a factor; None where no weight has one."""
+        """The smallest weight above 1 with a nonzero coefficient; None if there is none."""
         return next((w for w, found in enumerate(self.of_weight) if w > 1 and found), None)
 
 
@@ -78,25 +71,11 @@ def composition_logarithm(
     parts: int = 2,
     rational: bool = False,
 ) -> Coordinates:
-    """Return the Lie series of one step of a scheme.
+    """Return the Lie series of one step P K P^-1 of a scheme, up to the power h^highest.
 
-    Parameters
-    ----------
-    sweeps, after : sequence of Sweep
-        The sweeps of the kernel K and of the processor P, from `swept_exactly`; the step is P K P^-1.
-    highest : int
-        The largest weight, which is the power of h in the exponent.
-    order : int
-        The order that the scheme declares. Factors of its order conditions that are zero but for rounding are taken as
-        zero.
-    parts : int
-        Number of parts. With a single part, every sweep meets the next one.
-    rational : bool
-        Whether rotations are rational: then two flows of one part are not its flow over both.
-
-    Returns
-    -------
-    Coordinates
+    `sweeps` (of the kernel K) and `after` (of the processor P) are those of `swept_exactly`. Coefficients of the
+    conditions of the declared `order` that vanish up to rounding are set to zero. With a single part every sweep meets
+    the next one. With `rational` rotations, two flows of one part are not its flow over the total time.
 
     Examples
     --------
@@ -124,7 +103,7 @@ def _logarithm(
         kept: list[Mapping[Word, Any]] = [{}, {(Letter(1),): 1}]
         neglected, exact = 0.0, True
         for weight in range(2, highest + 1):
-            # Rounding of the coefficients themselves moves a condition by u times the sum of the terms in it.
+            # Rounding of the coefficients changes a condition by u times the sum of its terms.
             least = UNIT_ROUNDOFF * 8 * count * scale**weight if weight <= order else 0.0
             found, rest = lie_coordinates(element[weight], lyndon_words(letters, weight))
             assert all(_size_if_zero(value, 0.0) is not None for value in rest.values()), "the series is no Lie series"
@@ -140,7 +119,7 @@ def _logarithm(
 
 
 def _size_if_zero(value: Any, least: float) -> float | None:
-    """Return a bound of a number that counts as zero, and None of one that does not."""
+    """Return an upper bound of a number that counts as zero, and None for any other."""
     from flint import arb
 
     size = float(
@@ -152,7 +131,7 @@ def _size_if_zero(value: Any, least: float) -> float | None:
 
 def _product_of(sweeps: Sequence[Sweep], highest: int, alone: bool, rational: bool) -> Series:
     result = one(highest)
-    met: Any = 0  # the time over which the part has flowed at which the sweep before ended
+    met: Any = 0  # total time of the flow of the part at which the previous sweep ended
     before: Sweep | None = None
     for sweep in sweeps:
         c = sweep.coefficient
@@ -174,7 +153,7 @@ def _letters(coefficients: Mapping[int, Any], place: str, highest: int) -> Serie
 
 
 def _inverse(series: Series) -> Series:
-    """Return 1/(1 + r) = 1 - r + r^2 - ..."""
+    """Invert a series: 1/(1 + r) = 1 - r + r^2 - ..."""
     rest: Series = [{}, *({word: -value for word, value in some.items()} for some in series[1:])]
     result = power = one(len(series) - 1)
     for _ in series[1:]:
@@ -184,18 +163,8 @@ def _inverse(series: Series) -> Series:
 
 
 def swept_exactly(method: Swept) -> tuple[list[Sweep], list[Sweep]]:
-    """Return the sweeps and the processor of a scheme with rational coefficients, or balls around them.
-
-    Parameters
-    ----------
-    method : Swept
-        The scheme. Its coefficients are computed in rational numbers, or in balls where that cannot be done (a cube
-        root, say).
-
-    Returns
-    -------
-    sweeps, processor : list of Sweep
-        Coefficients of `flint.fmpq`, or of `flint.arb`.
+    """Return the sweeps and the processor of a scheme, with rational coefficients, or balls if irrational (a cube
+    root).
     """
     from flint import ctx
 
@@ -216,7 +185,7 @@ def _read(method: Swept, number: Callable[[Any], Any]) -> tuple[list[Sweep], lis
 
 
 def exact_or_ball(value: Any) -> Any:
-    """Return a coefficient as `flint.fmpq` where it is exact, else as a ball (`flint.arb`) that contains it.
+    """Convert a coefficient to `flint.fmpq` if exact, else to a ball (`flint.arb`) that contains it.
 
     Examples
     --------

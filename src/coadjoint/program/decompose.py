@@ -1,4 +1,4 @@
-"""Which splitting? Parts, their order, and how much of each quadratic Casimir is taken off the Hamiltonian first."""
+"""Choice of a splitting: parts, their order, and multiples of quadratic Casimirs to subtract from H."""
 
 from __future__ import annotations
 
@@ -28,30 +28,24 @@ from coadjoint.waiting import at
 
 SEED = 1993
 SAMPLES = 16
-# Larger systems keep their order: comparing orders costs n^3 operations.
+# Larger dimensions keep the natural order: comparing orders costs n^3 operations.
 LARGEST_COMPARED = 24
-# So many systems are compared at once. More do not fit into a cache.
+# Number of systems compared at once, limited by the processor cache.
 MOST_TOGETHER = 256
-# Multiplications that shifts may take. Where more than some 100 coordinates are all coupled, the first ones are tried.
+# Multiplications allowed for trying shifts; above about 100 fully coupled coordinates, only the first are tried.
 MOST_WORK = 1 << 26
 FEWEST_SHIFTS = 8
 WORK_PER_CONSTANT = 16
 CALLED = ("free_body", "bonds")
-"""Choices whose first parts turn momenta by an attitude, not about fixed axes."""
+"""Choices whose first parts rotate momenta by an attitude, not about fixed axes."""
 
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Parts in the order of a forward sweep, and the Casimirs taken off H; the momentum moves as without.
+    """Parts in the order of a forward sweep, and the Casimirs subtracted from H, which leave the motion unchanged.
 
-    Parameters
-    ----------
-    parts : Parts
-        The exact flows.
-    shift : tuple of (Polynomial, float), or None
-        Quadratic Casimirs C and factors c: the parts add up to H - sum c C. None where they are too long to be written.
-    choice : ChosenParts
-        What to pass as `parts` to get the same again.
+    `shift` has quadratic Casimirs C and factors c with parts that add up to H - sum c C; None if too long to write.
+    Passing `choice` as `parts` reproduces the decomposition.
     """
 
     parts: Parts
@@ -60,27 +54,12 @@ class Decomposition:
 
 
 def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
-    """Take the Hamiltonian of a system apart, by the algebra and H alone.
+    """Split the Hamiltonian of a system, deterministically, by the algebra and H alone.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    choice : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
-        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`), ``"bonds"`` single bonds (see `bonds`).
-        ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
-        removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
-        smallest. All other choices are taken as they stand.
-
-    Returns
-    -------
-    Decomposition
-        The same system gives the same one, always.
-
-    Raises
-    ------
-    ValueError
-        If the Hamiltonian does not split, or the choice does not fit the system.
+    ``"auto"`` minimises the number of parts: it joins commuting coordinates, subtracts quadratic Casimirs if that
+    removes a part or reduces the h^2 term, and orders the parts for the smallest h^2 term on a fixed sample.
+    ``"free_body"`` and ``"bonds"`` see `free_bodies` and `bonds`; other choices are used as given. Raises ValueError if
+    H does not split, or the choice does not fit the system.
     """
     if isinstance(choice, ChosenParts):
         return _chosen(system, choice)
@@ -99,13 +78,7 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
 
 
 def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
-    """Find the automatic decompositions of many systems at once, for `decompose`: the same ones, faster.
-
-    Parameters
-    ----------
-    systems : sequence of LiePoissonSystem
-        Of one dimension.
-    """
+    """Cache the automatic decompositions of many systems of one dimension at once, which is faster."""
     missing = [system for system in systems if system not in _FOUND]
     for k in range(0, len(missing), MOST_TOGETHER):
         some = missing[k : k + MOST_TOGETHER]
@@ -113,7 +86,7 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
             _FOUND[system] = found
 
 
-# Systems do not change. What was found for one is kept as long as the system lives, and serves all of its runs.
+# Systems are immutable, so decompositions are cached for the lifetime of the system.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 _CALLED: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition]] = {
     choice: WeakKeyDictionary() for choice in CALLED
@@ -122,51 +95,21 @@ _CHECKED: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
 
 
 class Candidate(NamedTuple):
-    """Casimirs taken off, and the parts of what is left."""
+    """Casimirs subtracted, and the parts of the shifted Hamiltonian."""
 
     shift: Shift
     parts: Parts
 
 
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
-    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at some points.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    points : ndarray, shape (k, n)
-        Where the term is compared.
-    t : float
-        Time.
-
-    Returns
-    -------
-    Decomposition
-        With its shift and order.
-    """
+    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n)."""
     return best_decompositions([system], points, t)[0]
 
 
 def best_decompositions(
     systems: Sequence[LiePoissonSystem], points: NDArray[np.float64], t: float = 0.0
 ) -> list[Decomposition]:
-    """Return `best_decomposition` of several systems, comparing them all at once.
-
-    Parameters
-    ----------
-    systems : sequence of LiePoissonSystem
-        Of one dimension.
-    points : ndarray, shape (k, n)
-        Where the term is compared.
-    t : float
-        Time.
-
-    Returns
-    -------
-    list of Decomposition
-        Each one the same as for its system alone.
-    """
+    """Return `best_decomposition` of several systems of one dimension, with all comparisons batched."""
     found = [candidates(system, len(points) > 0) for system in systems]
     pairs = [(system, one.parts) for system, own in zip(systems, found, strict=True) for one in own]
     orders = iter(best_orders(pairs, points, t))
@@ -182,12 +125,12 @@ def best_decompositions(
 
 
 def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
-    """Return the parts after each shift that leaves the fewest of them; one is enough where nothing is compared."""
+    """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
     found = [Candidate((), split(system, "auto", terms))]
     fewest = len(found[0].parts)
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
-    # For many shifts of a large system the parts are counted without being made.
+    # For many shifts of a large system the parts are counted without being built.
     counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
     work, spent = _work(system, found[0].parts), 0
     for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
@@ -206,17 +149,14 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
 
 
 def _work(system: LiePoissonSystem, parts: Parts) -> int:
-    """Return about how many multiplications parts take: each square takes its form off all entries that it has, and
-    the brackets of the algebra tell which parts commute.
-    """
+    """Estimate the multiplications to build parts: elimination of each square, and commutators of the algebra."""
     return int(np.sum(np.diff(parts.forms.start) ** 2)) + WORK_PER_CONSTANT * len(system.algebra.triples.c)
 
 
 def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
-    """Refuse by name a system that does not split, or to which the parts that were chosen do not fit.
+    """Raise ValueError, naming the scheme, if a system does not split or the chosen parts do not fit it.
 
-    The parts that a run finds by itself are not found here, which may take long. What was checked once is not checked
-    again.
+    The automatic parts are not computed here, which may be slow. Results are cached.
     """
     key = choice if isinstance(choice, str | tuple | ChosenParts) else None
     if key is not None and key in _CHECKED.get(system, ()):
@@ -233,7 +173,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
 
 
 def check_inputs_of_called(system: Any, choice: str, coordinates: Sequence[int]) -> None:
-    """Refuse inputs that would turn the axis of a part: coefficients of the coordinates of free bodies and of bonds."""
+    """Raise ValueError for inputs that change the axis of a part: on the coordinates of free bodies and bonds."""
     if isinstance(system, LiePoissonSystem):
         check_parts(system, choice, "Splitting")
         bodies = decompose(system, choice).parts.bodies.values()
@@ -250,7 +190,7 @@ def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
     casimirs, whole = quadratic_casimirs(system), system
     if choice.linear:
         if max(choice.linear) >= system.dim:
-            raise ValueError(f"parts count on coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
+            raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
         whole = with_all_present(system, choice.linear)
     parts = split(whole, "auto", shifted_terms(whole.hamiltonian.terms(), casimirs, choice.shift))
     if whole is not system:
@@ -270,7 +210,7 @@ def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choic
 
 @lru_cache(maxsize=32)
 def _sample(size: int) -> NDArray[np.float64]:
-    """Return fixed points of unit length: the choice must not depend on a state."""
+    """Return fixed points of unit length, shape (samples, n): the choice must not depend on a state."""
     if size > LARGEST_COMPARED:
         return np.zeros((0, size))
     points = np.random.default_rng(SEED).standard_normal((SAMPLES, size))

@@ -1,4 +1,4 @@
-"""What does a splitting do on a system? Parts, generators, kinds of blocks, operations a step."""
+"""Description of a splitting of a system: parts, generators, kinds of blocks, and operations per step."""
 
 from __future__ import annotations
 
@@ -16,28 +16,20 @@ from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MOST_SHOWN = 6
-# Multiplications with addition on the coordinates of one block.
+# Multiplications (with additions) per block.
 WORK = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
-# Multiplications in the turn of a free body over a short time.
+# Multiplications in the flow of a free body over a short time.
 BODY_WORK = 600
-# Of a bond, which turns its momenta without blocks.
+# Multiplications in the flow of a bond, which has no blocks.
 BOND_WORK = 60
 
 
 @dataclass(frozen=True)
 class PartDescription:
-    """One part.
+    """Description of one part, with counts for one flow of it.
 
-    Parameters
-    ----------
-    generators : tuple of str
-        The forms l_a, in the names of the basis.
-    blocks : dict
-        Kind of block -> how many, in the coadjoint action.
-    multiplications : int
-        Multiplications with addition in one flow of the part.
-    functions : int
-        Evaluations of sine with cosine, exponential, or of a user's function, in one flow.
+    `generators` has the forms l_a in basis names, `blocks` the number of blocks of each kind in the coadjoint action.
+    `multiplications` include the additions; `functions` counts sincos, exponentials, and calls of user functions.
     """
 
     generators: tuple[str, ...]
@@ -48,20 +40,10 @@ class PartDescription:
 
 @dataclass(frozen=True)
 class Description:
-    """A splitting of a system; printed, it reads as a short text.
+    """Description of a splitting of a system, with a readable `str`.
 
-    Parameters
-    ----------
-    system, method : str
-        What is described.
-    parts : tuple of PartDescription
-        In the order of a forward sweep.
-    shift : dict
-        Casimir -> the multiple of it that is taken off H.
-    flows : int
-        Flows of parts a step, the outer ones of neighbouring steps merged.
-    multiplications, functions : int
-        Operations a step.
+    `parts` are in the order of a forward sweep; `shift` maps Casimirs to the multiples subtracted from H. `flows`
+    (outer flows of neighbouring steps merged), `multiplications` and `functions` are per step.
     """
 
     system: str
@@ -88,20 +70,7 @@ class Description:
 
 
 def describe(system: LiePoissonSystem, method: Swept) -> Description:
-    """Describe a splitting of a system.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    method : Swept
-        The scheme.
-
-    Returns
-    -------
-    Description
-        To be read, or printed.
-    """
+    """Describe a splitting of a system; the result is printable."""
     program = build_program(system, method)
     parts = tuple(_part(system, program, number, part) for number, part in enumerate(program.parts))
     first, last = int(program.rows.section[1]), int(program.rows.section[2])
@@ -139,13 +108,13 @@ def _body_name(system: LiePoissonSystem, body: BodyShare) -> str:
 
 
 def bodies_of(program: Program, number: int) -> list[BodyShare]:
-    """Return the free bodies that one part is made of."""
+    """Return the free bodies of one part."""
     shares = range(int(program.parts.share[number]), int(program.parts.share[number + 1]))
     return [body for s, body in program.parts.bodies.items() if s in shares]
 
 
 def action_work(action: Action, number: int) -> tuple[int, int]:
-    """Return the multiplications, and the sines and the like, of the action of one part on one vector."""
+    """Return the multiplications and elementary function calls of the action of one part on one vector."""
     multiplications, functions = 0, 0
     for run in range(action.run[number], action.run[number + 1]):
         kind = Kind(int(action.kind[run]))
@@ -156,7 +125,7 @@ def action_work(action: Action, number: int) -> tuple[int, int]:
 
 
 def series_in(action: Action, number: int) -> int:
-    """Return how many blocks of one part are sparse series."""
+    """Count the SERIES blocks of one part."""
     runs = range(action.run[number], action.run[number + 1])
     return sum(int(action.angles[run]) * int(action.repeat[run]) for run in runs if action.kind[run] == Kind.SERIES)
 
@@ -168,7 +137,7 @@ def _block_work(action: Action, run: int, kind: Kind) -> int:
 
 
 def share_work(program: Program, number: int) -> tuple[int, int]:
-    """Return the multiplications, and the calls of functions, that the angles of one part take."""
+    """Return the multiplications and function calls for the angles of one part."""
     terms, bodies, multiplications, functions = program.terms, program.parts.bodies, 0, 0
     for term in range(program.share[number], program.share[number + 1]):
         rows = range(terms.row[term], terms.row[term + 1])

@@ -1,4 +1,4 @@
-"""The elementary functions of a number type."""
+"""Elementary functions of a number type."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from coadjoint.program.numbers import Number
 
 
 class Elementary(NamedTuple):
-    """The functions that the closed forms need, for one number type."""
+    """Elementary functions of the closed forms, for one number type."""
 
     sin: Callable[[Any], Any]
     cos: Callable[[Any], Any]
@@ -23,12 +23,12 @@ class Elementary(NamedTuple):
 
 
 def elementary(number: Number) -> Elementary:
-    """Return the elementary functions of a number type: Python's for float, the type's own context for mpmath."""
+    """Return the elementary functions of a number type: from `math` for float, from its own context for mpmath."""
     if number is float:
         return Elementary(math.sin, math.cos, math.atan, math.sinh, math.exp, math.expm1, math.sqrt, math.ceil)
     context: Any = getattr(type(number(1)), "context", None)
     if context is None:
-        raise TypeError(f"the plain reading knows float and mpmath numbers, not {type(number(1)).__name__}")
+        raise TypeError(f"the number type {type(number(1)).__name__} is not supported; use float or mpmath numbers")
     return Elementary(
         context.sin,
         context.cos,

@@ -1,4 +1,4 @@
-"""How few parts can a Hamiltonian have? Parts that commute are joined."""
+"""Joining of commuting parts into few parts."""
 
 from __future__ import annotations
 
@@ -12,26 +12,15 @@ from coadjoint.program.first_fit import first_fit
 from coadjoint.program.parts import Parts
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 
-# More parts than this are joined in the order given alone. A lattice has thousands, in an order that is good.
+# Above this number parts are joined in the given order only; lattices have thousands, in a good order.
 MOST_REORDERED = 64
 
 
 def few_parts(parts: Parts, commutation: Commutation) -> Parts:
-    """Join parts that commute: few, in a fixed order, not always the fewest (a clique cover is NP-hard).
+    """Join commuting parts, both input and result sorted by first coordinate, deterministically.
 
-    First fit in the given order and, where that leaves more than two, in the orders of most and of fewest clashes.
-
-    Parameters
-    ----------
-    parts : Parts
-        Sorted by their first coordinates.
-    commutation : Commutation
-        Of the algebra.
-
-    Returns
-    -------
-    Parts
-        Sorted by their first coordinates.
+    First fit in the given order; if more than two groups remain, also in the orders of most and of fewest clashes. Not
+    always the minimum, since a minimal clique cover is NP-hard.
     """
     if not len(parts):
         return parts
@@ -59,7 +48,7 @@ def _few_groups(count: int, clashes: Pairs, touching: Pairs) -> Integers:
 
 
 def _in_order(order: Integers, first: Integers, second: Integers) -> Integers:
-    """Return the groups of first fit where the parts come in the given order."""
+    """Return the groups of first fit in the given order."""
     place = np.argsort(order)
     low, high = np.minimum(place[first], place[second]), np.maximum(place[first], place[second])
     found = first_fit(len(order), low, high)

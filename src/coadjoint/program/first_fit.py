@@ -1,4 +1,4 @@
-"""Which things may share a group? First fit: each goes into the first group where it clashes with nothing."""
+"""First-fit grouping: each item joins the first group in which it has no conflict."""
 
 from __future__ import annotations
 
@@ -12,31 +12,16 @@ from coadjoint.program.layers import layers
 from coadjoint.program.sparse_rows import order_by, starts_of
 
 BITS = 64
-# Masks held in memory for cases that are tried at once.
+# Number of masks held in memory at once.
 ROOM = 1 << 22
 
 Masks = NDArray[np.uint64]
 
 
 def first_fit(count: int, first: Integers, second: Integers) -> Integers:
-    """Put 0, 1, 2, ... into groups, each into the first one without anything that it clashes with.
+    """Assign the items 0 ... count - 1 to groups by first fit; return the group of each, shape (count,).
 
-    Parameters
-    ----------
-    count : int
-        Number of things.
-    first, second : integer arrays of equal length
-        The pairs that clash, first < second.
-
-    Returns
-    -------
-    integer array, shape (count,)
-        The group of each, from 0, groups in the order in which they were opened.
-
-    Examples
-    --------
-    >>> first_fit(4, np.array([0, 1, 0]), np.array([1, 2, 2])).tolist()
-    [0, 1, 2, 0]
+    The pairs in conflict have first < second. Groups are numbered in the order in which they are opened.
     """
     masks = _masks(count, first, second, np.ones((count, 1), dtype=bool))[:, 0]
     word = np.argmax(masks != 0, axis=1)
@@ -44,26 +29,9 @@ def first_fit(count: int, first: Integers, second: Integers) -> Integers:
 
 
 def numbers_of_groups(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Integers:
-    """Return how many groups first fit opens where only some of the things are there, for many cases at once.
+    """Count the groups of `first_fit` for subsets of the items, for many cases at once.
 
-    Parameters
-    ----------
-    count : int
-        Number of things.
-    first, second : integer arrays of equal length
-        The pairs that clash, first < second.
-    present : ndarray of bool, shape (count, cases)
-        What is there.
-
-    Returns
-    -------
-    integer array, shape (cases,)
-
-    Examples
-    --------
-    >>> present = np.array([[True, True], [True, False], [True, True]])
-    >>> numbers_of_groups(3, np.array([0, 1]), np.array([1, 2]), present).tolist()
-    [2, 1]
+    `present` has shape (count, cases); the pairs in conflict have first < second.
     """
     at_once = max(1, ROOM // max(count, 1))
     found = [np.zeros(0, dtype=np.int64)]
@@ -75,9 +43,10 @@ def numbers_of_groups(count: int, first: Integers, second: Integers, present: ND
 
 
 def _masks(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Masks:
-    """Return the group of each thing in each case as one bit among words, (count, cases, words); no bit if absent.
+    """Return the group of each item in each case as one bit in words, (count, cases, words); no bit if absent.
 
-    Layer after layer: what clashes with nothing that comes before it, then what clashes with those alone, ...
+    Computed layer by layer: items without conflict with an earlier item, then those in conflict with the first layer
+    only, ...
     """
     layer = layers(count, first, second)
     order = order_by(second)
@@ -88,7 +57,7 @@ def _masks(count: int, first: Integers, second: Integers, present: NDArray[np.bo
     for low, high in pairwise(ends.tolist()):
         own = members[low:high]
         taken = np.zeros((len(own), *masks.shape[1:]), dtype=np.uint64)
-        if low:  # in the first layer nothing comes before
+        if low:  # the first layer has no predecessors
             _, places = expand(start[own], start[own + 1])
             taken = np.bitwise_or.reduceat(masks[earlier[places]], starts_of(start[own + 1] - start[own])[:-1], axis=0)
         if np.any(np.all(taken == ~np.uint64(0), axis=2)):

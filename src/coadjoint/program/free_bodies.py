@@ -1,4 +1,4 @@
-"""Free rigid bodies as parts: triples of coordinates that span so(3), each with a quadratic energy of its own."""
+"""Free rigid bodies as parts: triples of coordinates that span so(3), each with a quadratic energy."""
 
 from __future__ import annotations
 
@@ -22,43 +22,21 @@ from coadjoint.systems.terms import PolynomialTerm, QuadraticTerm, Term
 
 
 class Triple(NamedTuple):
-    """Three coordinates whose basis elements span so(3); see `BodyShare` for the scale."""
+    """Three coordinates whose basis elements span so(3); for the scale see `BodyShare`."""
 
     coordinates: tuple[int, int, int]
     scale: tuple[float, float, float]
 
 
 def free_bodies(system: LiePoissonSystem) -> Parts:
-    """Take a Hamiltonian apart into the exact flow of free rigid bodies and what is left.
+    """Split a Hamiltonian into the exact flow of free rigid bodies and a remainder.
 
-    A free body is a triple of basis elements that spans so(3) with all of the energy that is quadratic in its
-    coordinates. Its flow turns everything else in the algebra by its attitude. Bodies that commute are one part. A
-    linear term on a triple, as rotors give, is a rotation about a fixed axis, and a part of its own. All else becomes
-    parts as for ``"auto"``.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-
-    Returns
-    -------
-    Parts
-        The bodies first: of two parts A, D the h^2 term has {A, {A, D}}/24 and {D, {D, A}}/12, and D is the weak one.
-        The order does not depend on the linear term, which may be an input of a run.
-
-    Raises
-    ------
-    ValueError
-        No triple that spans so(3) has an energy that is quadratic in more than one of its coordinates, or the rest does
-        not split.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> top = co.systems.heavy_top((1, 2, 3))
-    >>> free_bodies(top).bodies[0].coordinates
-    (0, 1, 2)
+    A free body is a triple of basis elements that spans so(3), with the energy quadratic in its coordinates; its flow
+    rotates all other momenta by its attitude. Bodies that commute are one part. A linear term on a triple (rotors) is a
+    rotation about a fixed axis, and a part of its own. The remainder is split as with ``"auto"``. Raises NotSplit if no
+    triple has an energy quadratic in two coordinates or more, or the remainder does not split. The bodies come first:
+    for parts A, D the h^2 term is {A, {A, D}}/24 and {D, {D, A}}/12, and D is the weak part. The order is independent
+    of the linear term, which may be an input.
     """
     commutation = Commutation(system.algebra)
     terms = terms_by_degree(system)
@@ -83,12 +61,12 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
 
 
 def terms_by_degree(system: LiePoissonSystem) -> list[Term]:
-    """Return the terms of a Hamiltonian, polynomials as two: what is quadratic, and the rest."""
+    """Return the terms of a Hamiltonian, with each polynomial split into degree two or less, and the rest."""
     return [apart for term in system.hamiltonian.terms() for apart in _by_degree(term)]
 
 
 def _by_degree(term: Term) -> Iterable[Term]:
-    """Yield a polynomial as its piece of degree two or less and the rest; every other term as it is."""
+    """Yield the piece of degree two or less of a polynomial and the rest; other terms unchanged."""
     if not isinstance(term, PolynomialTerm) or term.piece is not None:
         yield term
         return
@@ -102,14 +80,7 @@ def _by_degree(term: Term) -> Iterable[Term]:
 
 
 def triples_of(algebra: LieAlgebra) -> list[Triple]:
-    """Return the triples of basis elements that span so(3), by their coordinates.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> triples_of(co.algebras.e(3))
-    [Triple(coordinates=(0, 1, 2), scale=(1.0, 1.0, 1.0))]
-    """
+    """Return the triples of basis elements that span so(3), sorted by coordinates."""
     bracket: dict[tuple[int, int], list[tuple[int, float]]] = {}
     for i, j, k, c in zip(*(column.tolist() for column in algebra.triples), strict=True):
         if c != 0:
@@ -128,7 +99,7 @@ def triples_of(algebra: LieAlgebra) -> list[Triple]:
 
 
 def _chosen(algebra: LieAlgebra, form: QuadraticTerm) -> list[Triple]:
-    """Return triples with a quadratic energy that commute with each other, those with the most entries of M first."""
+    """Choose commuting triples with a quadratic energy, those with the most entries of M first."""
     squares = [(-np.count_nonzero(_block(form, triple)), triple) for triple in triples_of(algebra)]
     chosen: list[Triple] = []
     start, every = algebra.actions
@@ -171,14 +142,14 @@ def _body(form: QuadraticTerm, triple: Triple) -> Parts:
 
 
 def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
-    """Return the part of a linear term on a triple: the rotation about its axis."""
+    """Build the part of a linear term on a triple: a rotation about its axis."""
     axis = [(i, float(form.linear[i])) for i in triple.coordinates if form.linear[i] != 0]
     coordinates, values = zip(*axis, strict=True)
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
 
 def _left_of(form: QuadraticTerm, inside: Any) -> QuadraticTerm | None:
-    """Return what is left of a quadratic term without the bodies; None where nothing is."""
+    """Return a quadratic term without the bodies; None if nothing is left."""
     kept = ~((inside[form.rows] >= 0) & (inside[form.rows] == inside[form.indices]))
     linear = np.where(inside >= 0, 0.0, form.linear)
     if not np.any(kept) and not np.any(linear):

@@ -1,4 +1,4 @@
-"""The generators of all angles: combinations of the matrices of the basis elements, as sparse entries."""
+"""Generators of all angles: linear combinations of the matrices of the basis elements, as sparse entries."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
 
 
 class Generators(NamedTuple):
-    """Nonzero entries of one matrix for each angle, sorted by angle, row and column."""
+    """Nonzero entries of one matrix per angle, sorted by angle, row and column."""
 
     angle: Integers
     row: Integers
@@ -24,7 +24,7 @@ class Generators(NamedTuple):
 
 
 class BasisMatrices:
-    """One sparse matrix for each basis element of the algebra, combined linearly on request."""
+    """One sparse matrix per basis element of the algebra, with lazy linear combinations."""
 
     def __init__(self, size: int, start: Integers, rows: Integers, columns: Integers, values: NDArray[Any]) -> None:
         self.size = size
@@ -32,13 +32,13 @@ class BasisMatrices:
 
     @classmethod
     def coadjoint(cls, algebra: LieAlgebra) -> BasisMatrices:
-        """Return D_i with J(x) e_i = D_i x: the action on momenta, (D_i)_jk = c_ji^k."""
+        """Construct D_i with J(x) e_i = D_i x: the action on momenta, (D_i)_jk = c_ji^k."""
         start, every = algebra.actions
         return cls(algebra.dim, start, every.j, every.k, every.c)
 
     @classmethod
     def on_group(cls, algebra: LieAlgebra, representation: NDArray[Any] | None) -> BasisMatrices:
-        """Return -rho_i^T (-D_i^T where None is given): the action on the rows of a group element, g' = -g rho."""
+        """Construct -rho_i^T (-D_i^T for None): the action on rows of a group element, g' = -g rho."""
         if representation is None:
             start, every = algebra.actions
             size, basis, rows, columns, values = algebra.dim, every.i, every.k, every.j, -every.c
@@ -50,23 +50,14 @@ class BasisMatrices:
         return cls(size, start, rows[order], columns[order], values[order])
 
     def products(self, forms: SparseRows) -> Integers:
-        """Return how many products are added up for each of the forms."""
+        """Count the products summed in the generator of each form."""
         cost = starts_of(np.diff(self._start)[forms.coordinate])
         return np.diff(cost[forms.start])
 
     def combinations(self, forms: SparseRows, number: Number) -> Iterator[Generators]:
-        """Yield sum_i form_i D_i of all forms, some angles at a time; entries that cancel up to rounding are dropped.
+        """Yield sum_i form_i D_i of all forms, in chunks of angles.
 
-        Parameters
-        ----------
-        forms : SparseRows
-            One form for each angle.
-        number : callable
-            Number type.
-
-        Yields
-        ------
-        Generators
+        Entries that cancel up to rounding are dropped.
         """
         cost = np.diff(self._start)[forms.coordinate]
         owner = forms.owner

@@ -1,4 +1,4 @@
-"""Layers of a directed acyclic graph: how long is the longest path to each node?"""
+"""Layers of a directed acyclic graph."""
 
 from __future__ import annotations
 
@@ -9,25 +9,9 @@ from coadjoint.program.sparse_rows import order_by, starts_of
 
 
 def layers(count: int, source: Integers, target: Integers) -> Integers:
-    """Return the number of edges on the longest path to each node, and -1 for what lies on a cycle or behind one.
+    """Return the length of the longest path to each node, shape (count,); -1 for nodes on or behind a cycle.
 
-    Layer after layer, each as a whole.
-
-    Parameters
-    ----------
-    count : int
-        Number of nodes.
-    source, target : integer arrays of equal length
-        The edges.
-
-    Returns
-    -------
-    integer array, shape (count,)
-
-    Examples
-    --------
-    >>> layers(5, np.array([0, 1, 0, 3, 4]), np.array([1, 2, 2, 4, 3])).tolist()
-    [0, 1, 2, -1, -1]
+    The edges lead from `source` to `target`. Computed layer by layer, each vectorised.
     """
     layer = np.full(count, -1, dtype=np.int64)
     waiting = np.bincount(target, minlength=count)

@@ -1,4 +1,4 @@
-"""The modified Hamiltonian of a splitting, term by term: parts as polynomials, put into universal coefficients."""
+"""Modified Hamiltonian of a splitting: polynomials of the parts, inserted into the universal Lie series."""
 
 from __future__ import annotations
 
@@ -15,16 +15,10 @@ FEWEST_BITS = 60
 
 
 class Balls(NamedTuple):
-    """A polynomial whose coefficients are known up to rounding.
+    """Polynomial with coefficients known up to rounding, as floats.
 
-    Parameters
-    ----------
-    coefficients : mapping
-        Exponents -> float, rounded from the ball.
-    radius : float
-        The largest radius of a ball, over the size of its middle.
-    neglected : float
-        A bound of the coefficients that were left out, because they are zero up to rounding.
+    `radius` is the largest radius of a ball relative to its midpoint, `neglected` a bound of coefficients dropped
+    because they are zero up to rounding.
     """
 
     coefficients: Mapping[tuple[int, ...], float]
@@ -33,16 +27,10 @@ class Balls(NamedTuple):
 
 
 class ModifiedSeries:
-    """The terms of h Y_1 + h^2 Y_2 + ... for a step: its Lie series, with polynomials for the letters.
+    """Terms of h Y_1 + h^2 Y_2 + ... for a step: its Lie series, with polynomials for the letters.
 
-    Parameters
-    ----------
-    commutators : Commutators
-        The bracket on the dual of the algebra.
-    flows : sequence of mappings
-        The parts in the order of a forward sweep, each a mapping j -> polynomial; see `sweep_logarithm`.
-    highest : int
-        The largest weight that will be asked for.
+    `flows` are the parts in the order of a forward sweep, each a mapping j -> polynomial (see `sweep_logarithm`), and
+    `highest` is the largest weight available.
     """
 
     def __init__(self, commutators: Commutators, flows: Sequence[Flow], highest: int) -> None:
@@ -70,19 +58,7 @@ class ModifiedSeries:
         return flow.get(letter.weight, self._commutators.ring.zero)
 
     def term(self, coordinates: Coordinates, weight: int) -> Exact | Balls:
-        """Return the term of a weight: exact where its factors are rational numbers, else known up to rounding.
-
-        Parameters
-        ----------
-        coordinates : Coordinates
-            The Lie series of a step.
-        weight : int
-            Power of h, from 2.
-
-        Returns
-        -------
-        fmpq_mpoly or Balls
-        """
+        """Return the term of one weight (power of h, >= 2): exact for rational coefficients, else balls."""
         from flint import arb, ctx
 
         own = coordinates.of_weight[weight]

@@ -1,4 +1,4 @@
-"""What a scheme adds to a polynomial Hamiltonian, from its table and its sweeps: H + h^p H_p + ..."""
+"""Terms of the modified Hamiltonian H + h^p H_p + ... of a scheme on a polynomial Hamiltonian."""
 
 from __future__ import annotations
 
@@ -22,16 +22,10 @@ from coadjoint.waiting import tell
 
 
 class ModifiedTerms(NamedTuple):
-    """Terms of a modified Hamiltonian.
+    """Terms of a modified Hamiltonian, {power of h: polynomial}, nonzero ones only.
 
-    Parameters
-    ----------
-    of_power : dict of int to Polynomial
-        Power of h -> its factor, in the coordinates and then the symbols of a ring; only those that are not zero.
-    radius : float
-        The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
-    neglected : float
-        Bound of the coefficients that were taken as zero.
+    The polynomials are in the coordinates, then the symbols of a ring. `radius` is the largest relative error of a
+    coefficient before rounding to float64 (0 if exact), `neglected` a bound of the coefficients set to zero.
     """
 
     of_power: dict[int, Polynomial]
@@ -40,7 +34,7 @@ class ModifiedTerms(NamedTuple):
 
 
 def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
-    """Return the Lie series of a step by a program; parameters are those of `composition_logarithm`."""
+    """Return the Lie series of a step by a program; for the arguments see `composition_logarithm`."""
     rational = bool(np.any(program.frequency != 0))
     return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)
 
@@ -53,26 +47,9 @@ def modified_terms(
     weights: Iterable[int],
     pieces: Sequence[Exact] | None = None,
 ) -> ModifiedTerms:
-    """Return the terms of some weights. The power of h is the weight less one.
+    """Return the terms of the given weights (>= 2); the power of h is the weight minus one.
 
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        On the dual of the algebra of the system.
-    system : LiePoissonSystem
-        With a polynomial Hamiltonian.
-    program : Program
-        The table of the splitting of the system.
-    coordinates : Coordinates
-        The Lie series of a step.
-    weights : iterable of int
-        The weights, from 2.
-    pieces : sequence of fmpq_mpoly, optional
-        The polynomials of the parts; by default those of the table.
-
-    Returns
-    -------
-    ModifiedTerms
+    `pieces` are the polynomials of the parts, by default those of the program.
     """
     wanted = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(wanted, default=1)
@@ -99,38 +76,14 @@ def modified_terms(
 
 
 def check_ahead(system: LiePoissonSystem, program: Program, highest: int) -> None:
-    """Refuse terms whose brackets take too many products, and say how long the others take, before any is made.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        With a polynomial Hamiltonian.
-    program : Program
-        The table of its splitting.
-    highest : int
-        The largest weight.
-    """
+    """Estimate the cost of the terms up to a weight: raise ValueError if it is too large, warn if slow."""
     count = products_ahead(system.algebra, program.parts, highest)
     check_products(count)
     tell("the modified Hamiltonian", SECONDS_PER_PRODUCT * count, "a lower order takes less")
 
 
 def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynomial:
-    """Return H_p of a scheme of order p: its step is the flow of H + h^p H_p + ...
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        With a polynomial Hamiltonian.
-    method : Swept
-        The scheme.
-    order : int
-        Its order p.
-
-    Returns
-    -------
-    Polynomial
-    """
+    """Return H_p of a scheme of order p, whose step is the flow of H + h^p H_p + ..."""
     program = build_program(system, method)
     coordinates = coordinates_of(program, *swept_exactly(method), order + 1, order)
     found = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])

@@ -1,4 +1,4 @@
-"""Every order of the parts at once: the h^2 term of each is a sum of the same brackets {A, {B, C}}."""
+"""The h^2 term of all orders of the parts, as sums of the same brackets {A, {B, C}}."""
 
 from __future__ import annotations
 
@@ -11,21 +11,12 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts import Parts
 from coadjoint.program.second_order import Floats, Samples
 
-# Brackets are differenced over this part of the size of a point. They are smooth, so the differences are right to about
-# (2^-14)^2.
+# Relative step of the central differences; brackets are smooth, so the relative error is about (2^-14)^2.
 NUDGE = 2.0**-14
 
 
 class NestedBrackets:
-    """The brackets {H_i, {H_j, H_k}}, j < k, of the pieces that belong to parts.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The bracket is {F, G} = (grad F)^T J(x) grad G.
-    parts : Parts
-        The pieces of the Hamiltonian, at least two.
-    """
+    """Brackets {H_i, {H_j, H_k}}, j < k, of the pieces of at least two parts; {F, G} = (grad F)^T J(x) grad G."""
 
     def __init__(self, algebra: LieAlgebra, parts: Parts) -> None:
         self.algebra, self.parts = algebra, parts
@@ -38,7 +29,7 @@ class NestedBrackets:
         return samples.nested_brackets(j, k)
 
     def gradients(self, points: Floats, t: float = 0.0) -> Floats:
-        """Return their gradients at points (k, n), shape (parts, pairs, k, n), by central differences."""
+        """Return the gradients at points (k, n), shape (parts, pairs, k, n), by central differences."""
         size = np.max(np.abs(points), axis=1, keepdims=True)
         nudge = NUDGE * np.where(size > 0.0, size, 1.0)
         columns = []
@@ -50,19 +41,9 @@ class NestedBrackets:
         return np.stack(columns, axis=-1)
 
     def weights(self, order: Sequence[int]) -> Floats:
-        """Return the factors of the brackets in H2, shape (parts, pairs), of parts in this order of a forward sweep.
+        """Return the coefficients of the brackets in H2, shape (parts, pairs), for an order of a forward sweep.
 
-        A part A with all later ones, D, contributes -{A, {A, D}}/24 + {D, {D, A}}/12.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> from coadjoint.program.split import split
-        >>> body = co.systems.paper_rigid_body()
-        >>> brackets = NestedBrackets(body.algebra, split(body, [[0], [1], [2]]).take(np.array([0, 1])))
-        >>> 24 * brackets.weights([0, 1])
-        array([[-1.],
-               [-2.]])
+        A part A followed by the sum D of all later ones contributes -{A, {A, D}}/24 + {D, {D, A}}/12.
         """
         place = {pair: number for number, pair in enumerate(self.pairs)}
         found = np.zeros((len(self.parts), len(self.pairs)))

@@ -1,4 +1,4 @@
-"""Number types of the plain reading: float64 arrays, or object arrays of exact or multiprecision numbers."""
+"""Number types of the reference interpreter: float64 arrays, or object arrays of exact or multiprecision numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Number = Callable[[Any], Any]
 
 
 def convert(number: Number, value: Any) -> Any:
-    """Return a float, integer, fraction or decimal string as a number of the wanted type, rounded at most once."""
+    """Convert a float, integer, fraction or decimal string to a number type, with one rounding at most."""
     if number is not float and isinstance(value, Fraction):
         return number(value.numerator) / number(value.denominator)
     if number is not float and isinstance(value, np.generic):
@@ -24,7 +24,7 @@ def convert(number: Number, value: Any) -> Any:
 
 
 def array_of(number: Number, values: Iterable[Any]) -> NDArray[Any]:
-    """Return the values as a float64 array, or as an object array for every other number type."""
+    """Return a float64 array for float, and an object array for other number types."""
     if number is float:
         given = values if isinstance(values, np.ndarray) else list(values)
         return np.ascontiguousarray(given, dtype=np.float64)
@@ -35,7 +35,7 @@ def array_of(number: Number, values: Iterable[Any]) -> NDArray[Any]:
 
 
 def roundoff(number: Number) -> Any:
-    """Return the unit round-off of a number type: half the gap between 1 and the next number."""
+    """Return the unit round-off of a number type: half the distance from 1 to the next number."""
     one = number(1)
     if number is float:
         return UNIT_ROUNDOFF

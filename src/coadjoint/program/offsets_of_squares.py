@@ -1,6 +1,6 @@
-"""How do completed squares depend on the linear term? Exactly, so that another linear term needs no new squares.
+"""Exact dependence of completed squares on the linear term, so that a new linear term needs no new squares.
 
-The forms l_r of the squares of x.M.x/2 do not depend on the linear term b; sum_r beta_r l_r = b gives the beta_r.
+The forms l_r of the squares of x.M.x/2 do not depend on the linear term b; the beta_r solve sum_r beta_r l_r = b.
 """
 
 from __future__ import annotations
@@ -21,19 +21,14 @@ from coadjoint.systems.linear_term import PRESENT
 
 
 class ExactSums(NamedTuple):
-    """Some sums over k of factors[r][k] b[coordinates[k]], each over denominators[r], rounded once."""
+    """Sums over k of factors[r][k] b[coordinates[k]], divided by denominators[r], rounded once."""
 
     coordinates: tuple[int, ...]
     factors: tuple[tuple[int, ...], ...]
     denominators: tuple[int, ...]
 
     def at(self, b: NDArray[np.float64]) -> list[float]:
-        """Return the sums for finite floats b, correctly rounded.
-
-        Raises
-        ------
-        OverflowError
-            One is too large for float64.
+        """Evaluate the sums for finite floats b, correctly rounded; raise OverflowError beyond float64.
 
         Examples
         --------
@@ -41,7 +36,7 @@ class ExactSums(NamedTuple):
         [0.16666666666666666, 0.25]
         """
         exact = [value.as_integer_ratio() for value in b.take(self.coordinates).tolist()]
-        # The denominators of floats are powers of two, so that the largest is a multiple of all.
+        # Denominators of floats are powers of two, so the largest is a common denominator.
         common = max([below for _, below in exact])
         whole = [above * (common // below) for above, below in exact]
         return [
@@ -51,23 +46,16 @@ class ExactSums(NamedTuple):
 
 
 class Reduced(NamedTuple):
-    """The linear terms of squares whose forms are floats: found by the operations of the reduction, in their order.
+    """Linear terms of squares with forms in floats, by the operations of the reduction in their order.
 
-    Each step has its pivots and the forms that it found, coordinates and values; `order` is where those stand among the
-    angles.
+    Each step has its pivots and its forms (coordinate -> value); `order` gives the position of each among the angles.
     """
 
     steps: tuple[tuple[tuple[int, ...], tuple[dict[int, float], ...]], ...]
     order: tuple[int, ...]
 
     def at(self, b: NDArray[np.float64]) -> list[float]:
-        """Return the linear terms for floats b, to the bits of squares that are made for them.
-
-        Raises
-        ------
-        OverflowError
-            One is too large for float64.
-        """
+        """Evaluate the linear terms bitwise as for newly completed squares; raise OverflowError beyond float64."""
         rest, found = b.tolist(), []
         for pivots, forms in self.steps:
             betas = split_linear([rest[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form in forms])
@@ -81,26 +69,10 @@ class Reduced(NamedTuple):
 
 
 def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduced]]:
-    """Return how the offsets of completed squares follow from the linear term of the Hamiltonian.
+    """Return (angles, offsets) for each set of coupled coordinates, as functions of the linear term.
 
-    Parameters
-    ----------
-    parts : Parts
-        Of a Hamiltonian. Forms of up to 16 coupled coordinates are exact numbers, others floats.
-
-    Returns
-    -------
-    list of (angles, ExactSums or Reduced)
-        For each set of coupled coordinates the angles of its squares, and their offsets. Single coordinates are left
-        out: their offset is the coefficient.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> from coadjoint.program.split import split
-    >>> M = [[1.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 2.0]]
-    >>> offsets_of_squares(split(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=[1.0, 2.0, 3.0]))))
-    [([0, 1], ExactSums(coordinates=(0, 1), factors=((1, 0), (-1, 2)), denominators=(1, 2)))]
+    Forms of up to 16 coupled coordinates are exact (`ExactSums`), others floats (`Reduced`). Uncoupled coordinates are
+    omitted: their offset is the coefficient itself.
     """
     forms = parts.forms
     linear = np.ones(len(parts.offset), dtype=bool)
@@ -127,7 +99,7 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduce
 
 
 def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> Reduced:
-    """Return the steps of the reduction from the forms that it found."""
+    """Recover the steps of the reduction from its forms."""
     steps: dict[int, tuple[tuple[int, ...], list[dict[int, float]]]] = {}
     inverse = np.argsort(pivots[:, 0], kind="stable")
     for place in inverse.tolist():
@@ -139,19 +111,9 @@ def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> Reduced:
 
 
 def with_offsets_of(parts: Parts, linear: NDArray[np.float64]) -> Parts:
-    """Return parts of a Hamiltonian with `PRESENT` in its linear term as those with the linear term that is meant.
+    """Replace `PRESENT` (zero coefficients kept as structure) by the linear term, shape (n,), in parts.
 
-    Parameters
-    ----------
-    parts : Parts
-        Of the Hamiltonian where coefficients that are zero are `PRESENT`.
-    linear : ndarray, shape (n,)
-        The coefficients.
-
-    Returns
-    -------
-    Parts
-        The same forms; a part may have angles that are always zero.
+    The forms are unchanged; some angles may be identically zero.
     """
     offset = parts.offset.copy()
     for angles, sums in offsets_of_squares(parts):

@@ -1,4 +1,4 @@
-"""In which order do parts move? In that of the smallest h^2 term, of all orders or by moving parts one by one."""
+"""Order of parts with the smallest h^2 term, by enumeration or by moving single parts."""
 
 from __future__ import annotations
 
@@ -14,35 +14,19 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import Term
 
 MOST_PERMUTED = 5
-# More parts than this keep their order: comparing them would take longer than many a run.
+# Above this number parts keep their order: comparing orders could take longer than a run.
 MOST_ORDERED = 8
-# Sizes that differ by rounding alone must not decide; so every machine chooses the same order.
+# Differences by rounding must not matter, so that the choice is the same on every machine.
 CLEARLY = 1.0 - 1e-9
 
 
 def best_order(
     system: LiePoissonSystem, parts: Parts, points: NDArray[np.float64], t: float = 0.0
 ) -> tuple[tuple[int, ...], float]:
-    """Return the order of the parts with the smallest root mean square of the h^2 term at some points, and that size.
+    """Return the order with the smallest root mean square of the h^2 term at `points` (k, n), and that value.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    parts : Parts
-        At most five are permuted in every way, up to eight are moved one by one while that helps, and more keep
-        their order.
-    points : ndarray, shape (k, n)
-        Where the term is taken; none for a system too large to compare.
-    t : float
-        Time.
-
-    Returns
-    -------
-    order : tuple of int
-        The natural order where the term cannot be computed (no second derivatives, or a system too large).
-    size : float
-        Root mean square of the h^2 term; zero where it cannot be computed.
+    Up to five parts are permuted in all ways, up to eight moved one by one as long as that helps; more keep their
+    order. The natural order and zero are returned if the term is not available (no second derivatives, or no points).
     """
     return best_orders([(system, parts)], points, t)[0]
 
@@ -58,7 +42,7 @@ def best_orders(
         if len(parts) > 1 and len(points) and _has_hessians(terms):
             pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
             quadratic = all(term.form is not None for term in terms)
-            # Many parts are moved one by one, for each set on its own.
+            # Many parts are moved one by one, separately for each set.
             key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MOST_PERMUTED else m
             alike.setdefault(key, []).append(m)
     for members in alike.values():
@@ -81,19 +65,9 @@ def _least(samples: Samples, natural: tuple[int, ...]) -> list[tuple[tuple[int, 
 def least_of_orders(
     natural: tuple[int, ...], sizes: Callable[[Sequence[tuple[int, ...]]], Sequence[float]]
 ) -> tuple[tuple[int, ...], float]:
-    """Return the order of few parts that is least by a measure, and how much that is.
+    """Minimise a measure over the orders of few parts; return the order and its measure.
 
-    Parameters
-    ----------
-    natural : tuple of int
-        Numbers of the parts: the order to begin with, which is kept unless another one is clearly less.
-    sizes : callable
-        The measure of several orders.
-
-    Returns
-    -------
-    order : tuple of int
-    size : float
+    The search starts from `natural`, which is kept unless another order is clearly better.
     """
     if len(natural) <= MOST_PERMUTED:
         orders = list(permutations(natural))

@@ -1,4 +1,4 @@
-"""Which polynomial is the piece of the Hamiltonian that belongs to a part?"""
+"""Pieces of the Hamiltonian that belong to parts, as polynomials."""
 
 from __future__ import annotations
 
@@ -14,38 +14,14 @@ from coadjoint.algebra.monomials import Exponents
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 
-# A completed square may have numerators of thousands of digits. Then the floats are taken, as in a run.
+# Completed squares may have numerators of thousands of digits; above this size floats are used, as in a run.
 MOST_BITS = 512
 
 
 def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
-    """Return the pieces of the Hamiltonian that belong to parts, as polynomials.
+    """Return the piece of the Hamiltonian of each part, whose gradient is sum_a l_a theta_a.
 
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        On the dual of the algebra.
-    parts : Parts
-        Their forms l_a and angle rules.
-
-    Returns
-    -------
-    list of fmpq_mpoly
-        One for each part; its gradient is sum_a l_a theta_a.
-
-    Raises
-    ------
-    TypeError
-        If a part is a function of Python.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> from coadjoint.program.split import split
-    >>> top = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25], linear=[0.0, 3.0, 0.0]))
-    >>> ring = ExactPolynomials(top.algebra)
-    >>> [ring.polynomial(piece) for piece in part_polynomials(ring, split(top, "coordinates"))]
-    [(1/2)*x1^2, 3*x2 + (1/4)*x2^2, (1/8)*x3^2]
+    Raises TypeError if a part is a Python function.
     """
     found = [ring.zero for _ in range(len(parts))]
     for angle, p in enumerate(parts.part_of_angle.tolist()):
@@ -80,7 +56,7 @@ def form_of(ring: ExactPolynomials, coordinates: list[int], values: list[Any]) -
 
 
 def number_of(value: Any) -> Any:
-    """Return a number of the table as a rational one; a number of too many digits is rounded to the float of a run."""
+    """Convert a number to a rational one; above `MOST_BITS` it is first rounded to float64, as in a run."""
     exact = Fraction(exact_number(value))
     long = exact.numerator.bit_length() + exact.denominator.bit_length() > MOST_BITS
     return rational(float(exact) if long else exact)
@@ -89,30 +65,11 @@ def number_of(value: Any) -> Any:
 def with_given_coefficients(
     ring: ExactPolynomials, parts: Parts, pieces: Sequence[Exact], H: Polynomial, factors: Mapping[Exponents, Exact]
 ) -> list[Exact]:
-    """Return the pieces of parts with the coefficients of H as given, or with symbols, in place of those of a run.
+    """Replace the coefficients in the pieces of parts by those of H as given, or by symbols.
 
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        On the dual of the algebra.
-    parts : Parts
-        Parts of H itself, without a Casimir taken off. Each depends on coordinates, not on other linear forms.
-    pieces : sequence of fmpq_mpoly
-        The polynomials of the parts.
-    H : Polynomial
-        The Hamiltonian, whose coefficients may be fractions.
-    factors : mapping
-        Exponents of some monomials of H -> the polynomial in symbols that stands for the coefficient.
-
-    Returns
-    -------
-    list of fmpq_mpoly
-        The polynomials of the parts. A part that is not made of monomials of H is returned as it is.
-
-    Raises
-    ------
-    ValueError
-        There are symbols, and a part is not made of monomials of H.
+    H, without Casimirs subtracted, may have fractions; `factors` maps exponents of its monomials to polynomials in
+    symbols. Each part must depend on coordinates, not on other linear forms. Parts not made of monomials of H are
+    returned unchanged; with symbols they raise ValueError.
     """
     lengths, values = np.diff(parts.forms.start), parts.forms.value
     whole = bool(np.all(lengths == 1) and np.all(np.asarray(values == 1, dtype=bool)))

@@ -1,4 +1,4 @@
-"""Parts: commuting linear forms and the piece of the Hamiltonian that depends on them alone."""
+"""Parts: commuting linear forms, and the piece of the Hamiltonian that depends on them alone."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.systems.terms import FunctionTerm
 
 @dataclass(frozen=True)
 class PolynomialShare:
-    """Angles are the derivatives of a polynomial with respect to the given coordinates."""
+    """Angles that are the derivatives of a polynomial with respect to the given coordinates."""
 
     coordinates: tuple[int, ...]
     polynomial: Polynomial
@@ -26,29 +26,20 @@ class PolynomialShare:
 
 @dataclass(frozen=True)
 class FunctionShare:
-    """Angles are the gradient of a user function of the term's coordinates."""
+    """Angles that are the gradient of a user function of the term's coordinates."""
 
     term: FunctionTerm
 
 
 @dataclass(frozen=True)
 class BodyShare:
-    """The flow of a free rigid body, or of a bond: its forms do not commute, and its angles change on the way.
+    """Flow of a free rigid body, or of a bond: its forms do not commute, and its angles vary during the flow.
 
-    The rows of the share are linear like others, and their forms and weights are the energy. They are the coordinates
-    3, 1, 2, 3 of the triple, the first without weights: the turns that compiled loops write the flow as. A bond turns
-    two triples about their sum: its forms are sums of two coordinates, one of each.
-
-    Parameters
-    ----------
-    coordinates : (int, int, int)
-        The triple.
-    matrix : tuple of tuples, (3, 3)
-        The energy is x.M.x/2 on the triple; of a bond on the sum of both, and three equal moments.
-    scale : (float, float, float)
-        The basis elements times these have the brackets [1, 2] = 3, [2, 3] = 1, [3, 1] = 2.
-    other : (int, int, int), optional
-        The other triple of a bond, with the same scale.
+    The energy is x.M.x/2 (`matrix`) on the triple `coordinates`. A bond has a second triple `other` of the same scale,
+    and M, with three equal moments, acts on the sum of both. `scale` times the basis elements have the brackets [1, 2]
+    = 3, [2, 3] = 1, [3, 1] = 2. The rows of the share are linear and give the energy: coordinates 3, 1, 2, 3, the first
+    without weights, in the order of the rotations of the compiled flow. The forms of a bond are sums of two
+    coordinates, one of each triple.
     """
 
     coordinates: tuple[int, int, int]
@@ -62,43 +53,19 @@ SpecialShare = PolynomialShare | FunctionShare | BodyShare
 
 @dataclass(frozen=True)
 class Part:
-    """The commuting forms of one exact flow, to be shown.
-
-    Parameters
-    ----------
-    forms : tuple of (coordinates, values)
-        The linear forms l_a, sparse.
-    """
+    """The commuting forms l_a of one exact flow, as sparse (coordinates, values), for display."""
 
     forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
 
 
 class Parts(Sequence[Part]):
-    """Parts stored by columns, since there may be very many. An item is a `Part`, which is made when it is asked for.
+    """Parts stored by columns, since there may be very many; items (`Part`) are built lazily.
 
-    Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and every angle one form.
-
-    Parameters
-    ----------
-    forms : SparseRows
-        The forms l_a of all angles.
-    offset : ndarray, shape (angles,)
-        An angle of a linear share is offset + weights . x.
-    weights : SparseRows
-        One row for each angle; the row is empty in other shares.
-    row : ndarray of int64, shape (shares + 1,)
-        Where the angles of each share begin.
-    special : mapping of int to PolynomialShare, FunctionShare or BodyShare
-        The shares that are not linear, or whose forms do not commute. A part has shares of free bodies alone, or none.
-    share : ndarray of int64, shape (parts + 1,)
-        Where the shares of each part begin.
-    timed : ndarray of bool, shape (parts,)
-        Which parts depend on time.
-
-    Attributes
-    ----------
-    pivots : ndarray of int64, shape (angles, 3), or None
-        Of completed squares with forms in floats: see `Squares`; -1 for other angles.
+    Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and each angle one row of
+    `forms`. The angle of a linear share is offset + weights.x; rows of `weights` are empty in other shares. `special`
+    maps the other shares to their rules; a part has only shares of free bodies, or none. `timed` marks time-dependent
+    parts. `pivots`, shape (angles, 3), are those of `Squares` for completed squares with forms in floats, -1 for other
+    angles.
     """
 
     pivots: NDArray[np.int64] | None = None
@@ -118,20 +85,20 @@ class Parts(Sequence[Part]):
 
     @classmethod
     def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: SparseRows, row: Integers) -> Parts:
-        """Return parts of one linear share each, which have the angles row[p] to row[p + 1]."""
+        """Construct parts with one linear share each, of the angles row[p] to row[p + 1]."""
         count = len(row) - 1
         return cls(forms, offset, weights, row, {}, np.arange(count + 1), np.zeros(count, dtype=bool))
 
     @classmethod
     def single(cls, share: PolynomialShare | FunctionShare, coordinates: Sequence[int], timed: bool = False) -> Parts:
-        """Return one part of one share that is not linear."""
+        """Construct one part of one nonlinear share."""
         size, ends = len(coordinates), np.array([0, 1])
         forms = SparseRows.units(np.array(coordinates, dtype=np.int64))
         return cls(forms, np.zeros(size), SparseRows.empty(size), size * ends, {0: share}, ends, np.array([timed]))
 
     @classmethod
     def concatenate(cls, pieces: Sequence[Parts]) -> Parts:
-        """Return the parts of all pieces, one after the other."""
+        """Concatenate parts."""
         if len(pieces) == 1:
             return pieces[0]
         if not pieces:
@@ -170,7 +137,7 @@ class Parts(Sequence[Part]):
 
     @property
     def angle(self) -> Integers:
-        """Where the angles of each part begin, shape (parts + 1,)."""
+        """First angle of each part, shape (parts + 1,)."""
         return self.row[self.share]
 
     @property
@@ -180,11 +147,11 @@ class Parts(Sequence[Part]):
 
     @property
     def first_coordinate(self) -> NDArray[np.uint32]:
-        """The smallest coordinate in the forms of each part; every part must have a form."""
+        """The smallest coordinate in the forms of each part; requires a form in every part."""
         return np.minimum.reduceat(self.forms.coordinate, self.forms.start[self.angle[:-1]])
 
     def take(self, chosen: NDArray[Any]) -> Parts:
-        """Return the chosen parts, each at most once, in the order given."""
+        """Select parts, each at most once, in the order given."""
         if np.array_equal(chosen, np.arange(len(self))):
             return self
         first, last = self.share[chosen], self.share[chosen + 1]
@@ -205,7 +172,7 @@ class Parts(Sequence[Part]):
         return taken
 
     def joined(self, label: NDArray[Any]) -> Parts:
-        """Return the parts with equal labels, which must commute, as one part; in the order of their first members."""
+        """Join (commuting) parts with equal labels into one part each, in the order of their first members."""
         first = np.full(int(label.max(initial=-1)) + 1, len(self))
         np.minimum.at(first, label, np.arange(len(self)))
         order = np.argsort(first[label], kind="stable")

@@ -1,4 +1,4 @@
-"""What depends on a pattern alone is made once, since members of an ensemble differ in their constants alone."""
+"""Cache keys for results that depend on sparsity patterns alone, such as for ensembles with different constants."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ from numpy.typing import NDArray
 
 Given = TypeVar("Given")
 
-LARGEST_PATTERN = 64  # coordinates, forms or parts: what is made of larger patterns is not kept
+LARGEST_PATTERN = 64  # coordinates, forms or parts; larger patterns are not cached
 
 
 class Pattern(Generic[Given]):
-    """The arrays that alone decide on what is made of them. Two patterns are equal where their arrays are.
+    """Hashable set of arrays that determine a cached result; equal if the arrays are equal.
 
-    Parameters
-    ----------
-    given : object
-        What it is made of; the first one given stands for all that are equal.
-    *columns : ndarray
-        The arrays.
+    `given` is the object from which the result is computed; the first one is used for all equal patterns.
 
     Examples
     --------
@@ -43,6 +38,6 @@ class Pattern(Generic[Given]):
 
 
 def _content(column: NDArray[Any]) -> tuple[Any, ...]:
-    # The bytes of an array of objects, such as fractions, are addresses.
+    # The bytes of object arrays (fractions) are addresses, so their values are compared.
     held = tuple(column.tolist()) if column.dtype == object else column.tobytes()
     return column.dtype.char, column.shape, held

@@ -1,4 +1,4 @@
-"""For which factors c is M - c C singular? In whole numbers, so that every machine finds the same floats."""
+"""Singular values c of a matrix pencil M - c C, in integer arithmetic, with the same floats on every machine."""
 
 from __future__ import annotations
 
@@ -16,25 +16,10 @@ BISECTIONS = 64
 
 
 def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the factors c with M - c C singular, for a definite C: there a completed square vanishes.
+    """Return the c with M - c C singular, for symmetric M and definite C; there a completed square vanishes.
 
-    By counting the zeros of det(M - c C), all of them real, in whole numbers, and halving intervals.
-
-    Parameters
-    ----------
-    matrix, casimir : ndarray, shape (n, n)
-        M and C, symmetric.
-
-    Returns
-    -------
-    tuple of float
-        Ascending, each the float beyond the factor; empty where C is not definite, or M is diagonal in its basis (the
-        diagonal says it then).
-
-    Examples
-    --------
-    >>> [round(factor, 12) for factor in singular_factors(np.array([[2.0, 1.0], [1.0, 2.0]]), np.eye(2))]
-    [1.0, 3.0]
+    The real zeros of det(M - c C) are counted in integers and bracketed by bisection; each result is the float beyond
+    the zero. Empty if C is not definite, or if M is diagonal, where the diagonal gives the factors.
     """
     if not np.any(matrix - np.diag(np.diag(matrix))):
         return ()
@@ -59,7 +44,7 @@ def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) 
 
 @lru_cache(maxsize=64)
 def _definiteness(entries: bytes, size: int) -> tuple[int, float]:
-    """Return +1 or -1 for a definite matrix and 0 for any other, and the smallest of its squares in size."""
+    """Return +1 or -1 for a definite matrix and 0 for any other, and the smallest absolute pivot."""
     matrix = np.frombuffer(entries).reshape(size, size)
     lift = np.vectorize(Fraction, otypes=[object])
     weights = list(complete_squares(lift(matrix), lift(np.zeros(size))).weights)
@@ -70,7 +55,7 @@ def _definiteness(entries: bytes, size: int) -> tuple[int, float]:
 
 
 def _determinant(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> list[int]:
-    """Return whole coefficients of a multiple of det(M - c C), by interpolation at c = 0, 1, ..., n."""
+    """Return integer coefficients of a multiple of det(M - c C), by interpolation at c = 0, 1, ..., n."""
     size = len(matrix)
     pairs = [Fraction(value) for value in [*matrix.ravel().tolist(), *casimir.ravel().tolist()]]
     scale = math.lcm(*(value.denominator for value in pairs))
@@ -89,7 +74,7 @@ def _determinant(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> l
 
 
 def _bareiss(rows: list[list[int]]) -> int:
-    """Return the determinant of whole numbers, every division exact (Bareiss 1968)."""
+    """Return the determinant of an integer matrix by fraction-free elimination (Bareiss 1968)."""
     sign, before = 1, 1
     for k in range(len(rows) - 1):
         pivot = next((r for r in range(k, len(rows)) if rows[r][k]), None)
@@ -104,9 +89,9 @@ def _bareiss(rows: list[list[int]]) -> int:
 
 
 def _zeros_below(polynomial: list[int], point: float) -> int:
-    """Return how many zeros lie below a point, for a polynomial with real zeros only.
+    """Count the zeros below a point, for a polynomial with real zeros only.
 
-    Those above are the changes of sign in the coefficients about the point: Descartes' rule, exact for real zeros.
+    Zeros above are sign changes of the coefficients shifted to the point (Descartes' rule, exact for real zeros).
     """
     numerator, denominator = point.as_integer_ratio()
     degree = len(polynomial) - 1

@@ -1,4 +1,4 @@
-"""A program as plain arrays by name, for readers elsewhere: JAX, Julia, a microcontroller."""
+"""Programs as plain arrays by name, for interpreters elsewhere: JAX, Julia, a microcontroller."""
 
 from __future__ import annotations
 
@@ -18,18 +18,9 @@ RENAMED = {"kind": "term_kind", "row": "term_row", "coefficient": "coefficient_o
 
 
 def plain_table(program: Program) -> dict[str, Any]:
-    """Return a program as arrays, numbers and lists; `docs/table.md` says what each of them is.
+    """Return a program as arrays, numbers and lists, documented in `docs/table.md`.
 
-    Parameters
-    ----------
-    program : Program
-        From `Method.program`.
-
-    Returns
-    -------
-    dict
-        Name -> array of whole numbers, or of the number type of the program. It can be written as JSON once its arrays
-        are lists.
+    Arrays are integers, or of the number type of the program. As lists they can be written to JSON.
 
     Examples
     --------

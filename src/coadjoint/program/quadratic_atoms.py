@@ -1,4 +1,4 @@
-"""The smallest parts of a quadratic Hamiltonian: commuting coordinates that it couples, and completed squares."""
+"""Smallest parts of a quadratic Hamiltonian: sets of coupled commuting coordinates, and completed squares."""
 
 from __future__ import annotations
 
@@ -19,26 +19,14 @@ from coadjoint.program.wide_generators import check_products
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.terms import QuadraticTerm
 
-# A matrix with fewer entries has no squares of very many coordinates.
+# Number of entries above which the width of squares is checked.
 LEAST_JUDGED = 1 << 14
 
 
 def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) -> Parts:
-    """Take a quadratic term apart.
+    """Split a quadratic term into parts of one share each, by the first coordinate of each connected set.
 
-    Parameters
-    ----------
-    term : QuadraticTerm
-        linear.x + x.M.x/2.
-    commutation : Commutation
-        Of the algebra.
-    apart : bool
-        Complete the square of coordinates that are coupled even if they commute.
-
-    Returns
-    -------
-    Parts
-        By the first coordinate of each connected set of coupled ones; each part has one share.
+    With `apart` the squares of coupled coordinates are completed even if these commute.
     """
     label, members, squared = _sets(term, commutation, apart)
     plain = members[~squared[label[members]]]
@@ -51,24 +39,19 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) 
 
 
 def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
-    """Return `quadratic_atoms` where all coordinates that are coupled commute, and None where not.
+    """Return `quadratic_atoms` if all coupled coordinates commute, else None.
 
-    Then the parts depend only on which entries are zero, and every angle belongs to one coordinate.
+    The parts then depend only on the sparsity pattern, and each angle belongs to one coordinate.
     """
     label, members, squared = _sets(term, commutation, apart=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
 
 
 def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
-    """Refuse a term whose squares, of very many coordinates that are all coupled, would have too many entries.
+    """Raise TooWide, with an estimate, if completed squares of many coupled coordinates have too many entries.
 
-    Each of m squares takes a coordinate from the forms that follow, so that they have half of all on average. What is
-    coupled sparsely is not judged here: its forms may stay short.
-
-    Raises
-    ------
-    TooWide
-        With an estimate.
+    Each of m squares eliminates one coordinate from the later forms, which have m/2 entries on average. Sparse
+    couplings are not checked, since their forms may stay short.
     """
     if len(term.values) < LEAST_JUDGED:
         return
@@ -81,8 +64,9 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
 
 
 def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[Integers, Integers, NDArray[np.bool_]]:
-    """Return the label of the connected set of each coordinate, -1 where there is none; the coordinates that have one,
-    set after set; and for each label whether squares are to be completed.
+    """Label the connected sets of coupled coordinates, -1 if a coordinate is unused.
+
+    Also returns the used coordinates, set by set, and for each label whether squares are to be completed.
     """
     rows = term.rows
     above = rows < term.indices
@@ -100,7 +84,7 @@ def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[I
 
 
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
-    """Return one part for each set of coordinates, its angles the rows of M."""
+    """Build one part per set of coordinates, with the rows of M as angles."""
     row = np.append(np.flatnonzero(fresh(label)), len(members))
     matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values)
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
@@ -108,7 +92,7 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
 
 
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
-    """Return one part for each completed square, and the label of the set that it belongs to."""
+    """Build one part per completed square; also return the label of its set."""
     ends = np.append(np.flatnonzero(fresh(label[members])), len(members))
     place = np.zeros(len(term.linear), dtype=np.int64)
     place[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
@@ -119,7 +103,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     for first, last in pairwise(ends.tolist()):
         start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
         own = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
-        # A lattice repeats itself, and equal sets of coordinates have equal squares.
+        # Sets that repeat, as in a lattice, have equal squares, which are computed once.
         key = tuple(column.tobytes() for column in (*own, linear[first:last]))
         if key not in known:
             known[key] = _without_rounding(sparse_squares(own, linear[first:last]), own.value)
@@ -142,7 +126,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
 
 
 def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
-    """Leave out squares below the rounding of the entries, which a Casimir shift made vanish."""
+    """Drop squares below the rounding of the entries, which vanish after a Casimir shift."""
     floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
     largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
     kept = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))

@@ -1,4 +1,4 @@
-"""Of which functions are rational rotations the exact flows? Polynomials, power by power of the step."""
+"""Polynomials whose exact flows are rational rotations, as power series in the step."""
 
 from __future__ import annotations
 
@@ -15,27 +15,12 @@ from coadjoint.program.parts import Parts, PolynomialShare
 def rational_pieces(
     ring: ExactPolynomials, parts: Parts, frequency: NDArray[Any], highest: int
 ) -> list[dict[int, Exact]]:
-    """Return what rational rotations add to the pieces of the Hamiltonian.
+    """Return for each part {j: coefficient of h^j}, j = 3, 5, ..., added to its piece by rational rotations.
 
-    The rational rotation of frequency w over the time h turns by 2/w atan(h w theta/2), not by h theta. Where theta is
-    a function of s = l.x alone, that is the exact flow over h of the function K(s; h) with the derivative
-    theta - (h w/2)^2 theta^3/3 + (h w/2)^4 theta^5/5 - ...
-
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        On the dual of the algebra.
-    parts : Parts
-        Their forms and angle rules.
-    frequency : ndarray, shape (angles,)
-        Of each angle; 0 where its rotation is exact.
-    highest : int
-        The largest power of h in h K.
-
-    Returns
-    -------
-    list of dict
-        For each part j -> the coefficient of h^j that is added to the piece, j = 3, 5, ...
+    The rational rotation of frequency w over the time h rotates by 2/w atan(h w theta/2) in place of h theta. If theta
+    is a function of s = l.x alone, it is the exact flow over h of a function K(s; h) with the derivative theta - (h
+    w/2)^2 theta^3/3 + (h w/2)^4 theta^5/5 - ... `frequency`, shape (angles,), is 0 for exact rotations; `highest` is
+    the largest power of h in h K.
     """
     found: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     of_share = {

@@ -1,4 +1,4 @@
-"""Which angles may be rational? Where tan(phi/2) := angle/2 in place of the angle is still a Poisson map."""
+"""Rational rotations, tan(phi/2) := angle/2 in place of the angle, and conditions for a Poisson map."""
 
 from __future__ import annotations
 
@@ -17,31 +17,11 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, number: Number) -> NDArray[Any]:
-    """Return the frequency w of every angle that becomes rational, 2/w atan(w angle/2), and 0 for those that stay.
+    """Return the frequency w of each angle, shape (angles,), for 2/w atan(w angle/2); 0 for exact angles.
 
-    That is the exact flow of another function of l.x, hence Poisson, if the angle is a function of l.x alone. It needs
-    no trigonometry where the generator of l turns with the one frequency w; nilpotent generators need none anyway.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        For messages.
-    parts : Parts
-        The parts.
-    state : Action
-        Their coadjoint action.
-    number : callable
-        Number type.
-
-    Returns
-    -------
-    ndarray, shape (angles,)
-        Part after part, in the order of their forms.
-
-    Raises
-    ------
-    ValueError
-        If some generator is neither nilpotent nor a rotation of one frequency, or its angle is coupled to others.
+    A rational rotation is the exact flow of another function of l.x, hence Poisson, if the angle depends on l.x alone.
+    It needs no trigonometry if the generator of l has the single frequency w. Nilpotent generators stay exact. Raises
+    ValueError if a generator is neither nilpotent nor of a single frequency, or its angle depends on other forms.
 
     Examples
     --------
@@ -69,8 +49,9 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
 
 
 class _Frequencies(NamedTuple):
-    """The least and the largest frequency of the blocks of each angle, 0 where they are nilpotent; whether all of them
-    are nilpotent or rotations; and whether there are any.
+    """Smallest and largest frequency of the blocks of each angle (0 if nilpotent).
+
+    `known` marks angles whose blocks are all nilpotent or rotations, `acting` those with any blocks.
     """
 
     least: NDArray[Any]
@@ -102,7 +83,7 @@ def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
 
 
 def _coupled(parts: Parts) -> NDArray[np.bool_]:
-    """Return for each angle whether it depends on more than its own form."""
+    """Test for each angle whether it depends on more than its own form."""
     coupled = ~_along(parts.forms, parts.weights)
     for s, share in parts.special.items():
         angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
@@ -115,7 +96,7 @@ def _coupled(parts: Parts) -> NDArray[np.bool_]:
 
 
 def _along(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
-    """Return whether the weights of each angle are a multiple of its form, up to the rounding of the products."""
+    """Test whether the weights of each angle are a multiple of its form, up to rounding."""
     length = np.diff(weights.start)
     along = np.asarray((length == 0) | (length == np.diff(forms.start)))
     same = np.flatnonzero(along & (length > 0))
@@ -129,14 +110,14 @@ def _along(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
 
 
 def bent(angle: Any, frequency: Any, atan: Any) -> Any:
-    """Return the angle 2/w atan(w angle/2) of a rational rotation of frequency w, or the angle itself where w is 0."""
+    """Return the angle 2/w atan(w angle/2) of a rational rotation of frequency w, or the angle itself for w = 0."""
     return angle if frequency == 0 else 2 / frequency * atan(frequency * angle / 2)
 
 
 def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return for each part whether its blocks in a representation turn with the frequencies of the coadjoint ones.
+    """Test for each part whether its blocks in a representation have the frequencies of the coadjoint ones.
 
-    Then a rational rotation needs no arc tangent there either.
+    Rational rotations then need no arc tangent in this representation either.
     """
     least, largest, known, acting = _frequencies(action, parts, float)
     apart = np.maximum(np.abs(least - frequency), np.abs(largest - frequency))

@@ -1,4 +1,4 @@
-"""The plain reading of a program: NumPy, any number type, with the exact tangent map."""
+"""Reference interpreter of a program: NumPy, any number type, with the exact tangent map."""
 
 from __future__ import annotations
 
@@ -20,25 +20,9 @@ from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
 
 class Reading:
-    """One program read row by row.
+    """Reference interpreter of one program, in its number type.
 
-    Choose it to check the compiled reading, to follow a formula, or for more digits; it is slow.
-
-    Parameters
-    ----------
-    program : Program
-        The table; its number type is the reading's.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> import numpy as np
-    >>> from coadjoint.program.table import build_program
-    >>> system = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> read = Reading(build_program(system, co.Splitting(order=2)))
-    >>> x = read.steps(np.array([1.0, 0.1, 0.5]), h=0.1, count=10)
-    >>> abs(x @ x - 1.26) < 1e-14
-    np.True_
+    Slow; used to check the compiled interpreter, to follow a formula, or for more digits.
     """
 
     def __init__(self, program: Program) -> None:
@@ -56,27 +40,11 @@ class Reading:
         group: NDArray[Any] | None = None,
         tangent: NDArray[Any] | None = None,
     ) -> Any:
-        """Take steps.
+        """Take `count` steps of length h (negative: backward) from the momentum x (n,), which is not changed.
 
-        Parameters
-        ----------
-        x : ndarray, shape (n,)
-            Momentum; not changed.
-        h : number
-            Step, negative for backward.
-        count : int
-            Number of steps.
-        t0 : number
-            Time at the start.
-        group : ndarray, shape (d, d), optional
-            Group element at the start, in the representation that the program carries.
-        tangent : ndarray, shape (n, m), optional
-            Tangent vectors at the start, in columns.
-
-        Returns
-        -------
-        ndarray or tuple
-            The momentum; with `group` and `tangent` a tuple with those that were given, in that order.
+        `group` (d, d) is the group element in the representation of the program, `tangent` (n, m) has tangent vectors
+        in columns. Returns the momentum, or a tuple of it with those of `group` and `tangent` that are given, in this
+        order.
         """
         x = self._numbers(x)
         carried = None if group is None else self._numbers(group).T.copy()
@@ -113,7 +81,7 @@ class Reading:
                     tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
 
     def _bent(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
-        """Return the angles with those of rational rotations replaced, and their tangents."""
+        """Replace angles of rational rotations, and their tangents."""
         base = int(self.program.terms.row[self.program.share[part]])
         w = self.program.frequency[base : base + len(theta)]
         if turned is not None:
@@ -121,7 +89,7 @@ class Reading:
         return [bent(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], turned
 
     def angles(self, part: int, x: NDArray[Any], t: Any) -> list[Any]:
-        """Return dH/d(l_a.x) for the forms of a part (the verb `angle`)."""
+        """Return dH/d(l_a.x) for the forms of a part (operation `angle` of the table)."""
         terms, share = self.program.terms, self.program.share
         found: list[Any] = []
         for k in range(share[part], share[part + 1]):
@@ -175,11 +143,11 @@ class Reading:
         return coefficient
 
     def pieces(self, reach: Callable[[], Any]) -> int:
-        """Return in how many pieces of time a free body goes."""
+        """Return the number of time intervals in the flow of a free body."""
         return pieces(reach(), self.functions.ceil)
 
     def negligible(self, terms: Sequence[Moving]) -> bool:
-        """Return whether the last two terms of a series are rounding."""
+        """Test whether the last two terms of a series are below rounding."""
         whole, last, before = (largest_of(terms[k]) for k in (0, -1, -2))
         return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, before, whole, strict=True))
 
@@ -191,7 +159,7 @@ class Reading:
         return found
 
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
-        """Return D_a x for one form of a part (the verb `apply`)."""
+        """Return D_a x for one form of a part (operation `apply` of the table)."""
         action, result = self.program.state, 0 * x
         for run, q in self._runs(part, angle, action):
             for coordinates, matrix in run_blocks(action, run, q):
@@ -201,14 +169,16 @@ class Reading:
 
     @staticmethod
     def _runs(part: int, angle: int, action: Action) -> Iterator[tuple[int, int]]:
-        """Yield the runs of a part that have an angle, and its number in each."""
+        """Yield the runs of a part that contain an angle, and its index in each."""
         for run in range(action.run[part], action.run[part + 1]):
             q = angle - int(action.angle[run])
             if 0 <= q < action.angles[run]:
                 yield run, q
 
     def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
-        """Move vectors (n,) or (n, lanes) by exp(sum theta_a D_a) of one part, in place (the verb `act`)."""
+        """Apply exp(sum theta_a D_a) of one part to vectors (n,) or (n, lanes), in place (operation `act` of the
+        table).
+        """
         for run in range(action.run[part], action.run[part + 1]):
             for q in range(action.angles[run]):
                 angle = theta[int(action.angle[run]) + q]
@@ -233,8 +203,7 @@ class Reading:
             traceless = block - mean * np.eye(2, dtype=int)
             s, c = self._entire_pair(angle**2 * (traceless @ traceless)[0, 0])
             scale = f.exp(angle * mean)
-            # Where both are large, exp(mean) cosh is not made of expm1(mean) = -1 + ..., which has lost digits that
-            # cosh would amplify.
+            # If both are large, expm1(mean) = -1 + ... has lost digits, which a product with cosh would amplify.
             diagonal = f.expm1(angle * mean) + scale * c
             return diagonal * own + scale * angle * s * (traceless @ own)
         moved = block @ own
@@ -277,6 +246,6 @@ class Reading:
 
 
 def called_parts(program: Program) -> list[bool]:
-    """Return for each part whether it is made of free bodies."""
+    """Test for each part whether it consists of free bodies."""
     shares = program.parts.bodies
     return [int(first) in shares for first in program.share[:-1]]

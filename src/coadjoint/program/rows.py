@@ -1,4 +1,4 @@
-"""What is applied in which order: the rows of a program, from the sweeps of a method."""
+"""Rows of a program: the flows in order of application, from the sweeps of a method."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from coadjoint.program.sweeps import Sweep, Swept
 
 
 class Rows(NamedTuple):
-    """The rows, section after section.
+    """Rows of a program, section by section.
 
-    Row r moves by part[r] over the time coefficient[r] * h, with functions of time taken at t + moment[r] * h. Section
-    s (0 start, 1 step, 2 finish) has the rows section[s] to section[s + 1]. The first step is *start*, every other one
-    *step*; *finish* completes a state for output. Of a processed scheme P K P^-1, *start* is P^-1 and K, *step* is K,
-    and *finish* is P.
+    Row r applies part[r] over the time coefficient[r] * h, with functions of time evaluated at t + moment[r] * h.
+    Section s (0 start, 1 step, 2 finish) has the rows section[s] to section[s + 1]: *start* is the first step, *step*
+    every other one, and *finish* completes a state for output. For a processed scheme P K P^-1, *start* is P^-1 and K,
+    *step* K, *finish* P.
     """
 
     part: NDArray[np.uint32]
@@ -32,9 +32,9 @@ class Rows(NamedTuple):
 
 
 class Flows(NamedTuple):
-    """Flows of parts, one after the other: over coefficient[r] * h, at the moment[r] of the step.
+    """Sequence of flows of parts, over coefficient[r] * h at moment[r] of the step.
 
-    turn[r] marks a rational rotation that the one before it may be joined with.
+    turn[r] marks a rational rotation that may be joined with the previous one.
     """
 
     part: Integers
@@ -43,41 +43,39 @@ class Flows(NamedTuple):
     turn: NDArray[np.bool_]
 
     def take(self, chosen: Any) -> Flows:
-        """Return the chosen flows."""
+        """Select flows."""
         return Flows(*(column[chosen] for column in self))
 
     def then(self, other: Flows) -> Flows:
-        """Return these flows followed by others."""
+        """Append other flows."""
         return Flows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
 class Joining(NamedTuple):
-    """Whether two flows of one part, one after the other, can be joined. It depends on which parts depend on time, and
-    on which turn rationally.
-    """
+    """Rules for joining consecutive flows of one part, from its time dependence and rational rotations."""
 
     timed: NDArray[np.bool_]
     rational: NDArray[np.bool_]
 
     @classmethod
     def of(cls, parts: Parts, frequency: NDArray[Any]) -> Joining:
-        """Return it for the parts of a program and the frequencies of their angles."""
+        """Construct the rules from the parts of a program and the frequencies of their angles."""
         rational = np.zeros(len(parts), dtype=bool)
         rational[parts.part_of_angle[np.asarray(frequency != 0, dtype=bool)]] = True
         return cls(parts.timed, rational)
 
     def joins(self, part: int, moment: Any, later: Any, turn: bool) -> bool:
-        """Return whether two flows of one part can be joined, the first at `moment`, the second at the moment `later`.
+        """Test whether two flows of one part, at `moment` and then `later`, can be joined.
 
-        They cannot where each has a moment of its own, nor where they turn rationally: two halves are not a whole.
+        Not if a time-dependent part has different moments, nor for rational rotations: two halves are not a whole.
         """
         return not (self.timed[part] and moment != later) and (not self.rational[part] or turn)
 
     def joined(self, flows: Flows) -> Flows:
-        """Return the flows after neighbours of one part were joined where they can be."""
+        """Join consecutive flows of one part wherever possible."""
         kept = np.ones(len(flows.part), dtype=bool)
         coefficient, turn = flows.coefficient.copy(), flows.turn.copy()
-        # Of two that are joined the second stays. Long chains of one part are met in systems of a single part alone.
+        # The second of two joined flows is kept. Long chains occur only in systems of a single part.
         for r in (np.flatnonzero(flows.part[1:] == flows.part[:-1]) + 1).tolist():
             if self.joins(int(flows.part[r]), flows.moment[r - 1], flows.moment[r], bool(turn[r])):
                 coefficient[r] = coefficient[r - 1] + coefficient[r]
@@ -86,23 +84,9 @@ class Joining(NamedTuple):
 
 
 def rows_of(method: Swept, joining: Joining, sign: int, number: Number) -> Rows:
-    """Return the rows of a method.
+    """Return the rows of a method, with consecutive flows of one part joined, also across steps.
 
-    Parameters
-    ----------
-    method : Swept
-        Its sweeps and processor.
-    joining : Joining
-        Of the parts.
-    sign : int
-        Sign of the equation, which the coefficients include.
-    number : callable
-        Number type.
-
-    Returns
-    -------
-    Rows
-        Neighbouring flows of one part joined, those of consecutive steps too.
+    The coefficients include the `sign` of the equation.
     """
     sweeps, after = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= LARGEST_PATTERN:
@@ -124,7 +108,7 @@ def _rows(sweeps: Sequence[Sweep], after: Sequence[Sweep], joining: Joining, sig
     start = undone._replace(coefficient=-undone.coefficient).then(kernel)
     step, finish = kernel, processor._replace(moment=processor.moment + 1)
     size = len(kernel.part)
-    # The last row belongs to the step before, so that its moment lies a whole step earlier.
+    # The last row belongs to the previous step, so its moment is a whole step earlier.
     if size > 1 and kernel.part[-1] == kernel.part[0]:
         before, turn = kernel.moment[-1] - 1, bool(kernel.turn[0])
         if joining.joins(int(kernel.part[0]), before, kernel.moment[0], turn):

@@ -1,4 +1,4 @@
-"""The blocks of a run of an action as matrices, and the entries of generators."""
+"""Blocks of a run of an action as matrices, and entries of generators."""
 
 from __future__ import annotations
 

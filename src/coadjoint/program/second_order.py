@@ -1,4 +1,4 @@
-"""How good is a splitting? The h^2 term of its modified Hamiltonian, at given points."""
+"""The h^2 term of the modified Hamiltonian of a splitting, at given points."""
 
 from __future__ import annotations
 
@@ -17,29 +17,17 @@ Floats = NDArray[np.float64]
 
 
 class Jet(NamedTuple):
-    """Gradient (n,) and Hessian (n, n) of a function at a point; or of several parts at several points."""
+    """Gradient (n,) and Hessian (n, n) of a function at a point, or stacked over parts and points."""
 
     gradient: Floats
     hessian: Floats
 
 
 def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
-    """Return gradients and Hessians of the pieces of the Hamiltonian that belong to parts, at points.
+    """Return gradient and Hessian of the piece of the Hamiltonian of each part at points (k, n).
 
-    Parameters
-    ----------
-    parts : Parts
-        Their forms l_a and angle rules.
-    points : ndarray, shape (k, n)
-        Momenta.
-    t : float
-        Time.
-
-    Returns
-    -------
-    Jet
-        The gradient sum_a l_a theta_a of each part, (parts, k, n), and its derivative, (parts, k, n, n). Where all
-        derivatives are constant, the latter has 1 in place of k.
+    The gradients sum_a l_a theta_a have shape (parts, k, n), the Hessians (parts, k, n, n), or (parts, 1, n, n) if all
+    are constant.
     """
     count, n = points.shape
     constant, bent = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
@@ -74,9 +62,9 @@ def _own_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Float
 
 
 def _applied(matrices: Floats, vectors: Floats) -> Floats:
-    """Return matrices (..., n, n) times vectors (..., n), summed in order.
+    """Multiply matrices (..., n, n) by vectors (..., n), summed in order.
 
-    Not by einsum, whose bits may depend on how many are computed at once. The smallest is chosen, so the bits matter.
+    The bits of einsum may depend on the batch size, and the choice of the smallest term must not.
     """
     total = matrices[..., 0] * vectors[..., :1]
     for j in range(1, matrices.shape[-1]):
@@ -85,24 +73,10 @@ def _applied(matrices: Floats, vectors: Floats) -> Floats:
 
 
 class Samples:
-    """Sets of parts at some points: gradients and Hessians once, so that many orders of them can be compared.
+    """Gradients and Hessians of several sets of parts at points (k, n), computed once to compare many orders.
 
-    Parameters
-    ----------
-    algebras : sequence of LieAlgebra
-        The algebra of each set; the bracket is {F, G} = (grad F)^T J(x) grad G. All algebras have their nonzero
-        structure constants at the same places.
-    sets : sequence of Parts
-        The sets, each of the same number of parts.
-    points : ndarray, shape (k, n)
-        Where.
-    t : float
-        Time, for parts that depend on it.
-
-    Raises
-    ------
-    TypeError
-        If a user function was given without second derivatives.
+    The bracket is {F, G} = (grad F)^T J(x) grad G. All algebras must have the same sparsity pattern, and all sets the
+    same number of parts. Raises TypeError if a user function has no second derivatives.
     """
 
     def __init__(self, algebras: Sequence[LieAlgebra], sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
@@ -119,19 +93,10 @@ class Samples:
         self._structure = np.moveaxis(flat, 0, -1).reshape(len(sets), 1, count, n, n)
 
     def second_order_terms(self, orders: Sequence[Sequence[int]]) -> Floats:
-        """Return H2 at the points, where ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4).
+        """Return H2, shape (sets, orders, k), for orders of parts in a forward sweep.
 
-        For a pair, A outside and D inside, H2 = -{A, {A, D}}/24 + {D, {D, A}}/12. Several parts are nested pairs.
-
-        Parameters
-        ----------
-        orders : sequence of sequence of int
-            Numbers of the parts, in the order of a forward sweep; several of them.
-
-        Returns
-        -------
-        ndarray, shape (sets, orders, k)
-            The values.
+        ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4). For a pair, A outside and D inside,
+        H2 = -{A, {A, D}}/24 + {D, {D, A}}/12; several parts are nested pairs.
         """
         places = np.array(orders)
         inside, curved = self._gradients[:, places[:, -1]], self._hessians[:, places[:, -1]]
@@ -147,7 +112,7 @@ class Samples:
 
     def sizes(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return the root mean square of H2 over the points, shape (sets, orders)."""
-        # A term that leaves the range of float64 is larger than all others.
+        # Terms that overflow float64 count as larger than all others.
         with np.errstate(over="ignore", invalid="ignore"):
             terms = self.second_order_terms(orders)
             squares = np.zeros(terms.shape[:2])
@@ -157,7 +122,7 @@ class Samples:
         return np.where(np.isnan(found), np.inf, found)
 
     def nested_brackets(self, j: NDArray[np.int64], k: NDArray[np.int64]) -> Floats:
-        """Return {H_i, {H_j, H_k}} of the first set for all its parts i and pairs (j, k), shape (parts, pairs, k)."""
+        """Return {H_i, {H_j, H_k}} of the first set, all parts i and pairs (j, k), shape (parts, pairs, k)."""
         inner = self._bracket_gradient(
             self._gradients[:1, j], self._hessians[:1, j], self._gradients[:1, k], self._hessians[:1, k]
         )
@@ -180,22 +145,5 @@ class Samples:
 
 
 def second_order_term(algebra: LieAlgebra, parts: Parts, points: Floats, t: float = 0.0) -> Floats:
-    """Return H2 of parts in their order at points; see `Samples`.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra.
-    parts : Parts
-        In the order of a forward sweep.
-    points : ndarray, shape (k, n)
-        Where.
-    t : float
-        Time.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        The values.
-    """
+    """Return H2 of parts in the order of a forward sweep at points (k, n), shape (k,); see `Samples`."""
     return Samples([algebra], [parts], points, t).second_order_terms([range(len(parts))])[0, 0]

@@ -1,4 +1,4 @@
-"""Casimir shifts: H - c C moves the momentum as H does, and may have fewer parts."""
+"""Casimir shifts: H - c C generates the same motion as H, and may have fewer parts."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from coadjoint.systems.terms import QuadraticTerm, Term
 Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
-LARGEST_DENSE = 32  # coordinates; up to here summing all n^2 entries is quicker than sorting the nonzero ones
-# An entry that a shift leaves counts as zero below this many round-offs of the terms that are added up.
+LARGEST_DENSE = 32  # coordinates; up to this size adding all n^2 entries is faster than sorting the nonzero ones
+# An entry after a shift counts as zero below this multiple of the sum of its absolute terms.
 ROUNDING = 4 * UNIT_ROUNDOFF
 
 
 class QuadraticCasimir(NamedTuple):
-    """A Casimir that is homogeneous of degree two, C = x.A x/2, and the entries of A."""
+    """Casimir homogeneous of degree two, C = x.A x/2, with the entries of A."""
 
     polynomial: Polynomial
     rows: NDArray[np.int64]
@@ -43,14 +43,7 @@ class QuadraticCasimir(NamedTuple):
 
 
 def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
-    """Return the known Casimirs of a system that are polynomials, homogeneous of degree two, by name.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> quadratic_casimirs(co.systems.rigid_body(inertia=(1, 2, 3)))["|x|^2"].values
-    array([2., 2., 2.])
-    """
+    """Return the known Casimirs that are polynomials homogeneous of degree two, by name."""
     found = {}
     for name, casimir in system.casimirs.items():
         if isinstance(casimir, Polynomial):
@@ -64,7 +57,7 @@ Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
 
 def quadratic_entries(casimir: Polynomial) -> Entries | None:
-    """Return rows, columns and values of A, C = x.A x/2; None where a polynomial is not homogeneous of degree two.
+    """Return rows, columns and values of A in C = x.A x/2; None if C is not homogeneous of degree two.
 
     Examples
     --------
@@ -86,31 +79,15 @@ def _entries(casimir: Polynomial) -> Entries | None:
     return rows, columns, np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
 
 
-# Kept, since a scan over constants takes the same Casimir off again and again.
+# Cached, since scans over constants subtract the same Casimir repeatedly.
 _remembered_entries = lru_cache(maxsize=256)(_entries)
 
 
 def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
-    """Take multiples of quadratic Casimirs off the quadratic term of a Hamiltonian.
+    """Subtract multiples of quadratic Casimirs from the quadratic term of a Hamiltonian.
 
-    Parameters
-    ----------
-    terms : sequence of Term
-        The Hamiltonian. One of its quadratic terms must stand outside the pieces of a SplitHamiltonian.
-    casimirs : mapping
-        Name -> quadratic Casimir.
-    shift : tuple of (str, float)
-        Names and factors.
-
-    Returns
-    -------
-    tuple of Term
-        Entries that cancel up to rounding are gone.
-
-    Raises
-    ------
-    ValueError
-        If a name is not known, or there is no quadratic term.
+    Entries that cancel up to rounding are dropped. Raises ValueError for an unknown name, or without a quadratic term
+    outside the pieces of a SplitHamiltonian.
     """
     if not shift:
         return tuple(terms)
@@ -143,21 +120,9 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
 def candidate_shifts(
     system: LiePoissonSystem, parts: Parts, casimirs: Mapping[str, QuadraticCasimir]
 ) -> Iterable[Shift]:
-    """Yield shifts after which a coordinate, a part, or a completed square may vanish.
+    """Yield shifts, each once, for which a coordinate, a part, or a completed square may vanish.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    parts : Parts
-        Its parts without a shift.
-    casimirs : mapping
-        Name -> quadratic Casimir.
-
-    Yields
-    ------
-    tuple of (str, float)
-        Each at most once.
+    `parts` are those without a shift.
     """
     forms = (term.form for term in system.hamiltonian.terms() if term.piece is None)
     quadratic = [form for form in forms if form is not None]
@@ -170,7 +135,7 @@ def candidate_shifts(
     edges = parts.forms.start[parts.angle]
     for first, last in pairwise(edges.tolist()):
         coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
-        # All coordinates of a part at once, each by the first Casimir with its square. A lattice has one for each spin.
+        # All coordinates of a part at once, each by the first Casimir with its square (a lattice has one per spin).
         factors: dict[str, float] = {}
         for coordinate in coordinates:
             for name, entry in holders.get(coordinate, [])[:1]:
@@ -195,7 +160,7 @@ def candidate_shifts(
 
 
 def _holders(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:
-    """Return for each coordinate the Casimirs with its square, and the entry of their matrix there."""
+    """Return for each coordinate the Casimirs with its square, and their diagonal entries."""
     found: dict[int, list[tuple[str, float]]] = {}
     for name, casimir in casimirs.items():
         own = casimir.rows == casimir.columns

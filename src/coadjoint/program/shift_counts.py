@@ -1,4 +1,4 @@
-"""How many parts are left after each of many Casimir shifts? Without making the parts, where everything is diagonal."""
+"""Number of parts after each of many Casimir shifts, without building the parts."""
 
 from __future__ import annotations
 
@@ -17,30 +17,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 def numbers_of_parts(
     system: LiePoissonSystem, casimirs: Mapping[str, QuadraticCasimir], shifts: Sequence[Shift]
 ) -> NDArray[np.int64]:
-    """Return the number of parts of ``"auto"`` after each shift, or 0 where only making them tells it.
+    """Count the parts of ``"auto"`` after each shift; 0 if they must be built to be counted.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    casimirs : mapping
-        Name -> quadratic Casimir.
-    shifts : sequence of tuple of (str, float)
-        The shifts.
-
-    Returns
-    -------
-    ndarray of int64, shape (shifts,)
-        Known where M and the Casimirs are diagonal, and the parts so many that they are joined in one order alone.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> from coadjoint.program.shift import quadratic_casimirs
-    >>> body = co.LiePoissonSystem(co.algebras.so(12), co.Quadratic(np.arange(1.0, 67.0)))
-    >>> shifts = [(), (("|x|^2", 0.5),), (("|x|^2", 0.25),)]
-    >>> numbers_of_parts(body, quadratic_casimirs(body), shifts).tolist()
-    [15, 14, 15]
+    Available if M and the Casimirs are diagonal, and the parts too many to be joined in more than one order.
     """
     unknown = np.zeros(len(shifts), dtype=np.int64)
     terms = system.hamiltonian.terms()

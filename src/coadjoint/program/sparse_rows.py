@@ -1,4 +1,4 @@
-"""Sparse rows: many short lists of (coordinate, value) end to end, and how rows are taken from them."""
+"""Sparse rows: concatenated short lists of (coordinate, value), and operations on them."""
 
 from __future__ import annotations
 
@@ -12,22 +12,9 @@ from coadjoint.algebra.joins import Integers, expand
 
 
 class SparseRows(NamedTuple):
-    """Row r has the entries start[r] to start[r + 1]: linear forms, or the weights of angles.
+    """Sparse rows, as linear forms or weights of angles: row r has the entries start[r] to start[r + 1].
 
-    Parameters
-    ----------
-    start : ndarray of int64, shape (rows + 1,)
-        Where each row begins.
-    coordinate : ndarray of uint32, shape (entries,)
-        Ascending in each row.
-    value : ndarray, shape (entries,)
-        float64, or objects (fractions).
-
-    Examples
-    --------
-    >>> rows = SparseRows.of_lists([[0, 2], [1]], [[1.0, 5.0], [2.0]])
-    >>> rows.take(np.array([1, 0])).value
-    array([2., 1., 5.])
+    Coordinates (uint32) ascend in each row; values are float64, or objects (fractions).
     """
 
     start: Integers
@@ -36,7 +23,7 @@ class SparseRows(NamedTuple):
 
     @classmethod
     def of_lists(cls, coordinates: Sequence[Sequence[int]], values: Sequence[Sequence[Any]]) -> SparseRows:
-        """Return rows given one by one; fractions among the values make all of them objects."""
+        """Construct rows from lists; fractions among the values make all of them objects."""
         start = starts_of([len(row) for row in coordinates])
         flat = [value for row in values for value in row]
         found = np.array(flat, dtype=np.float64 if all(isinstance(value, float) for value in flat) else object)
@@ -44,18 +31,18 @@ class SparseRows(NamedTuple):
 
     @classmethod
     def units(cls, coordinates: NDArray[Any]) -> SparseRows:
-        """Return one row for each coordinate, with the value one."""
+        """Construct one row per coordinate, with the value one."""
         size = len(coordinates)
         return cls(np.arange(size + 1), coordinates.astype(np.uint32), np.ones(size))
 
     @classmethod
     def empty(cls, count: int) -> SparseRows:
-        """Return rows without entries."""
+        """Construct rows without entries."""
         return cls(np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32), np.zeros(0))
 
     @classmethod
     def concatenate(cls, pieces: Sequence[SparseRows]) -> SparseRows:
-        """Return the rows of all pieces, one after the other."""
+        """Concatenate rows."""
         if len(pieces) == 1:
             return pieces[0]
         return cls(
@@ -70,14 +57,14 @@ class SparseRows(NamedTuple):
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
     def take(self, rows: NDArray[Any]) -> SparseRows:
-        """Return the chosen rows, in the order given."""
+        """Select rows, in the order given."""
         first, last = self.start[rows], self.start[rows + 1]
         _, places = expand(first, last)
         return SparseRows(starts_of(last - first), self.coordinate[places], self.value[places])
 
 
 def starts_of(counts: Any) -> Integers:
-    """Return where lists of these lengths begin, end to end, and where the last one ends.
+    """Return the starts of concatenated lists of these lengths, and the end of the last one.
 
     Examples
     --------
@@ -90,7 +77,7 @@ def starts_of(counts: Any) -> Integers:
 
 
 def joined_starts(pieces: Sequence[NDArray[Any]]) -> Integers:
-    """Return the starts of tables that are put end to end.
+    """Return the starts of concatenated tables.
 
     Examples
     --------
@@ -103,7 +90,7 @@ def joined_starts(pieces: Sequence[NDArray[Any]]) -> Integers:
 
 
 def is_ordered(*keys: NDArray[Any]) -> bool:
-    """Return whether rows are sorted by several keys, the first the most significant.
+    """Test whether rows are sorted by several keys, the most significant first.
 
     Examples
     --------
@@ -119,7 +106,7 @@ def is_ordered(*keys: NDArray[Any]) -> bool:
 
 
 def order_by(*keys: NDArray[Any]) -> Integers | slice:
-    """Return the stable order by several keys; the slice of everything where they are sorted already.
+    """Return the stable order by several keys; the full slice if they are sorted.
 
     Examples
     --------
@@ -130,7 +117,7 @@ def order_by(*keys: NDArray[Any]) -> Integers | slice:
 
 
 def fresh(*keys: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return where sorted rows differ from the row before; the first row does.
+    """Mark sorted rows that differ from the previous one; the first row does.
 
     Examples
     --------
@@ -145,7 +132,7 @@ def fresh(*keys: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return sums of consecutive values, from left to right; `first` marks where each sum begins.
+    """Return sums of consecutive values, from left to right; `first` marks the start of each sum.
 
     Examples
     --------
@@ -156,5 +143,5 @@ def sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
         return np.add.reduceat(values, np.flatnonzero(first)) if len(values) else values
     if np.all(first):
         return values
-    # Unlike reduceat, bincount adds in order whatever the length of the sum.
+    # Unlike reduceat, bincount adds in order for sums of any length.
     return np.bincount(np.cumsum(first) - 1, weights=values)

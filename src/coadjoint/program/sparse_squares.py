@@ -1,4 +1,4 @@
-"""Completed squares of a sparse symmetric matrix: the same as of a dense one, at the cost of its nonzero entries."""
+"""Completed squares of a sparse symmetric matrix, bitwise as for a dense one, at the cost of its nonzero entries."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.squares import LARGEST_RATIONAL, SMALLEST_PIVOT, complete_squares, split_linear
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-# With fewer entries than this in a row, on average, rows are kept as lists.
+# Mean number of entries per row below which rows are stored sparse.
 DENSE_ROW = 16
 
 Form = dict[int, float]
 
 
 class SparseSquares(NamedTuple):
-    """Forms l_r, factors d_r and beta_r, and pivots, as in `Squares`, the forms sparse."""
+    """Forms l_r (sparse), factors d_r and beta_r, and pivots, as in `Squares`."""
 
     forms: SparseRows
     weights: NDArray[Any]
@@ -29,26 +29,7 @@ class SparseSquares(NamedTuple):
 
 
 def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSquares:
-    """Complete the square of linear.x + x.M.x/2, M symmetric and sparse; see `complete_squares`.
-
-    Parameters
-    ----------
-    matrix : SparseRows
-        The rows of M.
-    linear : ndarray, shape (n,)
-        The linear term.
-
-    Returns
-    -------
-    SparseSquares
-        The same numbers as of the dense matrix.
-
-    Examples
-    --------
-    >>> squares = sparse_squares(SparseRows.of_lists([[0], [1]], [[2.0], [4.0]]), np.zeros(2))
-    >>> squares.forms.coordinate, [float(weight) for weight in squares.weights]
-    (array([1, 0], dtype=uint32), [4.0, 2.0])
-    """
+    """Complete the square of linear.x + x.M.x/2 for sparse symmetric M, with the numbers of `complete_squares`."""
     size = len(linear)
     if size > LARGEST_RATIONAL and len(matrix.value) < DENSE_ROW * size:
         return _Reduction(matrix, linear).squares()
@@ -61,8 +42,9 @@ def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSqu
 
 
 class _Reduction:
-    """The residual matrix of `complete_squares`, with the same operations in the same order. Each row is a dictionary,
-    and heaps find the largest entries.
+    """Residual matrix of `complete_squares`, with the same operations in the same order.
+
+    Rows are dictionaries; heaps give the largest entries.
     """
 
     def __init__(self, matrix: SparseRows, linear: NDArray[np.float64]) -> None:
@@ -110,7 +92,7 @@ class _Reduction:
         return SparseSquares(sparse, np.array(weights), np.array(betas), pivoted)
 
     def _pivots(self) -> tuple[int, ...] | None:
-        """Return the coordinate of the next square, or two coupled ones; None where nothing is left."""
+        """Return the coordinate of the next square, or two coupled ones; None if nothing is left."""
         while self.entries and not self._current(*self.entries[0]):
             heappop(self.entries)
         if not self.entries or -self.entries[0][0] <= self.floor:

@@ -1,4 +1,4 @@
-"""Which parts? A Hamiltonian taken apart into pieces of commuting forms, each with an exact flow."""
+"""Splitting of a Hamiltonian into parts: pieces of commuting forms, each with an exact flow."""
 
 from __future__ import annotations
 
@@ -26,25 +26,11 @@ Choice = str | Sequence[Sequence[int]]
 
 
 def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Term] | None = None) -> Parts:
-    """Take the Hamiltonian of a system apart into parts with exact flows (section 4 of Reich 1993, generalised).
+    """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised).
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    choice : "auto", "coordinates", or sequence of sequences of int
-        ``"auto"`` joins commuting coordinates; ``"coordinates"`` gives each coordinate (or completed square) a part of
-        its own, as in the paper; sets of coordinates are taken as they stand, in that order.
-
-    Returns
-    -------
-    Parts
-        In the order in which a forward sweep applies them.
-
-    Raises
-    ------
-    ValueError
-        If the Hamiltonian is not a sum of functions of commuting forms, or the sets given do not serve it.
+    ``"auto"`` joins commuting coordinates; ``"coordinates"`` gives each coordinate (or completed square) a part of its
+    own, as in the paper; sets of coordinates are used as given. The parts are in the order of a forward sweep. Raises
+    ValueError if the Hamiltonian is not a sum of functions of commuting forms, or the sets do not fit it.
     """
     commutation = Commutation(system.algebra)
     terms = terms or system.hamiltonian.terms()
@@ -70,7 +56,7 @@ def _sorted(atoms: Parts) -> Parts:
 
 
 def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts | None:
-    """Return the automatic parts of a single quadratic term where no square is completed, and None elsewhere."""
+    """Return the automatic parts of a single quadratic term without completed squares, else None."""
     term = terms[0].form
     if len(terms) > 1 or term is None or term.piece is not None:
         return None
@@ -84,7 +70,7 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
 
 @lru_cache(maxsize=1024)
 def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
-    """Return the parts, and where each of their weights stands among the values of the term."""
+    """Return the parts, and the index of each weight among the values of the term."""
     term, commutation = pattern.given
     places: Any = np.arange(len(term.values))
     atoms = coupled_atoms(replace(term, values=places), commutation)
@@ -92,7 +78,7 @@ def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Pa
 
 
 class _Atoms:
-    """The parts that a term is made of, before they are joined."""
+    """Visitor that collects the parts of terms, before they are joined."""
 
     def __init__(self, system: LiePoissonSystem, commutation: Commutation, apart: bool) -> None:
         self.found: list[Parts] = []
@@ -166,7 +152,7 @@ def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Co
 
 
 class _Clashes:
-    """What stands in the way of splitting a term: of a quadratic one, whose squares are completed, their number."""
+    """Visitor that raises if a term does not split; for quadratic terms it checks the width of completed squares."""
 
     def __init__(self, system: LiePoissonSystem, commutation: Commutation) -> None:
         self._system, self._commutation = system, commutation
@@ -186,19 +172,9 @@ class _Clashes:
 
 
 def check_splits(system: LiePoissonSystem) -> None:
-    """Refuse a Hamiltonian that is no sum of functions of commuting forms, without taking it apart.
+    """Raise NotSplit if the Hamiltonian is not a sum of functions of commuting forms, without splitting it.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-
-    Raises
-    ------
-    NotSplit
-        With the first piece whose coordinates do not commute.
-    TooWide
-        There are too many long squares.
+    Raises TooWide if there are too many long squares.
     """
     terms = system.hamiltonian.terms()
     clashes = _Clashes(system, Commutation(system.algebra))
@@ -207,7 +183,7 @@ def check_splits(system: LiePoissonSystem) -> None:
 
 
 class NotSplit(ValueError):
-    """A Hamiltonian is no sum of functions whose flows are known. The message says which piece, and why."""
+    """The Hamiltonian is not a sum of functions with known flows; the message names the piece and the reason."""
 
 
 def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> NotSplit:

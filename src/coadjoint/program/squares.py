@@ -1,4 +1,4 @@
-"""Completed squares: a symmetric matrix as a sum of d_r l_r l_r^T, in rationals where that is cheap."""
+"""Completed squares: a symmetric matrix as a sum of d_r l_r l_r^T, in rational arithmetic up to a moderate size."""
 
 from __future__ import annotations
 
@@ -11,26 +11,18 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-# A square is taken of one coordinate, unless its diagonal entry is this much smaller than the largest entry. No form
-# then has large coefficients (Bunch and Parlett 1971, (1 + sqrt 17)/8).
+# Single pivots need a diagonal entry of at least this fraction of the largest entry, which bounds the coefficients of
+# the forms (Bunch and Parlett 1971, (1 + sqrt 17)/8).
 SMALLEST_PIVOT = Fraction(41, 64)
-# Above this size numerators become too large, and the reduction runs in the number type that it was given.
+# Above this size numerators become too large, and the reduction runs in the number type of its input.
 LARGEST_RATIONAL = 16
 
 
 class Squares(NamedTuple):
-    """The result: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x.
+    """Completed squares: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x, at most n of them.
 
-    Parameters
-    ----------
-    forms : ndarray, shape (r, n)
-        The linear forms l_r.
-    weights : ndarray, shape (r,)
-        The factors d_r; zero for a form that carries only a piece of b.
-    linear : ndarray, shape (r,)
-        The factors beta_r.
-    pivots : ndarray of int64, shape (r, 3)
-        In which step of the reduction a form was found, and its pivots, twice the same where there is one.
+    `forms` (r, n) has the l_r, `weights` the d_r (zero for a form that only carries a piece of b), `linear` the beta_r.
+    `pivots` (r, 3) has the step of the reduction and its pivots, repeated if there is only one.
     """
 
     forms: NDArray[Any]
@@ -40,28 +32,9 @@ class Squares(NamedTuple):
 
 
 def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
-    """Complete the square (Lagrange's reduction with symmetric pivoting), for any symmetric matrix.
+    """Complete the square for any symmetric matrix (Lagrange's reduction with symmetric pivoting).
 
-    Not by eigenvectors: those are irrational, not unique, and differ between platforms.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, n)
-        Symmetric; definite or not, singular or not.
-    linear : ndarray, shape (n,)
-        The linear term b.
-
-    Returns
-    -------
-    Squares
-        At most n forms.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> squares = complete_squares(np.array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
-    >>> [[float(v) for v in form] for form in squares.forms], [float(d) for d in squares.weights]
-    ([[1.0, 1.0], [-1.0, 1.0]], [0.5, -0.5])
+    Eigenvectors are not used: they are irrational, not unique, and differ between platforms.
     """
     size = len(linear)
     exact = matrix.dtype == np.float64 and size <= LARGEST_RATIONAL
@@ -72,7 +45,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     weights: list[Any] = []
     betas: list[Any] = []
     steps: list[tuple[int, int, int]] = []
-    # The rows and columns of pivots are zero, and are left out when they are many.
+    # The rows and columns of pivots are zero; they are removed once they are many.
     places, left = np.arange(size), size
     while left:
         if 4 * left <= 3 * len(places):
@@ -117,10 +90,9 @@ def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
 
 
 def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], Any]]:
-    """Return squares along e_i + e_j or e_i - e_j, then e_j, where the diagonal is small beside the entry at (i, j).
+    """Return squares along e_i + e_j or e_i - e_j, then e_j, for a diagonal small against the entry (i, j).
 
-    With the entry m and a diagonal of zeros they are ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2, of the rows m u and m
-    v.
+    For the entry m and a zero diagonal, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u and m v.
     """
     sign = 1 if (residual[i, i] + residual[j, j]) * residual[i, j] >= 0 else -1
     along = residual[i] + sign * residual[j]
@@ -131,7 +103,7 @@ def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], An
 
 
 def split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
-    """Return beta with sum beta_r l_r = b at the one or two pivots; b and the forms are given there alone.
+    """Return beta with sum beta_r l_r = b, from the entries of b and the forms at the one or two pivots.
 
     Examples
     --------

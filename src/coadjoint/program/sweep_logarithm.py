@@ -1,8 +1,8 @@
-"""Of which vector field is one sweep through the parts the flow? The logarithm of a product of flows, as polynomials.
+"""Logarithm of one sweep through the parts: the product of their flows as one flow, with polynomial coefficients.
 
 A function H stands for the derivation F -> sign {F, H} along its motion. Under the flows of H_1, then H_2, ... a
-function F becomes exp(h H_1) exp(h H_2) ... F: the first flow stands on the left. The commutator of the derivations of
-F and G is the derivation of [F, G] = sign {G, F}.
+function F becomes exp(h H_1) exp(h H_2) ... F, with the first flow on the left. The commutator of the derivations of F
+and G is the derivation of [F, G] = sign {G, F}.
 """
 
 from __future__ import annotations
@@ -19,37 +19,21 @@ from coadjoint.memory import check_room
 from coadjoint.waiting import at
 
 MOST_PRODUCTS = 10**8
-"""Of monomials, in all brackets together: some twenty seconds, and more where numerators are long."""
+"""Largest number of products of monomials in all brackets: about 20 s, more with long numerators."""
 
 TELLING = MOST_PRODUCTS // 100
-"""From so many on it is looked ahead, whether all are too many."""
+"""Number of products above which the remaining ones are estimated."""
 
 SECONDS_PER_PRODUCT = 2e-7
 
 BYTES_PER_MONOMIAL = 40
 
 Flow = Mapping[int, Exact]
-"""The flow of sum_j h^j W_j, the W_j commuting: j -> W_j. An exact flow has j = 1 alone."""
+"""Flow of sum_j h^j W_j with commuting W_j: j -> W_j. An exact flow has j = 1 alone."""
 
 
 class Commutators:
-    """The bracket [F, G] = sign {G, F} of polynomials.
-
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        On the dual of the algebra.
-    sign : {+1, -1}
-        The sign in x' = sign J(x) grad H(x).
-
-    Examples
-    --------
-    >>> from coadjoint.algebra import catalogue
-    >>> ring = ExactPolynomials(catalogue.so(3))
-    >>> x1, x2, x3 = ring.coordinates
-    >>> ring.polynomial(Commutators(ring, 1)(x1, x2))
-    -x3
-    """
+    """The bracket [F, G] = sign {G, F} of polynomials; `sign` is that of x' = sign J(x) grad H(x)."""
 
     def __init__(self, ring: ExactPolynomials, sign: int) -> None:
         self.ring, self.sign = ring, sign
@@ -60,11 +44,11 @@ class Commutators:
         return self.with_first(F)(G)
 
     def with_first(self, F: Exact) -> WithFirst:
-        """Return G -> [F, G], for many G."""
+        """Return the map G -> [F, G], for many G."""
         return WithFirst(self, [self.sign * entry for entry in self.ring.field(F)])
 
     def check_room(self, count: int) -> None:
-        """Count the products of monomials of a bracket, and refuse it where all brackets so far would make too many."""
+        """Count the products of monomials of a bracket; raise ValueError if the total or the memory is too large."""
         self.spent += count
         check_products(self.spent)
         at("the brackets of a modified Hamiltonian")
@@ -72,14 +56,9 @@ class Commutators:
         check_room(count * size, "a bracket in a modified Hamiltonian")
 
     def check_ahead(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
-        """Refuse before they are made the brackets of further fields with a series, which grows with each of them.
+        """Raise ValueError if the brackets of further fields with a series, which grows with each, are too many.
 
-        Parameters
-        ----------
-        lengths : sequence of lists of int
-            How many monomials the components of each field have.
-        series : sequence of fmpq_mpoly
-            As it is now.
+        `lengths` has the number of monomials in the components of each field.
         """
         slopes = [[len(term.derivative(i)) for i in range(self.ring.dim)] for term in series if term != 0]
         ahead = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
@@ -87,15 +66,7 @@ class Commutators:
 
 
 def check_products(count: float) -> None:
-    """Refuse brackets of so many products of monomials, where that is too much.
-
-    Examples
-    --------
-    >>> check_products(2e12)
-    Traceback (most recent call last):
-    ValueError: the brackets of a modified Hamiltonian take 2e+12 products of monomials or more, about 4e+05 s, and at
-    most 1e+08 are made; take a lower order, a system of fewer coordinates, or a run, whose energy shows their sum
-    """
+    """Raise ValueError if brackets have too many products of monomials."""
     if count > MOST_PRODUCTS:
         raise ValueError(
             f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, about "
@@ -105,15 +76,7 @@ def check_products(count: float) -> None:
 
 
 class WithFirst:
-    """The derivative of functions along a field: G -> [F, G] = sign {G, F}.
-
-    Parameters
-    ----------
-    commutators : Commutators
-        The bracket.
-    field : sequence of fmpq_mpoly
-        sign J(x) grad F.
-    """
+    """The derivation G -> [F, G] = sign {G, F} along the field sign J(x) grad F."""
 
     def __init__(self, commutators: Commutators, field: Sequence[Exact]) -> None:
         self._commutators, self._ring = commutators, commutators.ring
@@ -121,7 +84,7 @@ class WithFirst:
         self.lengths = [len(component) for component in field]
 
     def __call__(self, G: Exact) -> Exact:
-        """Return the bracket, or refuse by name one that is too large."""
+        """Return the bracket; raise ValueError if it is too large."""
         slopes = [G.derivative(i) for i, _ in self._moving]
         count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
         self._commutators.check_room(count)
@@ -133,24 +96,10 @@ class WithFirst:
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
-    """Return Y_1, Y_2, ...: several flows, one after the other, are the flow of h Y_1 + h^2 Y_2 + ...
+    """Return Y_1, ..., Y_highest: the given flows, the first one first, are the flow of h Y_1 + h^2 Y_2 + ...
 
-    With E(h) = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys
-    Y' = sum_k B_k/k! ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
-
-    Parameters
-    ----------
-    commutators : Commutators
-        The bracket.
-    flows : sequence of mappings
-        The first one flows first.
-    highest : int
-        Power of h of the last term.
-
-    Returns
-    -------
-    list of fmpq_mpoly
-        Y_1 to Y_highest.
+    With E(h) = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys Y' =
+    sum_k B_k/k! ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
     """
     ring = commutators.ring
     R = [ring.zero] * highest

@@ -1,4 +1,4 @@
-"""What a table is made from: a step as passes through the parts of a Hamiltonian."""
+"""Sweeps: the passes through the parts of a Hamiltonian that make up a step."""
 
 from __future__ import annotations
 
@@ -7,8 +7,19 @@ from typing import Any, NamedTuple, Protocol
 
 
 class Sweep(NamedTuple):
-    """One pass through the parts: forward or backward, over a fraction of the step, functions of time taken at a moment
-    of it. A `turn` makes a second-order step with the sweep before: the part at which they meet flows once over both.
+    """One pass through the parts over a fraction of the step, forward or backward.
+
+    Parameters
+    ----------
+    forward : bool
+        Whether the parts are applied in their order, or in reverse.
+    coefficient : number
+        The fraction of the step.
+    moment : number
+        The moment of the step, as a fraction, at which functions of time are evaluated.
+    turn : bool
+        Whether the sweep forms a second-order step with the previous one: the part at which they meet flows once over
+        both.
     """
 
     forward: bool
@@ -18,11 +29,11 @@ class Sweep(NamedTuple):
 
 
 class Swept(Protocol):
-    """A scheme that is made of exact flows of parts."""
+    """Protocol of schemes composed of exact flows of parts."""
 
     @property
     def parts(self) -> Any:
-        """How the Hamiltonian is taken apart: "auto", "coordinates", or sets of coordinates."""
+        """Choice of the parts: "auto", "coordinates", or sets of coordinates."""
 
     @property
     def rotation(self) -> str:

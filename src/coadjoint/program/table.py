@@ -1,4 +1,4 @@
-"""The program: rows of elementary flows in three sections, the shares that give their angles, and what they act on."""
+"""Program: a table of elementary flows in three sections, with the rules for their angles and their actions."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from coadjoint.systems.terms import FunctionTerm
 
 @dataclass(frozen=True)
 class Program:
-    """A splitting of one system as a table of plain arrays, which compiled and Python readers use.
+    """A splitting of one system as a table of plain arrays, which compiled and Python interpreters use.
 
     Parameters
     ----------
     rows : Rows
-        What is applied in which order.
+        The flows, in order of application.
     parts : Parts
         The exact flows.
     terms : Terms
@@ -44,19 +44,19 @@ class Program:
     share : ndarray of uint32, shape (parts + 1,)
         Part p has the shares share[p] to share[p + 1].
     functions : dict
-        Number of a FUNCTION term -> the user's functions.
+        Index of a FUNCTION term -> the user's functions.
     state : Action
         The coadjoint action on the momentum.
     group : Action or None
-        The action on the rows of the group element, where one is carried.
+        The action on the rows of the group element; None without a group element.
     sign : int
-        Sign of the equation; the rows' coefficients include it.
+        Sign of the equation; the coefficients of the rows include it.
     number : callable
         Number type of the constants.
     frequency : ndarray, shape (angles,)
         The frequencies of the angles that are rational rotations, part after part; 0 for exact ones.
     shift : tuple of (Polynomial, float)
-        Casimirs and factors that were taken off the Hamiltonian. `group` does not contain what they do to the element.
+        Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
     """
 
     rows: Rows
@@ -85,38 +85,11 @@ def build_program(
     group: NDArray[Any] | str | None = None,
     number: Number = float,
 ) -> Program:
-    """Write a splitting method for a system as a table.
+    """Build the table of a splitting method for a system.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    method : Swept
-        The splitting.
-    group : ndarray of shape (n, d, d), "coadjoint", or None
-        The representation that the group element is carried in.
-    number : callable
-        Number type: `float`, or for instance `mpmath.mpf` for the plain reading.
-
-    Returns
-    -------
-    Program
-        The table.
-
-    Raises
-    ------
-    ValueError
-        The Hamiltonian does not split, or the parts that were chosen do not fit it.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> paper = co.Splitting(order=2, parts="coordinates")
-    >>> program = build_program(co.systems.rigid_body(inertia=(1, 2, 3)), paper)
-    >>> [int(p) for p in program.rows.part]
-    [0, 1, 2, 1, 0, 1, 2, 1, 0]
-    >>> [int(s) for s in program.rows.section]
-    [0, 4, 8, 9]
+    `group` is the representation (n, d, d) of the group element, "coadjoint", or None. `number` is the number type:
+    `float`, or for instance `mpmath.mpf` for the reference interpreter. Raises ValueError if the Hamiltonian does not
+    split, or the chosen parts do not fit it.
     """
     try:
         decomposition = decompose(system, method.parts)
@@ -149,7 +122,7 @@ def build_program(
 
 
 def _term_table(parts: Parts) -> TermTable:
-    """Return the shares of all parts, in their order."""
+    """Collect the shares of all parts, in their order."""
     table = TermTable()
     angle = parts.weights.start
     edges = sorted(parts.special.keys() - parts.bodies.keys())
@@ -181,8 +154,8 @@ def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
     return _ACTIONS[parts]
 
 
-# Of large systems the action takes seconds to be made. All schemes and steps share it, as long as the system lives that
-# the parts are kept for.
+# Building the action takes seconds for large systems, so all schemes and steps share it. Parts are cached for the
+# lifetime of their system, and their actions with them.
 _ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
 
 

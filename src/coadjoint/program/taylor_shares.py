@@ -1,4 +1,4 @@
-"""Parts that are functions of Python, as Taylor polynomials at a point."""
+"""Parts given by Python functions, as Taylor polynomials at a point."""
 
 from __future__ import annotations
 
@@ -17,37 +17,20 @@ from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.terms import FunctionTerm
 
 MOST_EVALUATIONS = 2**15
-"""On one circle, or product of circles, around a point."""
+"""Largest number of evaluations on one circle, or product of circles, around a point."""
 
 RADII = tuple(2.0**-k for k in range(8))
-"""Of the circles, over the size of the point; the two that agree best are taken."""
+"""Radii of the circles, relative to the size of the point; the two with the best agreement are used."""
 
 WORST = 1e-6
-"""Relative disagreement above which a function counts as one that has no such derivatives."""
+"""Relative disagreement above which a function counts as not analytic."""
 
 
 def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
-    """Return parts with Taylor polynomials at a point in place of functions.
+    """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,).
 
-    Parameters
-    ----------
-    parts : Parts
-        The parts of a Hamiltonian that does not depend on time.
-    x : ndarray, shape (n,)
-        The point.
-    degree : int
-        Degree of the polynomials: derivatives up to this order are those of the functions.
-
-    Returns
-    -------
-    Parts
-
-    Raises
-    ------
-    TypeError
-        A function cannot be differentiated so often: its Hessian is not enough, and it takes no complex numbers.
-    ValueError
-        A function is not analytic near the point, or has too many coordinates.
+    Raises TypeError if a function has too few derivatives and rejects complex numbers, ValueError if it is not analytic
+    near the point, or has too many coordinates.
     """
     special: dict[int, SpecialShare] = {}
     for s, share in parts.special.items():
@@ -60,7 +43,7 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
 
 
 def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: Sequence[int]) -> Polynomial:
-    """Return sum c (x - x0)^e as a polynomial in all coordinates, exactly."""
+    """Return sum c (x - x0)^e as an exact polynomial in all coordinates."""
     n = len(x)
     distance = [Polynomial.variable(i, n) - Fraction(float(x[i])) for i in where]
     total = Polynomial({}, dim=n)
@@ -73,26 +56,11 @@ def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: 
 
 
 def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
-    """Return the Taylor polynomial of a function, without its constant, from its gradient.
+    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1.
 
-    Up to the second degree the derivatives that were given are used. Above, the gradient is evaluated on circles in the
-    complex plane around the point, and the Fourier coefficients of its values are the derivatives. They are right to
-    1e-10 or so of the largest where the function is analytic on the circles, whose radius is about the size of the
-    point.
-
-    Parameters
-    ----------
-    term : FunctionTerm
-        The function.
-    y : ndarray, shape (m,)
-        The point.
-    degree : int
-        At least 1.
-
-    Returns
-    -------
-    dict
-        Exponents -> coefficient.
+    Up to degree two the given derivatives are used. Above, the gradient is evaluated on circles in the complex plane
+    around the point, with radii about the size of the point; the derivatives are its Fourier coefficients, to about
+    1e-10 of the largest if the function is analytic on the circles.
     """
     slope = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
     m = len(y)
@@ -126,7 +94,7 @@ def _by_circles(
     size = max(1.0, float(np.max(np.abs(y))))
     tries = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
     keys = [e for e in tries[0] if sum(e) > 1]
-    # A coefficient of degree d counts with the factor size^d.
+    # Coefficients of degree d are weighted by size^d.
     weighted = np.array([[own[e] * size ** sum(e) for e in keys] for own in tries])
     scale = float(np.max(np.abs(slope), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
     apart = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
@@ -140,8 +108,8 @@ def _by_circles(
         ]
     if not max(wrong) <= WORST * scale:
         raise ValueError(
-            f"a function of the Hamiltonian has no derivatives of order {degree} that could be found near "
-            f"{y.tolist()}: on circles in the complex plane it is not analytic"
+            f"derivatives of order {degree} of a function of the Hamiltonian cannot be computed near "
+            f"{y.tolist()}: it is not analytic on circles in the complex plane; take a lower order"
         )
     return {e: found[e] for e in keys}
 
@@ -149,7 +117,7 @@ def _by_circles(
 def _coefficients(
     term: FunctionTerm, y: NDArray[np.float64], degree: int, nodes: int, radius: float
 ) -> dict[tuple[int, ...], float]:
-    """Return the Taylor coefficients up to a degree, from values of the gradient on a product of circles."""
+    """Return the Taylor coefficients up to a degree, from gradients on a product of circles."""
     m = len(y)
     circle = radius * np.exp(2j * np.pi * np.arange(nodes) / nodes)
     values = np.empty((m,) + (nodes,) * m, dtype=np.complex128)
@@ -159,7 +127,7 @@ def _coefficients(
     found = {}
     for exponents in product(range(degree + 1), repeat=m):
         if 0 < sum(exponents) <= degree:
-            # The gradient along i has e_i times the coefficient, at one power less of x_i. The mean over i is taken.
+            # Component i of the gradient has e_i times the coefficient at one power less of x_i; averaged over i.
             own = []
             for i, e in enumerate(exponents):
                 if e:
@@ -176,7 +144,7 @@ def _complex_slope(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
             return derivative_of(term, 1, y, 0.0)
     except Exception as reason:
         raise TypeError(
-            "a function of the Hamiltonian is to be differentiated more often than it was given derivatives, and its "
-            f"gradient takes no complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
+            "higher derivatives of a function of the Hamiltonian are needed than were given, and its "
+            f"gradient rejects complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
             "or take a lower order"
         ) from reason

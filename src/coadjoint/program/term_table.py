@@ -1,4 +1,4 @@
-"""Scalar functions as a table of terms: shares of a splitting, gradients of Runge-Kutta methods, watched invariants."""
+"""Table of scalar functions: shares of a splitting, gradients of Runge-Kutta methods, watched invariants."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 
 
 class Terms(NamedTuple):
-    """The table of `size` terms. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
+    """Table of `size` terms. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
 
-    A row of a LINEAR term is ``offset + weight . x``; its target is the coordinate that it belongs to, and the value of
-    the term is the sum of x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows;
-    a FUNCTION term calls compiled (or, in the plain reading, Python) functions of y = x[target].
+    A row of a LINEAR term is ``offset + weight . x`` for the coordinate `target`; the value of the term is the sum of
+    x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a FUNCTION term calls
+    compiled (in the reference interpreter: Python) functions of y = x[target].
     """
 
     size: int
@@ -40,7 +40,7 @@ class Terms(NamedTuple):
 
 
 class TermTable:
-    """Collects terms and makes the table; `functions` maps the number of a FUNCTION term to its Python functions."""
+    """Builder of the table; `functions` maps the index of a FUNCTION term to its Python functions."""
 
     def __init__(self) -> None:
         self.functions: dict[int, FunctionTerm] = {}
@@ -93,7 +93,7 @@ class TermTable:
         self._add_rows(kind, target, np.zeros(size), np.zeros(size + 1, dtype=np.int64), none, none)
 
     def add_polynomial(self, coordinates: Sequence[int], polynomial: Polynomial) -> None:
-        """Add a polynomial that depends on the given coordinates only (constant monomials have no gradient)."""
+        """Add a polynomial of the given coordinates (constant monomials have no gradient)."""
         place = {coordinate: int(self._rows[-1][-1]) + k for k, coordinate in enumerate(coordinates)}
         for exponents, coefficient in polynomial.monomials.items():
             present = [(k, e) for k, e in enumerate(exponents) if e]
@@ -108,16 +108,16 @@ class TermTable:
         term.given_to(self)
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        """Add a quadratic term, with a row for each coordinate."""
+        """Add a quadratic term, with one row per coordinate."""
         self.add_linear(np.arange(len(term.linear)), term.linear, term.indptr, term.indices, term.values)
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        """Add a polynomial, with a row for each variable in it."""
+        """Add a polynomial, with one row per variable in it."""
         used = sorted({k for exponents in term.polynomial.monomials for k, e in enumerate(exponents) if e})
         self.add_polynomial(used, term.polynomial)
 
     def function(self, term: FunctionTerm) -> None:
-        """Add a term that calls the user's functions."""
+        """Add a term that calls user functions."""
         self.functions[len(self)] = term
         self._add_empty_rows(FUNCTION, term.coordinates.tolist())
 
@@ -142,10 +142,10 @@ class TermTable:
 
 
 class ValueTable(TermTable):
-    """The table of terms whose values are wanted: a quadratic one may be of a few coordinates."""
+    """Table of terms whose values are evaluated; quadratic terms have rows only for coordinates they depend on."""
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        """Add a quadratic term by its rows that are not zero."""
+        """Add a quadratic term by its nonzero rows."""
         rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
         own = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
         self.add_linear(rows, term.linear[rows], own.start, own.coordinate, own.value)

@@ -1,7 +1,7 @@
-"""What Casimirs that were taken off a Hamiltonian still do to the group element, in components known beforehand.
+"""Action on the group element of Casimirs subtracted from a Hamiltonian, in components with known closed forms.
 
-A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)). X is linear in x0. The algebra, the Casimirs
-and the representation alone determine its pattern, and the closed form by which each of its components moves.
+A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)), linear in x0. The algebra, the Casimirs and
+the representation alone determine its pattern and the closed form of each component.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ Entries = tuple[Integers, Integers, NDArray[np.float64]]
 
 SEED = 1993
 SAMPLES = 3
-# An invariant form counts as definite where its pivots differ by less.
+# Smallest ratio of pivots for which an invariant form counts as definite.
 WORST_PIVOT = 2.0**-20
-# Tables are kept for representations of up to so many numbers.
+# Largest representation (number of entries) for which tables are cached.
 LARGEST_KEPT = 4096
 
 
 class Turn(IntEnum):
-    """How exp(t X) - 1 acts on a component.
+    """Closed form of exp(t X) - 1 on a component.
 
     NILPOTENT: a finite sum. PLANE: one coordinate, or any 2 x 2. CUBIC: X^3 = lam X, two terms (Rodrigues' formula in
-    any basis), lam of either sign. PAIR: a skew 4 x 4, two turns that commute. SKEW: any other component that keeps a
-    definite form, by the planes that it turns. GENERAL: the truncated Taylor series, and squarings.
+    any basis), lam of either sign. PAIR: a skew 4 x 4, two commuting rotations. SKEW: any other component that
+    preserves a definite form, by its invariant planes. GENERAL: scaling and squaring of the truncated Taylor series.
     """
 
     NILPOTENT = 0
@@ -52,13 +52,13 @@ class Turn(IntEnum):
 
 
 class UnshiftTables(NamedTuple):
-    """X of `size` rows in its components, from a momentum of `dim` numbers.
+    """X, of `size` rows, by components, as a function of a momentum of `dim` numbers.
 
     Component b has the coordinates begin[b] to begin[b + 1] of `coordinate`, and the entries form[b] to form[b + 1].
-    Entry f stands at cell[f], column after column, and is the sum over entry[f] to entry[f + 1] of weight times
-    x[column]. `order` is the last power of a NILPOTENT component, and of a CUBIC one the number of its eigenvalues that
-    are not 0. A `leaning` component moves x by rounding alone, which is taken off. Where metric[b] is not negative, the
-    form that a SKEW component keeps is L L^T, and L^T and its inverse stand at this place of `metrics`.
+    Entry f is at cell[f] (column-major), with the value sum of weight * x[column] over entry[f] to entry[f + 1].
+    `order` is the last power of a NILPOTENT component, and the number of nonzero eigenvalues of a CUBIC one. A
+    `leaning` component changes x by rounding alone, which is subtracted. metric[b], if not negative, is the position in
+    `metrics` of L^T and its inverse, for the form L L^T that a SKEW component preserves.
     """
 
     size: int
@@ -79,7 +79,7 @@ class UnshiftTables(NamedTuple):
 
 
 class _Component(NamedTuple):
-    """A connected set of coordinates and the entries of X in it, numbered locally, sorted by cell and momentum."""
+    """Connected set of coordinates with its entries of X in local numbers, sorted by cell and momentum."""
 
     coordinates: Integers
     row: Integers
@@ -97,7 +97,7 @@ class _Component(NamedTuple):
 
     @property
     def skew(self) -> bool:
-        """Whether X^T = -X to the bit, for every momentum."""
+        """Whether X^T = -X exactly, for every momentum."""
         order = order_by(self.row, self.column, self.momentum)
         return (
             np.array_equal(self.row[order], self.column)
@@ -124,31 +124,9 @@ def unshift_tables(
     sign: int,
     shift: Sequence[Taken],
 ) -> UnshiftTables:
-    """Return the tables of X = -sign sum c rho(grad C(x)).
+    """Return the tables of X = -sign sum c rho(grad C(x)), for pairs (C, c) of homogeneous quadratic Casimirs.
 
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra.
-    representation : ndarray of shape (n, d, d), or None
-        rho; None is the coadjoint matrices.
-    sign : int
-        That of the system.
-    shift : sequence of (Polynomial, float)
-        Casimirs C, homogeneous of degree two, and factors c.
-
-    Returns
-    -------
-    UnshiftTables
-        The same object for the same algebra, small representation and shift.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body((1, 2, 3))
-    >>> tables = unshift_tables(body.algebra, None, -1, [(body.casimirs["|x|^2"], 1.0)])
-    >>> [Turn(kind).name for kind in tables.kind], tables.weight.tolist()
-    (['CUBIC'], [2.0, -2.0, -2.0, 2.0, 2.0, -2.0])
+    `representation` rho is (n, d, d); None: the coadjoint one. Results for small representations are cached.
     """
     taken = tuple(shift)
     if (algebra.dim**2 if representation is None else representation.size) > LARGEST_KEPT:
@@ -218,12 +196,12 @@ def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[
     forms = SparseRows(np.searchsorted(j, np.arange(dim + 1)), i.astype(np.uint32), value)
     found = list(matrices.combinations(forms, float))
     momentum, column, row, weight = (np.concatenate([own[side] for own in found]) for side in range(4))
-    # On the rows of a group element rho acts as -rho^T.
+    # rho acts on the rows of a group element as -rho^T.
     return Generators(momentum, row, column, sign * weight)
 
 
 def _components(size: int, generators: Generators) -> Any:
-    """Yield the connected sets of coordinates, in the order of their first ones."""
+    """Yield the connected sets of coordinates, sorted by their first ones."""
     momentum, row, column, weight = generators
     label = connected(size, row, column)
     order = order_by(label[row], column, row, momentum)
@@ -239,7 +217,7 @@ def _components(size: int, generators: Generators) -> Any:
 
 
 def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
-    """Return the closed form by which a component moves for every momentum: what holds at a few general ones."""
+    """Classify a component for all momenta by the properties it has at a few generic ones."""
     m = component.width
     layer = layers(m, component.column[fresh(component.cell)], component.row[fresh(component.cell)])
     if layer.min() >= 0:
@@ -269,7 +247,7 @@ def _vanishes(matrix: NDArray[np.float64], bound: NDArray[np.float64]) -> bool:
 
 
 def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArray[np.float64]]) -> int:
-    """Return the rank of D where D^3 = lam D, lam = trace(D^2) / rank; else 0."""
+    """Return the rank of D if D^3 = lam D, lam = trace(D^2) / rank; else 0."""
     D, square, cube = powers
     m, largest = len(D), int(np.argmax(abs(D)))
     lam = cube.flat[largest] / D.flat[largest]
@@ -279,7 +257,7 @@ def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArr
 
 
 def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | None:
-    """Return L^T and its inverse, column after column, for the form L L^T of a definite Casimir, which X keeps."""
+    """Return L^T and its inverse, column-major, for the form L L^T of a definite Casimir, which X preserves."""
     rows, columns, values = casimir
     m, place = component.width, np.full(max(int(rows.max()), int(component.coordinates[-1])) + 1, -1)
     place[component.coordinates] = np.arange(m)
@@ -291,7 +269,7 @@ def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | No
 
 
 def _cholesky(form: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return L with L L^T = form, or None where it is not definite."""
+    """Return L with L L^T = form, or None if it is not definite."""
     m, lower = len(form), np.zeros(form.shape)
     rest = form.copy()
     for k in range(m):
@@ -303,7 +281,7 @@ def _cholesky(form: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def _inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inverse of a lower triangular matrix, sums in order."""
+    """Invert a lower triangular matrix, with sums in order."""
     m, found = len(lower), np.eye(len(lower))
     for k in range(m):
         found[k] /= lower[k, k]

@@ -1,4 +1,4 @@
-"""Has a splitting so many long generators that another scheme is the right one? Told before they are made."""
+"""Cost check of splittings with many long generators, before these are built."""
 
 from __future__ import annotations
 
@@ -9,51 +9,32 @@ from coadjoint.algebra.joins import Integers
 from coadjoint.memory import check_room, in_words
 from coadjoint.waiting import tell
 
-# A generator with fewer products is one of a lattice, which may have millions of them.
+# Generators with fewer products are not counted: lattices may have millions of them.
 WIDE = 1 << 12
 MOST_PRODUCTS = 1 << 24
 BYTES_PER_PRODUCT = 150
 SECONDS_PER_PRODUCT = 2e-6
-# Of one step of order two: two sweeps, each with series of twenty products for each entry.
+# Per product, for one step of order two: two sweeps, with a series of twenty products per entry.
 SECONDS_PER_STEP = 4e-8
 
 
 class TooWide(ValueError):
-    """A splitting would be made ready for minutes, and its steps would take seconds."""
+    """A splitting would take minutes to prepare, and seconds per step."""
 
 
 def check_products(products: NDArray[np.int64] | Integers, what: str) -> None:
-    """Refuse generators that are added up from too many products, with an estimate.
+    """Raise TooWide, with estimates of time and memory, if generators are sums of too many products.
 
-    Parameters
-    ----------
-    products : integer array
-        How many products the generator of each angle has.
-    what : str
-        What has them, the subject of the message.
-
-    Raises
-    ------
-    TooWide
-        With seconds, bytes, and what to take in place of it.
-    ValueError
-        They do not fit into memory.
-
-    Examples
-    --------
-    >>> check_products(np.full(10**6, 20), "a lattice")
-    >>> check_products(np.full(1000, 60_000), "H")
-    Traceback (most recent call last):
-    coadjoint.program.wide_generators.TooWide: H has 1000 flows of 60000 products each: a splitting would need about
-    120 s and 9.0 GB to be made ready, and 2 s for a step; take GaussLegendre, which is made ready at once
+    `products` has the number for each angle; `what` is the subject of the message. Raises ValueError if they exceed
+    memory.
     """
     wide = products[products > WIDE]
     total = int(wide.sum())
     if total > MOST_PRODUCTS:
         raise TooWide(
             f"{what} has {len(wide)} flows of {total // len(wide)} products each: a splitting would need about "
-            f"{SECONDS_PER_PRODUCT * total:.0f} s and {in_words(BYTES_PER_PRODUCT * total)} to be made ready, and "
-            f"{SECONDS_PER_STEP * total:.0f} s for a step; take GaussLegendre, which is made ready at once"
+            f"{SECONDS_PER_PRODUCT * total:.0f} s and {in_words(BYTES_PER_PRODUCT * total)} for its preparation, and "
+            f"{SECONDS_PER_STEP * total:.0f} s per step; use GaussLegendre, which needs no preparation"
         )
     check_room(BYTES_PER_PRODUCT * total, f"a splitting of {what}", "take GaussLegendre")
     tell(f"making a splitting of {what} ready", SECONDS_PER_PRODUCT * total, "GaussLegendre is made ready at once")

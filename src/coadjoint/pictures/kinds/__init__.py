@@ -1,1 +1,1 @@
-"""One kind of picture in each file: what it shows of a run."""
+"""Kinds of pictures of runs, one in each file."""

@@ -1,4 +1,4 @@
-"""The path of an axis of the body on the sphere of directions in space."""
+"""Path of a body axis on the sphere of directions in space."""
 
 from __future__ import annotations
 
@@ -15,25 +15,18 @@ from coadjoint.pictures.style import INK, colour, key
 def body_axis(
     drawn: Drawn, axis: Any = 2, up: Any = None, vertical: str = "", view: tuple[float, float] | None = None
 ) -> Paint:
-    """Show where an axis of the body points, in space.
+    """Show where a body axis points in space; needs a run with attitude.
 
     Parameters
     ----------
-    drawn : Drawn
-        A run that carried its attitude.
     axis : int or array_like
         Number of the axis, 0 to 2, or a direction in the body.
     up : sequence of three ints or str, optional
-        Coordinates of a vector of the body that is constant in space; it points up in the picture.
+        Coordinates of a body vector that is constant in space; it points up in the picture.
     vertical : str
-        What that vector is called.
+        Label of that vector.
     view : (float, float), optional
-        From where one looks, in degrees: around the vertical, and above the horizon. By default from the side of the
-        path.
-
-    Returns
-    -------
-    Paint
+        Direction of view in degrees: around the vertical, and above the horizon. By default from the side of the path.
     """
     drawn = drawn.between
     path, name = axis_in_space(drawn, axis, up)

@@ -1,4 +1,4 @@
-"""The orbit in three dimensions on its coadjoint orbit, which is a surface."""
+"""Orbit in three dimensions on its coadjoint orbit, which is a surface."""
 
 from __future__ import annotations
 
@@ -15,14 +15,8 @@ def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> 
 
     Parameters
     ----------
-    drawn : Drawn
-        The run.
     view : (float, float)
-        From where one looks, in degrees: around the third axis, and above the plane of the others.
-
-    Returns
-    -------
-    Paint
+        Direction of view in degrees: around the third axis, and above the plane of the others.
     """
     n, drawn = drawn.n, drawn.between
     if n != 3:

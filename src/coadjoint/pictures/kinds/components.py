@@ -1,4 +1,4 @@
-"""Components of the state over time, or functions of them."""
+"""Components of the state, or functions of them, over time."""
 
 from __future__ import annotations
 
@@ -26,25 +26,19 @@ def components(
     flips: int | str | None = None,
     quantity: str | None = None,
 ) -> Paint:
-    """Show components over time; of many, eight that are spread evenly.
+    """Show components over time; at most eight, evenly spread.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run.
     chosen : sequence of int or str, or callable, optional
-        Which, by number from 0 or by name; or a function of the dimension that returns them.
+        The components, by number from 0 or by name; or a function of the dimension that returns them.
     functions : mapping of str to callable, or callable, optional
-        Name to function of the states, (..., n) to (...): drawn in place of components, or beside those that are
-        `chosen`. Or a function of the dimension that returns them.
+        Name to function of the states, (..., n) to (...): drawn in place of components, or in addition to those that
+        are `chosen`. Or a function of the dimension that returns them.
     flips : int or str, optional
-        A component whose changes of sign are marked, with the time from one to the next.
+        A component whose changes of sign are marked, with the time between them.
     quantity : str, optional
-        What is drawn, for the axis; by default what the coordinates of the system are.
-
-    Returns
-    -------
-    Paint
+        Label of the axis; by default the quantity of the coordinates of the system.
     """
     n, drawn = drawn.n, drawn.between
     chosen = chosen(n) if callable(chosen) else chosen
@@ -54,7 +48,7 @@ def components(
         places = spread(n, MOST_COMPONENTS).tolist()
     lines = {drawn.label(i): drawn.x[..., i] for i in places}
     for name, function in (functions or {}).items():
-        with np.errstate(all="ignore"):  # what is not finite is not drawn
+        with np.errstate(all="ignore"):  # nonfinite values are not drawn
             lines[coordinate(name)] = np.asarray(function(drawn.x))
     flipping = None if flips is None else drawn.place(flips)
 
@@ -91,7 +85,7 @@ def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
     if len(drawn.x) > 1 or not drawn.close:
         return
     times = flips_of(drawn.system, drawn.t, drawn.x[0], i, most=2)
-    # Too near to each other for an arrow between them that is seen.
+    # Too close for a visible arrow between them.
     if len(times) < 2 or abs(times[1] - times[0]) < 0.05 * abs(drawn.t[-1] - drawn.t[0]):
         return
     low, high = axes.get_ylim()

@@ -1,4 +1,4 @@
-"""The directions of vectors in the state, as paths on a sphere."""
+"""Directions of vectors in the state, as paths on a sphere."""
 
 from __future__ import annotations
 
@@ -25,25 +25,19 @@ def directions(
 ) -> Paint:
     """Show where vectors of three coordinates point.
 
-    Where the length of such a vector is a Casimir, the sphere is a coadjoint orbit, or a factor of it.
+    If the length of such a vector is a Casimir, the sphere is a coadjoint orbit, or a factor of one.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run.
     vectors : mapping of str to three ints or str, or to array_like, shape (3, n)
         Name to coordinates, or to the linear forms whose values are the components.
     axes_named : sequence of three str
         Names of the axes.
     title : str
-        Above the picture.
+        Title of the picture.
     view : (float, float), optional
-        From where one looks, in degrees: around the third axis, and above the plane of the others. By default from
-        the side of the paths.
-
-    Returns
-    -------
-    Paint
+        Direction of view in degrees: around the third axis, and above the plane of the others. By default from the side
+        of the paths.
     """
     drawn = drawn.between
     paths = {name: _unit(_components(drawn, given)) for name, given in vectors.items()}

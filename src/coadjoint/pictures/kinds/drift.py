@@ -1,4 +1,4 @@
-"""How far the energy and the Casimirs stray from their values at the start."""
+"""Deviations of the energy and the Casimirs from their initial values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from coadjoint.pictures.style import colour, key, plain_axes, symbol
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MOST_CASIMIRS = 5
-"""Casimirs with a line of their own; of more, the worst four, and a band that holds all."""
+"""Number of Casimirs with a line of their own; of more, the worst four, and a band of all."""
 BAND = "#9AA7B5"
 TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 
@@ -26,19 +26,10 @@ TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 def drift(drawn: Drawn) -> Paint:
     """Show the absolute deviations from the start on a logarithmic scale.
 
-    Where the Hamiltonian depends on time the energy is meant to change, and the picture says so. Of many Casimirs the
-    worst four have lines, and a band reaches from the smallest to the largest deviation of all. Where forces change the
-    invariants, dotted lines show what is left of the change less their work: that is the error of the run. Traces of
-    powers of large matrices are large numbers; of matrices, deviations are shown as parts of their sizes.
-
-    Parameters
-    ----------
-    drawn : Drawn
-        The run.
-
-    Returns
-    -------
-    Paint
+    If the Hamiltonian depends on time, the title states that the energy is driven. Of many Casimirs the worst four have
+    lines, and a band spans the deviations of all. With forces, dotted lines show the change minus the work of the
+    forces: the error of the run. For matrices, whose traces of powers are large, deviations are relative to their
+    sizes.
     """
     sizes = _sizes(drawn)
     deviations = {
@@ -52,7 +43,7 @@ def drift(drawn: Drawn) -> Paint:
         if others > MOST_CASIMIRS:
             _draw_band(axes, drawn, np.stack(list(deviations.values())))
         for i, (name, members) in enumerate(lines.items()):
-            # Zero has no logarithm: the line has gaps where nothing has changed in any bit.
+            # Zero deviations have no logarithm, and leave gaps.
             visible = np.where(members > 0.0, members, np.nan)
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
@@ -75,9 +66,9 @@ def drift(drawn: Drawn) -> Paint:
 
 
 def _sizes(drawn: Drawn) -> Mapping[str, float]:
-    """Return what deviations of invariants are divided by, at the start of the first member: of matrices alone.
+    """Return the scales of the invariants at the start of the first member, for matrices only.
 
-    Traces of powers have cancelled: their size is that of the sum without signs.
+    Traces of powers cancel, so their scale is the sum without signs.
     """
     if not isinstance(drawn.family, MatrixSystem):
         return {}
@@ -104,7 +95,7 @@ def _draw_left(axes: Any, drawn: Drawn, left: npt.NDArray[np.float64], shade: st
 
 
 def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return all Casimirs where they are few, else those with the largest deviations."""
+    """Return all Casimirs if they are few, else those with the largest deviations."""
     if len(deviations) <= MOST_CASIMIRS:
         return dict(deviations)
     size = {name: float(np.nanmax(values, initial=0.0)) for name, values in deviations.items()}

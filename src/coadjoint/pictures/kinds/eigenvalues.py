@@ -1,4 +1,4 @@
-"""The eigenvalues of a matrix that turns: what an isospectral motion keeps."""
+"""Eigenvalues of a matrix state, which an isospectral motion conserves."""
 
 from __future__ import annotations
 
@@ -12,30 +12,23 @@ from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 FEW = 40
-"""So many eigenvalues are points on their line."""
+"""Number of eigenvalues up to which lines have markers."""
 
 
 @kind("eigenvalues", low=True)
 def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
-    """Show the eigenvalues of a matrix at the start and at another time, and say how far they moved.
+    """Show the eigenvalues of a matrix of the first member at the start and at another time, and their displacement.
 
-    Those of -i W in rising order, where W is skew-Hermitian; else those of W in the plane of complex numbers. Of a
-    fluid they tell how much of the surface has which vorticity. Of two fields those of the carried one are shown, which
-    stay.
+    If W is skew-Hermitian, those of -i W in ascending order; else those of W in the complex plane. For a fluid they are
+    the distribution of vorticity over area. For two fields, the conserved ones of the carried field are shown.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     at : float
-        The time, as a part of the span: 0 is the start, 1 the end.
-
-    Returns
-    -------
-    Paint
+        The time as a fraction of the span: 0 is the start, 1 the end.
     """
     if not isinstance(drawn.family, MatrixSystem):
-        raise CannotShow(f"{drawn.family.name} moves no matrix, and has no eigenvalues")
+        raise CannotShow(f"the state of {drawn.family.name} is not a matrix, and has no eigenvalues")
     k = drawn.at(at)
     first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0

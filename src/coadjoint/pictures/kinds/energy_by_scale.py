@@ -1,4 +1,4 @@
-"""Where the energy of a fluid goes: the shares of its largest scales over time."""
+"""Energy of a fluid in its largest scales over time."""
 
 from __future__ import annotations
 
@@ -18,16 +18,9 @@ LETTER = {"sphere": "l", "torus": "|n|"}
 
 @kind("energy by scale", over_time=True)
 def energy_by_scale(drawn: Drawn) -> Paint:
-    """Show the shares of the energy in the degrees on the sphere, or the wave numbers on the torus, that have most.
+    """Show the fractions of the energy in the scales that have most of it, at up to 200 saved times.
 
-    Parameters
-    ----------
-    drawn : Drawn
-        The run; of several members the first, at no more than 200 of the saved times.
-
-    Returns
-    -------
-    Paint
+    Scales are degrees on the sphere, or wave numbers on the torus; the first member is shown.
     """
     fluid = fluid_of(drawn)
     times = spread(len(drawn.t), MOST_TIMES)

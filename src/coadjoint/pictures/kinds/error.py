@@ -1,4 +1,4 @@
-"""How far a run is from the closed form, where one is known."""
+"""Distance of a run from a closed form, if one is known."""
 
 from __future__ import annotations
 
@@ -17,18 +17,9 @@ MOST_TIMES = 400
 
 @kind("error", over_time=True)
 def error(drawn: Drawn) -> Paint:
-    """Show the distance from the closed form, relative to the size of the start, at 400 times at most.
+    """Show the distance from the closed form, relative to the size of the start, at up to 400 times.
 
-    Of a motion that keeps its orbit it is the error of the phase.
-
-    Parameters
-    ----------
-    drawn : Drawn
-        A run of a system with a closed form; of a batch none is shown.
-
-    Returns
-    -------
-    Paint
+    For a motion that stays on its orbit it is the phase error. Batches are not supported.
     """
     system = drawn.system
     if getattr(system, "closed_form", None) is None or isinstance(drawn.solution.system, Batch):
@@ -43,7 +34,7 @@ def error(drawn: Drawn) -> Paint:
     errors = np.array(found)
 
     def paint(axes: Any) -> None:
-        # Zero has no logarithm: the line has gaps where the run is right in every bit.
+        # Zero errors have no logarithm, and leave gaps.
         draw_members(axes, t, np.where(errors > 0.0, errors, np.nan), drawn.close, colour(0), None)
         axes.set(xlabel="time $t$", ylabel="relative error", title="distance from the closed form")
         if np.any(errors > 0.0):

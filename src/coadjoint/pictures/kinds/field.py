@@ -1,4 +1,4 @@
-"""A field in the plane whose amplitudes are the state: the vorticity of a fluid kept to a few waves."""
+"""Field in the plane with the state as amplitudes, such as the vorticity of a few waves."""
 
 from __future__ import annotations
 
@@ -25,27 +25,21 @@ def field(
     at: float = 0.0,
     label: str = "field",
 ) -> Paint:
-    """Show the sum of the modes, each times its coordinate, at one time; or values that a function gives.
+    """Show the sum of the modes, each times its coordinate, at one time for the first member; or values of a function.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     width : callable
-        Function of the system that returns how wide the square is that is shown.
+        Function of the system that returns the width of the square.
     modes : callable
-        Function of the system and of places X, Y, (k, k), that returns the modes, (n, k, k).
+        Function of the system and of positions X, Y, (k, k), that returns the modes, (n, k, k).
     values : callable
-        Instead: function of the system and of a state that returns the values on a grid, (rows, columns), from one
+        Alternative: function of the system and of a state that returns the values on a grid, (rows, columns), from one
         edge of the square to the other, both included: rows along Y, columns along X.
     at : float
-        The time, as a part of the span: 0 is the start, 1 the end.
+        The time as a fraction of the span: 0 is the start, 1 the end.
     label : str
-        What the field is.
-
-    Returns
-    -------
-    Paint
+        Name of the field.
     """
     k, wide = drawn.at(at), read_positive(width(drawn.family), "width")
     if values is not None:
@@ -64,7 +58,7 @@ def field(
             return np.tensordot(drawn.x[0, j], waves, axes=1)
 
         first = at_point(k)
-        # One scale for all times, which no sum of the modes leaves.
+        # One scale for all times, which bounds the sum of the modes.
         size = float(np.max(np.abs(drawn.x[0]) @ np.abs(waves).max(axis=(1, 2)))) or 1.0
     else:
         raise TypeError("a field needs its modes, or a function that gives its values")

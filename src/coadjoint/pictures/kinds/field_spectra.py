@@ -1,4 +1,4 @@
-"""How energy and enstrophy of a fluid are spread over its scales."""
+"""Distribution of the energy and enstrophy of a fluid over its scales."""
 
 from __future__ import annotations
 
@@ -13,25 +13,19 @@ from coadjoint.pictures.style import colour, key, plain_axes
 
 ACROSS = {"sphere": "degree $l$", "torus": "wave number $|n|$"}
 DECADES = 8.0
-"""What is smaller than the largest value by more is not drawn."""
+"""Range of values shown below the largest one, in powers of ten."""
 
 
 @kind("field spectra", low=True)
 def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
-    """Show energy and enstrophy over the degree on the sphere, or the wave number on the torus.
+    """Show energy and enstrophy of the first member over the degree on the sphere, or wave number on the torus.
 
-    Thin and dashed, those of the start.
+    Thin dashed lines are those of the start.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     at : float
-        The time, as a part of the span: 0 is the start, 1 the end.
-
-    Returns
-    -------
-    Paint
+        The time as a fraction of the span: 0 is the start, 1 the end.
     """
     fluid, k = fluid_of(drawn), drawn.at(at)
     spectra = {"energy": fluid.energy_spectrum, "enstrophy": fluid.enstrophy_spectrum}

@@ -1,4 +1,4 @@
-"""The curve that an axis of the body draws: its inclination over its azimuth."""
+"""Nutation of a body axis: its inclination over its azimuth."""
 
 from __future__ import annotations
 
@@ -14,22 +14,16 @@ from coadjoint.pictures.style import INK, colour, dots, key, plain_axes
 
 @kind("nutation")
 def nutation(drawn: Drawn, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
-    """Show the inclination of an axis of the body to the vertical over its azimuth, both in degrees.
+    """Show the inclination of a body axis to the vertical over its azimuth, both in degrees; needs attitude.
 
     Parameters
     ----------
-    drawn : Drawn
-        A run that carried its attitude.
     axis : int or array_like
         Number of the axis, 0 to 2, or a direction in the body.
     up : sequence of three ints or str, optional
-        Coordinates of the vector of the body that is the vertical in space.
+        Coordinates of the body vector that is the vertical in space.
     turns : float
-        The curve ends when the axis has gone around so many times.
-
-    Returns
-    -------
-    Paint
+        Number of revolutions of the axis after which the curve ends.
     """
     drawn = drawn.between
     path, name = axis_in_space(drawn, axis, up)

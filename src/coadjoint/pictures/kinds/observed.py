@@ -1,4 +1,4 @@
-"""What the run was asked to observe, over time."""
+"""Observed quantities of a run over time."""
 
 from __future__ import annotations
 
@@ -16,17 +16,7 @@ MOST_OBSERVED = 8
 
 @kind("observed", over_time=True)
 def observed(drawn: Drawn) -> Paint:
-    """Show the quantities of ``observe=`` that are numbers; of many, the first eight.
-
-    Parameters
-    ----------
-    drawn : Drawn
-        The run.
-
-    Returns
-    -------
-    Paint
-    """
+    """Show the quantities of ``observe=`` that are numbers; at most the first eight."""
     series = {name: drawn.of_each(values) for name, values in drawn.solution.observed.items()}
     numbers = {name: values for name, values in series.items() if values.ndim == 2 and values.dtype.kind in "fiub"}
     if not numbers:

@@ -1,4 +1,4 @@
-"""The path of a body through space, with its attitude on the way."""
+"""Path of a body through space, with its attitude."""
 
 from __future__ import annotations
 
@@ -17,24 +17,20 @@ SHOWN = 40  # attitudes along the path
 
 @kind("path in space", projection="3d")
 def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
-    """Show the position that the group element of SE(3) holds, and an axis of the body at times evenly spaced.
+    """Show the position in the group element of SE(3), and a body axis at evenly spaced times.
+
+    Needs the attitude of a system whose group element has a position, such as a body in a fluid.
 
     Parameters
     ----------
-    drawn : Drawn
-        A run that carried its attitude, of a system whose group element has a position: a body in a fluid.
     axis : int
         The axis that is drawn, 0 to 2.
-
-    Returns
-    -------
-    Paint
     """
     number = read_whole(axis, "axis", 0, 2)
     drawn = drawn.between
     g = drawn.attitude
     if g is None or g.shape[-1] != 4:
-        raise CannotShow("no motion of SE(3) was carried; integrate with attitude=True")
+        raise CannotShow("the run has no group element of SE(3); integrate with attitude=True")
     kept = drawn.kept
     positions, pointing = g[:, kept][..., :3, 3], g[:, kept][..., :3, number]
 

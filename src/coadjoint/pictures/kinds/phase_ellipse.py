@@ -1,4 +1,4 @@
-"""Second moments as ellipses in the plane of position and momentum, as time goes on."""
+"""Second moments over time as ellipses in the plane of position and momentum."""
 
 from __future__ import annotations
 
@@ -24,27 +24,21 @@ def phase_ellipse(
     until: float | None = None,
     labels: tuple[str, str] = ("position $q$", "momentum $p$"),
 ) -> Paint:
-    """Show the ellipse of one standard deviation at times evenly spread.
+    """Show the ellipse of one standard deviation at evenly spaced times, for the first member.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     moments : sequence of three ints or str
         The coordinates <qq>, <qp> and <pp> of one distribution about the origin.
     lumps : callable
-        Instead: function of the states (k, n) and of the system that returns, for each of several distributions, its
-        centre (q, p) and its second moments qq, qp, pp, each (k,).
+        Alternative: function of the states (k, n) and of the system that returns, for each of several distributions,
+        its centre (q, p) and its second moments qq, qp, pp, each (k,).
     times : int
-        How many ellipses of each.
+        Number of ellipses of each distribution.
     until : float, optional
-        The last time that is drawn, as a part of the span.
+        The last time drawn, as a fraction of the span.
     labels : (str, str)
-        Of the axes.
-
-    Returns
-    -------
-    Paint
+        Labels of the axes.
     """
     count, x = read_whole(times, "times", 2), drawn.x[0]
     if moments is not None:
@@ -55,7 +49,7 @@ def phase_ellipse(
     elif lumps is not None:
         shown = lumps(x, drawn.family)
     else:
-        raise TypeError("a phase ellipse needs the coordinates of moments, or a function that gives lumps")
+        raise TypeError("a phase ellipse needs `moments`, the coordinates of second moments, or a function `lumps`")
     part = 1.0 if until is None else min(max(read_number(until, "until"), 0.0), 1.0)
     end = round(part * (len(drawn.t) - 1)) + 1
 
@@ -66,7 +60,7 @@ def phase_ellipse(
 
         at = spread(end, count)
         scale = Normalize(float(drawn.t[at].min()), float(drawn.t[at].max()))
-        # The lightest end of the colours is too light for lines.
+        # The light end of the colormap is too light for lines.
         shades = ScalarMappable(scale, colormaps["plasma"].with_extremes())
         for q, p, qq, qp, pp in shown:
             axes.plot(q[:end], p[:end], color=INK, linewidth=0.4, alpha=0.6)
@@ -82,7 +76,7 @@ def phase_ellipse(
 
 
 def _ellipse(q: float, p: float, qq: float, qp: float, pp: float) -> Any:
-    """Return the curve (q, p) + L (cos, sin), with L L^T the matrix of moments; it needs no more than qq > 0."""
+    """Return the curve (q, p) + L (cos, sin), with L L^T the matrix of moments; requires only qq > 0."""
     turn = np.linspace(0.0, 2.0 * np.pi, 121)
     if not (qq > 0.0 and qq * pp - qp * qp >= 0.0):
         return np.full((2, 1), np.nan)

@@ -1,4 +1,4 @@
-"""One quantity against another."""
+"""Phase portraits: one quantity over another."""
 
 from __future__ import annotations
 
@@ -25,27 +25,20 @@ def phase_portrait(
     equal: bool = False,
     title: str = "phase portrait",
 ) -> Paint:
-    """Show a coordinate against another, or functions of the state.
+    """Show a coordinate over another, or functions of the state, with one colour per member.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; each member has a colour.
     across, up : int, str or callable
         Coordinate by number or name, or function of the states, (..., n) to (...).
     labels : (str, str), optional
-        Of the axes.
+        Labels of the axes.
     cyclic : float
-        Positive: what is across is known up to multiples of this, and the curve goes out on one side and in on the
-        other.
+        Positive: period of the horizontal quantity; the curve wraps around.
     equal : bool
-        Whether both axes have one scale.
+        Whether both axes have the same scale.
     title : str
-        Above the picture.
-
-    Returns
-    -------
-    Paint
+        Title of the picture.
     """
     for chosen in (across, up):
         if isinstance(chosen, int) and chosen >= drawn.n:
@@ -58,7 +51,7 @@ def phase_portrait(
         for m, (x, y) in enumerate(zip(*values, strict=True)):
             if cyclic > 0.0:
                 x = _folded(x, cyclic)
-                # A curve that leaves on one side has a gap there.
+                # A curve that wraps around has a gap there.
                 jumps = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * cyclic) + 1
                 shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
             else:
@@ -78,7 +71,7 @@ def phase_portrait(
 
 def _of(drawn: Drawn, chosen: Any) -> Floats:
     x = drawn.x[:, drawn.kept]
-    with np.errstate(all="ignore"):  # what is not finite is not drawn
+    with np.errstate(all="ignore"):  # nonfinite values are not drawn
         return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
 
 

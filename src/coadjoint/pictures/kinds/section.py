@@ -1,4 +1,4 @@
-"""Where the run crosses the surfaces of its events: a Poincare section."""
+"""Poincare section: crossings of the surfaces of events."""
 
 from __future__ import annotations
 
@@ -11,24 +11,18 @@ from coadjoint.pictures.section import draw_crossings, places
 
 @kind("section")
 def section(drawn: Drawn, event: str | int | None = None, components: Any = None) -> Paint:
-    """Show the crossings of an event: two components of the states, a colour for each member.
+    """Show the crossings of an event: two components of the states, with one colour per member.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run.
     event : str or int, optional
-        Which one, by name or number; by default all that were looked for.
+        The event, by name or number; by default all events of the run.
     components : (int or str, int or str), optional
-        Which are drawn, to the right and upwards; by default the two that vary most.
-
-    Returns
-    -------
-    Paint
+        Components to the right and upwards; by default the two that vary most.
     """
     found = drawn.solution.events
     if found is None:
-        raise CannotShow("no events were looked for; integrate with events=co.Event(...)")
+        raise CannotShow("the run has no events; integrate with events=co.Event(...)")
     try:
         chosen = found if event is None else found[event]
         places(chosen, components)

@@ -1,4 +1,4 @@
-"""A row of like coordinates over time, as colours: waves that travel along a chain."""
+"""Coordinates of a chain over time as colours, for travelling waves."""
 
 from __future__ import annotations
 
@@ -23,26 +23,20 @@ def space_time(
     centred: bool = False,
     title: str = "",
 ) -> Paint:
-    """Show coordinates by colour, sites across and time upward.
+    """Show coordinates of the first member by colour, sites to the right and time upwards.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     sites : callable
         Function of the dimension that returns the coordinates, in the order of the sites.
     label : str
-        What they are.
+        Name of the coordinates.
     across : str
-        What is across.
+        Label of the sites.
     centred : bool
-        Whether zero is in the middle of the colours.
+        Whether zero is at the middle of the colour scale.
     title : str
-        Above the picture.
-
-    Returns
-    -------
-    Paint
+        Title of the picture.
     """
     places = list(sites(drawn.n))
     if len(places) < 2:

@@ -1,4 +1,4 @@
-"""A function on the sphere that the state holds: the vorticity of a fluid on a planet, seen from outside."""
+"""Function on the sphere given by the state, such as vorticity on a planet, seen from outside."""
 
 from __future__ import annotations
 
@@ -26,25 +26,19 @@ def sphere_field(
     view: tuple[float, float] = VIEW,
     label: str = "vorticity",
 ) -> Paint:
-    """Show a function on the sphere at one time.
+    """Show a function on the sphere at one time, for the first member.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     values : callable
-        Function of the system and of a state that returns the values on a grid, (a, b): rows from the south pole to
-        the north pole, both included, evenly in latitude; columns evenly in longitude from 0, without 2 pi.
+        Function of the system and of a state that returns the values on a grid, (a, b): rows from the south pole to the
+        north pole, both included, evenly in latitude; columns evenly in longitude from 0, without 2 pi.
     at : float
-        The time, as a part of the span: 0 is the start, 1 the end.
+        The time as a fraction of the span: 0 is the start, 1 the end.
     view : (float, float)
-        From where one looks: longitude and latitude in degrees.
+        Direction of view: longitude and latitude in degrees.
     label : str
-        What the function is.
-
-    Returns
-    -------
-    Paint
+        Name of the function.
     """
     k = drawn.at(at)
     grid, size = drawn.of_state(values, k)
@@ -78,18 +72,7 @@ def sphere_field(
 
 
 def on_grid(grid: Floats, towards: Floats) -> Floats:
-    """Return the values in directions (..., 3), by linear interpolation in latitude and longitude.
-
-    Parameters
-    ----------
-    grid : ndarray, shape (a, b)
-        As `sphere_field` has it.
-    towards : ndarray, shape (..., 3)
-        Unit vectors.
-
-    Returns
-    -------
-    ndarray
+    """Interpolate a grid (a, b) of `sphere_field` to unit vectors (..., 3), linearly in latitude and longitude.
 
     Examples
     --------

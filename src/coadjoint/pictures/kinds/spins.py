@@ -1,4 +1,4 @@
-"""Spins where they stand: arrows for what lies in the plane, colours for what points out of it."""
+"""Spins at their lattice sites: arrows for the components in the plane, colours for the third one."""
 
 from __future__ import annotations
 
@@ -14,30 +14,24 @@ from coadjoint.pictures.style import INK
 
 FLAT = ("plane", "side")
 SHADES = ("#0072B2", "#8A8A8A", "#D55E00")
-"""Down, in the plane, up: the middle is dark enough for arrows on white."""
+"""Down, in the plane, up; the middle is dark enough for arrows on white."""
 
 
 @kind("spins", moves=True)
 def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
-    """Show the spins of a lattice at one time.
+    """Show the spins of a lattice at one time, for the first member.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run; of several members the first.
     at : float
-        The time, as a part of the span: 0 is the start, 1 the end.
+        The time as a fraction of the span: 0 is the start, 1 the end.
     seen : {"plane", "side"}
         Arrows are the first two components and colours the third one; or arrows are the first and the third one and
         colours the second, as for a chain seen from the side.
-
-    Returns
-    -------
-    Paint
     """
     n = drawn.n
     if n % 3:
-        raise CannotShow(f"the state has {n} coordinates, which are no spins of three")
+        raise CannotShow(f"the state has {n} coordinates, which are not spins of three components")
     layout = getattr(drawn.family, "layout", None) or drawn.family.parameters or {}
     lattice = layout.get("lattice")
     places = places_of_sites(lattice, layout.get("shape"), n // 3)

@@ -1,4 +1,4 @@
-"""The vorticity of a fluid whose state is a matrix: a map of the sphere, or the square of the torus."""
+"""Vorticity of a fluid with a matrix state: a map of the sphere, or the square of the torus."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ PARTS = {
 COLUMNS = 720
 """Pixels across a map."""
 FEWEST, MOST = 128, 720
-"""Points of the grid along a side."""
+"""Smallest and largest number of grid points along a side."""
 LINES = 30.0
-"""Degrees between the lines of a map."""
+"""Degrees between the grid lines of a map."""
 
 
 @kind("vorticity", low=True, moves=True)
@@ -42,27 +42,23 @@ def vorticity(
     centre: tuple[float, float] = (0.0, 0.0),
     limit: float | None = None,
 ) -> Paint:
-    """Show the vorticity of a quantized fluid at one time, on one scale of colours with its start and its end.
+    """Show the vorticity of a quantized fluid at one time, with the colour scale of its start and its end.
+
+    Only the first member is shown.
 
     Parameters
     ----------
-    drawn : Drawn
-        The run, on the sphere or on the torus; of several members the first.
     at : float
-        The time, as a part of the span: 0 is the start, 1 the end.
+        The time as a fraction of the span: 0 is the start, 1 the end.
     part : {"all", "large", "small", "stream", "carried"}
-        All of it; what is constant along streamlines, which are the large scales; what is left beside these; the stream
-        function; or the second field, which the fluid carries.
+        The whole vorticity; its large scales, which are constant along streamlines; the remainder; the stream function;
+        or the second field, which the fluid carries.
     projection : {"mollweide", "hammer", "outside"}
-        Of the sphere: equal-area maps, or the view from outside.
+        Projection of the sphere: equal-area maps, or the view from outside.
     centre : (float, float)
-        Longitude and latitude of the middle of the map, in degrees.
+        Longitude and latitude of the centre of the map, in degrees.
     limit : float, optional
-        Where the colours end, to both signs; by default they hold start, end and this time.
-
-    Returns
-    -------
-    Paint
+        Largest absolute value of the colour scale; by default it covers start, end and this time.
     """
     fluid = fluid_of(drawn)
     part = read_choice(part, "part of the vorticity", PARTS)
@@ -142,7 +138,7 @@ def _square(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixel
     axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
 
     def pixels(values: Floats) -> Floats:
-        # a value stands in the middle of its cell, and the first ones again at the other edge
+        # values are those of cell centres; the first ones are repeated at the opposite edge
         return np.pad(values.T, (0, 1), mode="wrap")
 
     return {"extent": (0.0, 2 * np.pi, 0.0, 2 * np.pi), "interpolation": "bilinear"}, pixels
