@@ -150,7 +150,7 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
 
 
 class _Phases:
-    """Phases of a body at given times: `u` is lam t modulo 4 K, (k,); `factor` multiplies the integral of the third kind.
+    """Phases of a body: `u` is lam t modulo 4 K, (k,); `factor` multiplies the integral of the third kind.
 
     `psi` is the rotation of the moving frame besides the integral over u, modulo 2 pi: its part linear in time, and the
     gain of the integral over the whole periods.
