@@ -37,9 +37,7 @@ class Batch:
                 )
             difference = _difference(self.systems[0], system)
             if difference:
-                raise ValueError(
-                    f"member {m} of the batch {difference}; members have the same structure and other constants"
-                )
+                raise ValueError(f"member {m} of the batch {difference}; members may differ only in their constants")
         self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
 
     def among(self, first: int, last: int) -> Batch:

@@ -32,7 +32,7 @@ def description(name: str) -> dict[str, Any]:
     dict
         ``"summary"``, ``"equations"`` (the text below it), ``"parameters"`` (name to its default, kind and meaning),
         ``"state"``, ``"source"``; ``"sign"``, ``"algebra"``, ``"dimension"``, ``"rank"`` of J(x) at a generic point,
-        ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None where they are
+        ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None if they are
         not polynomials), ``"exact"`` (whether there is a closed form) and ``"attitude"`` ("representation", "coadjoint"
         "matrices" or "none": the group element that runs carry); serializable by `json`.
 

@@ -43,7 +43,7 @@ class Driven(Summable):
         if given.shape not in ((axes,), (sites, axes)):
             raise ValueError(f"{what}(t) has shape {given.shape}; it must return ({axes},) or ({sites}, {axes})")
         if not np.isfinite(given).all():
-            raise ValueError(f"{what}(0.0) is not finite")
+            raise ValueError(f"{what}(0.0) is not finite; give a function with finite values")
         self.uniform = given.ndim == 1
         self._force, self._factor = force, 1.0
         self._terms: tuple[Term, ...] | None = None

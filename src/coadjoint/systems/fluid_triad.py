@@ -84,7 +84,7 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
     k3 = (-k1[0] - k2[0], -k1[1] - k2[1])
     area = k1[0] * k2[1] - k1[1] * k2[0]
     if area == 0:
-        raise ValueError(f"first {short(first)} and second {short(second)} are parallel; such waves do not interact")
+        raise ValueError(f"first {short(first)} and second {short(second)} are parallel; give others that are not")
     try:
         S = float(area)
         masses = tuple(float(1 / (2 * (x * x + y * y))) for x, y in (k1, k2, k3))

@@ -66,7 +66,7 @@ class ForcedSystem:
             raise ValueError("two forces draw the same noise; give each a seed of its own")
         if not getattr(system, "linear_stream", True):
             # the kernels compute the energy of matrices from their stream
-            raise ValueError(f"the energy of {system.name} is a function; forces need one that its stream gives")
+            raise ValueError(f"the energy of {system.name} is a user function; forces need a system without energy=")
         self.system, self.forces = system, forces
 
     def with_forces(self, *forces: Force) -> ForcedSystem:

@@ -3,8 +3,8 @@
 Body convention: ``x' = x cross (m x)``, ``A' = A hat(m x)``, m the inverse moments of inertia along the principal axes.
 For given L = |x| and energy T the axes are named a, b, c: c is the axis that x encircles, b the middle one, and
 ``x_a = A_a cn u``, ``x_b = -+A_b sn u``, ``x_c = +-A_c dn u``, ``u = u0 + lam t``. See Whittaker, "Analytical
-Dynamics", 69. The attitude follows from the moving frame of e_c cross x and x, which turns about the constant A x by an
-angle that is an integral of the third kind.
+Dynamics", 69. The attitude follows from the moving frame of e_c cross x and x, which rotates about the constant A x by
+an angle that is an integral of the third kind.
 """
 
 from __future__ import annotations

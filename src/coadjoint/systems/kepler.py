@@ -22,7 +22,7 @@ def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats,
     `gravity` is positive (length^3/time^2). Raises ValueError if r and v are parallel.
     """
     if not np.any(np.cross(r, v)):
-        raise ValueError("the orbit is a fall into the centre, or out of it, and has no closed form; integrate it")
+        raise ValueError("the orbit is radial and has no closed form; integrate it")
     distance, along = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
     bent = 2.0 / distance - float(v @ v) / gravity  # inverse semi-major axis; negative on a hyperbola
     found = [_moved(r, v, gravity, distance, along, bent, float(t)) for t in times]

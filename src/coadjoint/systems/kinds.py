@@ -87,8 +87,7 @@ def check_one_system(system: Any) -> None:
     check_system(system)
     if isinstance(system, ForcedSystem):
         raise TypeError(
-            f"{system.name} has forces, for which this is not defined (runs and steppers are); take its "
-            "Hamiltonian part, system.system"
+            f"{system.name} has forces, which only runs and steppers support; take its Hamiltonian part, system.system"
         )
     if isinstance(system, Batch):
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")

@@ -50,7 +50,7 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
                 found[list(coordinates)] += linear_of(piece, len(coordinates))
         return found
     raise TypeError(
-        f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could change; give a Quadratic, a "
+        f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace; give a Quadratic, a "
         "Polynomial, a Separable or a SplitHamiltonian"
     )
 
@@ -108,7 +108,7 @@ def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
             given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
             pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
         return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
-    raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could be another one")
+    raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace")
 
 
 def _other_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianLike:

@@ -110,7 +110,7 @@ class Quadratic(Summable):
         entries: npt.NDArray[Any],
         mirrored: bool = False,
     ) -> None:
-        """Store the upper triangle and its mirror image as sparse rows; symmetric (`mirrored`) entries, sorted, as given."""
+        """Store the upper triangle and its mirror image as sparse rows; `mirrored` entries, sorted, as given."""
         if n == 0:
             raise ValueError("M has no entries; give at least one coordinate")
         if self._linear is None:

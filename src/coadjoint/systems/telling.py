@@ -109,7 +109,7 @@ class Telling:
         keep(self, "pictures", pictures)
         for text, what in ((self.says, "says"), (self.quantity, "quantity")):
             if not isinstance(text, str) or not text:
-                raise TypeError(f"{what} is {short(text)}; give a text")
+                raise TypeError(f"{what} is {short(text)}; give a string")
 
     def start(self) -> npt.NDArray[Any]:
         """Return the initial state, or one for each member.

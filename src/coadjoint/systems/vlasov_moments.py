@@ -131,7 +131,7 @@ def _read(text: str, count: int) -> Polynomial:
         return f"x{power // 2}"
 
     if len(text) > MOST_LETTERS:
-        raise ValueError(f"potential has {len(text)} letters; give at most {MOST_LETTERS}")
+        raise ValueError(f"potential has {len(text)} characters; give at most {MOST_LETTERS}")
     try:
         return read_polynomial(_MOMENT.sub(place, text), count)
     except ValueError as reason:

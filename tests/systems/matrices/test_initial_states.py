@@ -208,7 +208,7 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
     assert np.abs(found - W).max() < 1e-11 * np.abs(W).max()
     with pytest.raises(ValueError, match="has the axis 'time' too"):
         TURNING.from_file(tmp_path / "field.nc")
-    with pytest.raises(ValueError, match=r"no variable 'vx', but \['vo'\]"):
+    with pytest.raises(ValueError, match=r"no variable 'vx'; choose one of \['vo'\]"):
         TURNING.from_file(tmp_path / "field.nc", variable="vx")
     with pytest.raises(ValueError, match="no axis 'level'"):
         TURNING.from_file(tmp_path / "field.nc", select={"level": 0})

@@ -97,7 +97,7 @@ class Force(ABC):
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
-            What it acts on.
+            The system.
         x : (n,) array
             The state.
         t : number
@@ -120,7 +120,7 @@ class Force(ABC):
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
-            What it acts on.
+            The system.
         x : (n,) array
             The state.
         t, tau : number
@@ -140,7 +140,7 @@ class Force(ABC):
         reader : ForceReader
             The receiver of the description.
         system : LiePoissonSystem or PoissonSystem
-            What it acts on.
+            The system.
         """
 
     def parameters(self) -> Mapping[str, Any]:

@@ -104,7 +104,7 @@ class OwnForce(Force):
                 if moves_matrices(system) and np.all(np.isfinite(result)):
                     system.read(result, f"what the flow of {self.name} returns")
             if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
-                raise ValueError(f"the flow of {self.name} moves a state in no time; for tau = 0 it must return x")
+                raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x then")
             return
         raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
 

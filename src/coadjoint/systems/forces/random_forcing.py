@@ -93,7 +93,7 @@ class RandomForcing(OnLayer):
         stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
         self.place(system)
         if stream is None:
-            raise ValueError(f"the carried field of {system.name} has no energy, which RandomForcing is to feed in")
+            raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
         waves, parts = modes.kind == Waves.kind, 0
         for d in range(modes.diagonals):
             every = modes.numbers(d)

@@ -59,11 +59,11 @@ def _read_dataset(
         raise ValueError(f"{name} has the variables {short(names)}; choose one by variable=")
     chosen = names[0] if variable is None else variable
     if chosen not in dataset.data_vars:
-        raise ValueError(f"{name} has no variable {short(chosen)}, but {short(names)}")
+        raise ValueError(f"{name} has no variable {short(chosen)}; choose one of {short(names)}")
     field = dataset[chosen]
     for axis, place in dict(select or {}).items():
         if axis not in field.dims:
-            raise ValueError(f"{chosen} of {name} has no axis {short(axis)}, but {short(list(field.dims))}")
+            raise ValueError(f"{chosen} of {name} has no axis {short(axis)}; choose from {short(list(field.dims))}")
         size = field.sizes[axis]
         field = field.isel({axis: read_whole(place, f"select[{axis!r}]", -size, size - 1)})
     axes = [_axis(field, known, name) for known in (FIRST, SECOND)]
