@@ -41,7 +41,7 @@ class TorusEuler(FluidSystem):
         return modes_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
-        """Return the matrix W of modes.
+        """Return the matrix W from Fourier modes.
 
         Parameters
         ----------

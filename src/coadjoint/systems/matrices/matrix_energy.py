@@ -27,7 +27,7 @@ AGREEMENT = 2.0**-24
 
 
 class MatrixEnergy:
-    """The energy of a matrix system as a function of states as vectors of `dim` numbers; `timed` if it is timed."""
+    """The energy of a matrix system as a function of states as vectors of `dim` numbers, in the form that runs use."""
 
     def __init__(self, system: MatrixSystem) -> None:
         self._system, self.dim, self.timed = system, system.dim, system.timed
