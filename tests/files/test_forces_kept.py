@@ -86,7 +86,7 @@ def test_files_have_forces(tmp_path):
         ('"Torque"', '"Torqe"', r"forces\[1\]: .*did you mean 'Torque'"),
         ("rate", "rtae", r"forces\[0\]: .*did you mean 'rate'"),
         ("[0.1, 0.2, 0.3]", "[0.1, 0.2]", r"forces: rate of LinearDamping has the shape \(2,\)"),
-        ('name = "Torque"', "", r"forces\[1\]: .*is no force"),
+        ('name = "Torque"', "", r"forces\[1\]: .*is not a force"),
         ("[[forces]]", "[forces]", "forces"),
     ):
         place.write_text(FILE.replace(old, new, 1) if "[[" not in old else FILE.split("[[forces]]")[0] + "[forces]\n")

@@ -392,7 +392,7 @@ def test_what_makes_no_sense_is_refused_by_name():
         (lambda f: f.HeatBath(1, temperature=-1, seed=1), ValueError, "temperature of HeatBath is -1"),
         (lambda f: f.HeatBath(1, temperature=1, seed=-1), ValueError, "seed of HeatBath"),
         (lambda f: f.OwnForce(lambda x: x), TypeError, r"function of \(x, t, tau\)"),
-        (lambda f: f.OwnForce(lambda x, t, tau: x + 1), ValueError, "moves a state in no time"),
+        (lambda f: f.OwnForce(lambda x, t, tau: x + 1), ValueError, "changes a state for tau = 0"),
         (lambda f: f.OwnForce(lambda x, t, tau: x[:1]), ValueError, "real numbers of shape"),
         (lambda f: 0.5, TypeError, "a force is 0.5"),
     ],

@@ -314,7 +314,7 @@ def test_many_parameters_are_not_kept():
         ({"lattice": "squares"}, "did you mean 'square'"),
         ({"lattice": [(0, 1), (1, 0)]}, "joins the sites 0 and 1 twice; give every pair once"),
         ({"lattice": [(1, 1)]}, "joins site 1 to itself"),
-        ({"lattice": [(0, 2)]}, "edge 0 has the site 2; there are the sites 0 to 1"),
+        ({"lattice": [(0, 2)]}, "edge 0 has the site 2; sites are numbered from 0 to 1"),
         ({"lattice": [(0, -1)]}, "edge 0 has the site -1"),
         ({"lattice": [(0, 1, 2)]}, "give pairs of sites"),
         ({"lattice": [(0.0, 1.0)]}, "give pairs of sites"),

@@ -1,4 +1,4 @@
-"""What moves: ready-made systems, by function or by name (``co.systems``)."""
+"""Ready-made systems, as functions and by name (``co.systems``)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.ready_made import ready_made_systems
 
-# The functions take the place of the files of the same name: co.systems.rigid_body is the system.
+# The functions shadow the modules of the same name: co.systems.rigid_body is the function.
 globals().update(ready_made_systems())
 
 __all__ = sorted([*ready_made_systems(), "get", "names"])
@@ -48,7 +48,7 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
     name : str
         One of `names`.
     **parameters
-        Those of the function of that name; what is left out has its default.
+        Arguments of the function of that name; omitted ones take their defaults.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
     Raises
     ------
     ValueError
-        No such system, or no such parameter (the nearest name is given), or a value is wrong.
+        Unknown system or parameter (the message suggests the nearest name), or an invalid value.
 
     Examples
     --------

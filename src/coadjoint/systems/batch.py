@@ -1,4 +1,4 @@
-"""An ensemble whose members have the same structure and other constants: one system for each."""
+"""Batches: ensembles whose members are systems of the same structure with different constants."""
 
 from __future__ import annotations
 
@@ -17,19 +17,9 @@ KINDS = (LiePoissonSystem, PoissonSystem, ForcedSystem)
 
 
 class Batch:
-    """Systems of one structure with other constants, one for each member of an ensemble; see `batch`.
+    """Systems of the same structure with different constants, one for each member of an ensemble; `batch` makes it.
 
-    Parameters
-    ----------
-    systems : iterable of LiePoissonSystem, or of PoissonSystem
-        The members.
-
-    Attributes
-    ----------
-    systems : tuple
-        The members.
-    dim, sign : int
-        Of every member.
+    `systems` is the tuple of the members; `dim` and `sign` are common to all of them.
     """
 
     def __init__(self, systems: Iterable[Member | ForcedSystem]) -> None:
@@ -47,13 +37,11 @@ class Batch:
                 )
             difference = _difference(self.systems[0], system)
             if difference:
-                raise ValueError(
-                    f"member {m} of the batch {difference}; members have the same structure and other constants"
-                )
+                raise ValueError(f"member {m} of the batch {difference}; members may differ only in their constants")
         self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
 
     def among(self, first: int, last: int) -> Batch:
-        """Return the batch of the members `first` to `last` - 1; noise is that of their numbers among all."""
+        """Return the batch of members `first` to `last` - 1, each with the noise of its number in the whole batch."""
         found: Batch = object.__new__(Batch)
         found.systems = tuple(
             system.numbered_from(first) if isinstance(system, ForcedSystem) else system
@@ -64,7 +52,7 @@ class Batch:
 
     @property
     def name(self) -> str:
-        """That of the members, the first two where they differ, and how many there are."""
+        """Names of the members (the first two if they differ) and their number."""
         names = list(dict.fromkeys(system.name for system in self.systems))
         shown = ", ".join(names[:2]) + (", ..." if len(names) > 2 else "")
         return f"batch of {len(self)} ({shown})"
@@ -83,7 +71,7 @@ class Batch:
 
 
 def _difference(first: Any, other: Any) -> str:
-    """Return how the structure of a system differs from that of the first member; empty where it does not."""
+    """Describe how the structure of a system differs from that of the first member; empty if it does not."""
     if type(other) is not type(first):
         return f"is a {type(other).__name__} and member 0 a {type(first).__name__}"
     if other.dim != first.dim:
@@ -107,7 +95,7 @@ def _difference(first: Any, other: Any) -> str:
 
 
 def _own_bracket(first: Any, other: Any) -> str:
-    """Return the first component of a bracket that is zero in one of two algebras and not in the other."""
+    """Describe the first bracket component that is zero in one of two algebras and not in the other; empty if none."""
     mine, theirs = (list(zip(*(a.triples[side].tolist() for side in range(3)), strict=True)) for a in (first, other))
     if mine == theirs:
         return ""
@@ -118,27 +106,28 @@ def _own_bracket(first: Any, other: Any) -> str:
 
 
 def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
-    """Return several systems of equal structure and different constants as one ensemble, for `integrate` and `prepare`.
+    """Combine systems of equal structure and different constants into one ensemble, for `integrate` and `prepare`.
 
-    Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. Every member has the
-    bits that it has alone. For one system with many initial states give x0 of shape (members, n) instead.
+    Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. The result of every
+    member is bit-identical to a run of it alone. For one system with many initial states give x0 of shape
+    (members, n) instead.
 
     Parameters
     ----------
     systems : iterable of LiePoissonSystem, of PoissonSystem, or of ForcedSystem
-        One for each member. They must have the same kind, dimension and sign, the same nonzero brackets, and Casimirs
-        of the same names. Structure constants, Hamiltonians (functions too), Casimirs and representations may differ,
-        and so may the parameters of forces of the same kinds.
+        One for each member. They must have the same type, dimension and sign, the same nonzero brackets, and Casimirs
+        of the same names. Structure constants, Hamiltonians (also functions), Casimirs and representations may differ,
+        and so may the parameters of forces of the same types.
 
     Returns
     -------
     Batch
-        In place of the system in `integrate`: x0 is (members, n), or (n,) shared by all.
+        Takes the place of the system in `integrate`; x0 has shape (members, n), or (n,) if shared by all.
 
     Raises
     ------
     ValueError, TypeError
-        No systems, or a member of another structure; the member is named, and what differs.
+        No systems, or a member of a different structure; the message names the member and the difference.
 
     Examples
     --------

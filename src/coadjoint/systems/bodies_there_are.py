@@ -1,4 +1,4 @@
-"""Which inertia can a body have? None whose largest moment exceeds the sum of the others, or whose mass is negative."""
+"""Warnings about moments of inertia that no distribution of mass has."""
 
 from __future__ import annotations
 
@@ -10,24 +10,14 @@ import numpy.typing as npt
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-SLACK = 64 * UNIT_ROUNDOFF  # of what was rounded before it was given
+SLACK = 64 * UNIT_ROUNDOFF  # relative tolerance for rounded input
 _MEANT = "if a quadratic form is meant, say so by co.LiePoissonSystem(co.algebras.{}, co.Quadratic(...), sign=-1)"
 
 
 def warn_of_no_body(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what: str = "inertia") -> None:
-    """Warn where a principal moment exceeds the sum of the other two by more than round-off.
+    """Warn if a principal moment exceeds the sum of the other two by more than round-off (equal in a flat body).
 
-    The moments are sums over the mass of squares of two coordinates each, so the second moment along an axis is half of
-    the sum of two of them without the third. It vanishes for a flat body, for which nothing is said.
-
-    Parameters
-    ----------
-    inertia : (3,) or (3, 3)
-        Principal moments or the tensor, checked before.
-    algebra : str, optional
-        On which the same equations are written as a quadratic form; None where they are of a body alone.
-    what : str, optional
-        What it is called in the warning.
+    `inertia` is (3,) or (3, 3), validated; `algebra` is the one suggested for a quadratic form, None for bodies only.
 
     Examples
     --------
@@ -40,7 +30,7 @@ def warn_of_no_body(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what:
     """
     given = np.asarray(inertia, dtype=np.float64)
     tensor = np.diag(given) if given.ndim == 1 else given
-    # A multiple has the same shape, and its trace does not overflow.
+    # Scaling keeps the ratios of the moments, and their sum does not overflow.
     scaled = tensor / np.abs(tensor).max()
     moments = np.diag(scaled) if given.ndim == 1 else np.linalg.eigvalsh(scaled)
     if 2.0 * moments.max() - moments.sum() > SLACK * moments.sum():
@@ -49,12 +39,7 @@ def warn_of_no_body(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what:
 
 
 def warn_of_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
-    """Warn where a second moment of the mass is negative by more than round-off.
-
-    Parameters
-    ----------
-    second_moments : (n,) or (n, n)
-        Along the principal axes, or the symmetric matrix of them.
+    """Warn if a second moment of the mass, (n,) principal or (n, n), is negative by more than round-off.
 
     Examples
     --------
@@ -69,7 +54,7 @@ def warn_of_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
 
 
 def _warn(text: str) -> None:
-    """Warn at the line of the caller that is outside of the package: once for each line, as Python does it."""
+    """Warn at the innermost calling line outside the package, so that Python's filter shows it once per line."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] == "coadjoint":
         level, frame = level + 1, frame.f_back

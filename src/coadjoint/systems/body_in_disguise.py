@@ -1,4 +1,4 @@
-"""Systems of three coordinates that are a free rigid body in other units: its closed form serves them."""
+"""Systems of three coordinates equivalent to a free rigid body by rescaling, with its closed form."""
 
 from __future__ import annotations
 
@@ -26,21 +26,9 @@ def body_in_disguise(
     name: str,
     parameters: dict[str, Any],
 ) -> LiePoissonSystem:
-    """Return the system with ``x1' = (c2 M3 - c3 M2) x2 x3`` and so on around, ``H = x . M x / 2``, sign -1.
+    """Return the system ``x1' = (c2 M3 - c3 M2) x2 x3`` and cyclic, ``H = x . M x / 2``, sign -1, with its closed form.
 
-    Parameters
-    ----------
-    constants : (c1, c2, c3)
-        ``[e2, e3] = c1 e1``, ``[e3, e1] = c2 e2``, ``[e1, e2] = c3 e3``; not zero, all of one sign.
-    masses : (M1, M2, M3)
-        Diagonal of M.
-    casimirs, name, parameters
-        As for `LiePoissonSystem`.
-
-    Returns
-    -------
-    LiePoissonSystem
-        With ``exact(x0, t)``.
+    `constants` are those of ``[e2, e3] = c1 e1`` and cyclic, nonzero and of one sign; `masses` are the diagonal of M.
 
     Examples
     --------
@@ -61,7 +49,7 @@ def body_in_disguise(
 
 
 def _exact(constants: Floats, masses: Floats, name: str, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the closed form: y_i = x_i sqrt(c_i / c_1) is a body with the masses M_i c_1 / c_i, and a faster clock."""
+    """Return the closed form: y_i = x_i sqrt(c_i / c_1) is a rigid body with masses M_i c_1 / c_i in scaled time."""
     states_alone(attitude, name)
     start, times = start_and_times(x0, t, 3)
     ratios = constants / constants[0]

@@ -1,4 +1,4 @@
-"""Canonical variables (q, p) beside g*, all of it Lie-Poisson: a Heisenberg algebra whose central coordinate is 1."""
+"""Canonical variables (q, p) beside g* as the dual of a Lie algebra: a Heisenberg algebra at central coordinate 1."""
 
 from __future__ import annotations
 
@@ -14,23 +14,10 @@ from coadjoint.given import read_finite
 
 
 def beside(pairs: int, g: LieAlgebra) -> LieAlgebra:
-    """Return the direct sum of `heisenberg(pairs)` and g: canonical variables beside g*.
+    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g.
 
-    Choose it for Hamiltonians of positions and momenta, and of momenta on g*. Where z = 1 and sign = +1, the equations
-    are ``q' = dH/dp``, ``p' = -dH/dq`` and those on g*; with sign = -1 time runs backward. z does not change.
-
-    Parameters
-    ----------
-    pairs : int
-        Number of pairs (q_i, p_i).
-    g : LieAlgebra
-        The other coordinates.
-
-    Returns
-    -------
-    LieAlgebra
-        In the order q1, ..., qn, p1, ..., pn, z, then g. Its Casimirs are ``"z"`` and those that are known of g, by
-        their names.
+    At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time. The
+    Casimirs are ``"z"`` and the known ones of g.
 
     Examples
     --------
@@ -48,14 +35,14 @@ def beside(pairs: int, g: LieAlgebra) -> LieAlgebra:
 
 
 def canonical_state(q: Any, p: Any, x: Any = ()) -> npt.NDArray[np.float64]:
-    """Return the state (q, p, 1, x) of a system on `beside`.
+    """Return the state (q, p, 1, x) of a system whose algebra adds canonical pairs to g.
 
     Parameters
     ----------
     q, p : number or (pairs,)
         Positions and momenta.
     x : (g.dim,)
-        The other coordinates.
+        Coordinates on g*.
 
     Returns
     -------
@@ -64,7 +51,7 @@ def canonical_state(q: Any, p: Any, x: Any = ()) -> npt.NDArray[np.float64]:
     Raises
     ------
     TypeError, ValueError
-        Not finite numbers, or not as many positions as momenta.
+        Numbers that are not finite, or different numbers of positions and momenta.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The Clebsch case: a body in a fluid, or in a quadratic potential, that is integrable."""
+"""The Clebsch case: an integrable rigid body in an ideal fluid or in a quadratic potential."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def clebsch_body(
 ) -> LiePoissonSystem:
     """Return the Clebsch case of Kirchhoff's equations, ``H = sum(m_i^2 / I_i + c_i p_i^2) / 2``, on e(3) with sign -1.
 
-    State, Casimirs and what the blocks of the group element mean are those of `kirchhoff_body`. It is integrable where
-    ``(c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 = 0``: for any c where all moments are equal, else for
-    ``c_i = alpha + beta I_i``. The same equations are those of a body with a fixed point in a quadratic potential
-    (Brun): p is then the direction of the field, c may have any sign, and the translation in the group element is no
-    position.
+    State, Casimirs and group element are those of `kirchhoff_body`. The system is integrable if
+    ``(c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 = 0``: for any c if all moments are equal, otherwise for
+    ``c_i = alpha + beta I_i``. The same equations describe a body with a fixed point in a quadratic potential
+    (Brun): p is then the direction of the field, c may have any sign, and the translation in the group element is not
+    a position.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def clebsch_body(
     Returns
     -------
     LiePoissonSystem
-        With the integral ``"F"``: ``sum(c_i m_i^2 - I c_j c_k p_i^2)`` where all moments are equal, else
+        With the integral ``"F"``: ``sum(c_i m_i^2 - I c_j c_k p_i^2)`` if all moments are equal, otherwise
         ``sum(m_i^2 - beta I_j I_k p_i^2)``, (i, j, k) cyclic.
 
     Raises
     ------
     ValueError
-        Not three finite numbers each, a moment that is not positive, or coefficients that are of another case; the
-        nearest ones are named.
+        Not three finite numbers each, a moment that is not positive, or coefficients that do not satisfy the Clebsch
+        condition; the message gives the nearest that do.
 
     Notes
     -----
@@ -74,7 +74,7 @@ def clebsch_body(
     array([  4., -15.,   1.,  -2.,   1.,   1.])
     >>> clebsch_body(inertia=(1, 2, 3), inverse_mass=(1, 1, 2))
     Traceback (most recent call last):
-    ValueError: inverse_mass is of no Clebsch case: ... the nearest that fit are 0.833333, 1.33333, 1.83333; ...
+    ValueError: inverse_mass is not a Clebsch case: ... the nearest valid values are 0.833333, 1.33333, 1.83333; ...
     """
     M, kept = inverse_inertia(read_vector(inertia, "inertia"))
     c = read_vector(inverse_mass, "inverse_mass")
@@ -93,7 +93,7 @@ def clebsch_body(
 
 
 def _integral(I: list[Fraction], c: list[Fraction]) -> Quadratic:
-    """Return the further integral; refuse moments and coefficients of no Clebsch case."""
+    """Return the additional integral; raise ValueError if the moments and coefficients are not a Clebsch case."""
     others = ((1, 2), (2, 0), (0, 1))
     if I[0] == I[1] == I[2]:
         return _diagonal([2 * v for v in c], [-2 * I[0] * c[j] * c[k] for j, k in others])
@@ -106,8 +106,8 @@ def _integral(I: list[Fraction], c: list[Fraction]) -> Quadratic:
     if abs(missed) > 8 * UNIT_ROUNDOFF * size:
         nearest = ", ".join(f"{float(alpha + beta * w):.6g}" for w in I)
         raise ValueError(
-            f"inverse_mass is of no Clebsch case: (c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 is {float(missed):.3g} "
-            f"and must vanish; the nearest that fit are {nearest}; for others take kirchhoff_body"
+            f"inverse_mass is not a Clebsch case: (c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 is {float(missed):.3g} "
+            f"and must vanish; the nearest valid values are {nearest}; otherwise use kirchhoff_body"
         )
     return _diagonal([Fraction(2)] * 3, [-2 * beta * I[j] * I[k] for j, k in others])
 

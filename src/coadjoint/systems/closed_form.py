@@ -1,4 +1,4 @@
-"""What a system says of itself beside its equations: its parameters, and its solution in closed form."""
+"""Validation of the parameters, layout and closed form of a system, and helpers for closed-form solutions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Floats = npt.NDArray[np.float64]
 
 
 def checked_parameters(parameters: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return a copy of the parameters of a system; refuse what is no mapping."""
+    """Validate the parameters of a system and return a copy."""
     if not isinstance(parameters, Mapping | None):
         raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
     return None if parameters is None else dict(parameters)
 
 
 def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return a copy of the lattice and the shape of sites; refuse what is neither."""
+    """Validate the layout (lattice and shape of sites) and return a copy."""
     if layout is None:
         return {}
     rule = 'give a mapping such as {"lattice": "square", "shape": (10, 10)}, or None'
@@ -39,37 +39,21 @@ def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def checked_exact(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:
-    """Return the closed form of a system; refuse what is no function."""
+    """Validate the closed form of a system: a function of (x0, t, attitude), or None."""
     if exact is not None and not callable(exact):
         raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
     return exact
 
 
 def solution_of(exact: Callable[..., Any] | None, name: str) -> Callable[..., Any]:
-    """Return the closed form of a system; refuse where there is none."""
+    """Return the closed form of a system; raise TypeError if there is none."""
     if exact is None:
         raise TypeError(f"no closed form is known for {name}; integrate it")
     return exact
 
 
 def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
-    """Return what a closed form is asked for: the state at time zero, shape (n,), and the times, shape () or (k,).
-
-    Parameters
-    ----------
-    x0, t : array_like
-        As given to ``exact``.
-    n : int
-        Number of coordinates.
-
-    Returns
-    -------
-    (n,) array, () or (k,) array
-
-    Raises
-    ------
-    ValueError
-        A shape is wrong, or a number not finite.
+    """Validate the arguments of a closed form: the state at time zero, shape (n,), and the times, shape () or (k,).
 
     Examples
     --------
@@ -85,7 +69,7 @@ def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
 
 
 def states_alone(attitude: Any, name: str) -> None:
-    """Refuse an attitude where the closed form gives the state alone.
+    """Raise TypeError if an attitude is requested from a closed form that has none.
 
     Examples
     --------
@@ -98,7 +82,7 @@ def states_alone(attitude: Any, name: str) -> None:
 
 
 def first_element(attitude: Any, size: int) -> Floats:
-    """Return the group element at time zero: the unit, or the one that was given as `attitude`.
+    """Return the group element at time zero: the identity, or the array given as `attitude`.
 
     Examples
     --------
@@ -115,7 +99,7 @@ def first_element(attitude: Any, size: int) -> Floats:
 
 
 def with_element(x: Floats, g: Floats, attitude: Any) -> Any:
-    """Return states, and beside them group elements where `attitude` asks for them.
+    """Return the states, or the pair (states, group elements) if `attitude` requests it.
 
     Examples
     --------
@@ -126,7 +110,7 @@ def with_element(x: Floats, g: Floats, attitude: Any) -> Any:
 
 
 def all_finite(x: Floats, start: Floats, times: Floats) -> Floats:
-    """Return states of a closed form; refuse those that left float64."""
+    """Return the states of a closed form; raise ValueError if they overflow."""
     if not np.isfinite(x).all():
         raise ValueError(
             f"the closed form overflows from x0 = {short(start.tolist())} to t = {short(times.tolist())}; "

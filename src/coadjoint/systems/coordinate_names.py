@@ -1,4 +1,4 @@
-"""What are the coordinates of a system called?"""
+"""Names of the coordinates of a system."""
 
 from __future__ import annotations
 
@@ -9,18 +9,7 @@ from coadjoint.systems.ready_made import telling_of
 
 
 def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
-    """Return the names of so many coordinates as plain text: those of the system, those of the basis, or x1, x2, ...
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system, without forces.
-    count : int
-        How many numbers a state has.
-
-    Returns
-    -------
-    tuple of str
+    """Return `count` coordinate names as plain text: those of the system, else of the basis, else x1, x2, ...
 
     Examples
     --------
@@ -35,5 +24,5 @@ def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
     basis = getattr(system.algebra, "basis", ())
     if len(basis) != count:
         return tuple(f"x{i + 1}" for i in range(count))
-    # e1, e2, ... are names of basis elements where nobody has named them; x_i is the coordinate of e_i.
+    # e1, e2, ... are default names of basis elements; the coordinate of e_i is x_i.
     return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)

@@ -1,4 +1,4 @@
-"""Particles with a width: positions, momenta and second moments of each."""
+"""Particles with finite width: positions, momenta and second moments of each."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ Floats = npt.NDArray[np.float64]
 
 HIGHEST = 20  # degree of a potential
 LARGEST = 1e50
-LARGEST_SQUARE = 64  # particles up to which the energy of the centre, which couples all, is given
+LARGEST_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
 
 
 def _places_and_widths(dim: int) -> list[int]:
-    """Return the coordinates q and x20 of at most four lumps."""
+    """Return the coordinates q and x20 of at most four particles."""
     n = (dim - 1) // 5
     return [*range(n)][:4] + [2 * n + 1 + 3 * a for a in range(n)][:4]
 
 
 def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
-    """Return the centre and the second moments of each lump, per mass, for states (k, n)."""
+    """Return the centre and the second moments per mass of each particle, for states (k, n)."""
     found = []
     for a, w in enumerate(system.parameters["weights"]):
         n = len(system.parameters["weights"])
@@ -61,11 +61,11 @@ def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
 def decorated_particles(
     weights: npt.ArrayLike = (1.0, 1.0), external: Any = (0.0, 0.0, 0.5), pair: Any = (0.0, 0.0, 0.0, 0.0, 0.25)
 ) -> LiePoissonSystem:
-    """Return particles in a line, each with a position, a momentum and the second moments of its own width.
+    """Return particles on a line, each with a position, a momentum and the second moments of its finite width.
 
-    Lumps f_a of a distribution, of which mass w_a, centre (q_a, p_a / w_a) and the moments ``x_ij = integral of (q -
-    q_a)^i (v - p_a / w_a)^j f_a`` of degree 2 are followed. Sign +1 and, potentials expanded to second order,
-    ``H = sum of p^2/(2 w) + x02/2 + w W(q) + W''(q) x20/2 + U''(0) w x20/2`` over particles and ``w_a w_b U(r) +
+    Each particle is a distribution f_a, described by its mass w_a, centre (q_a, p_a / w_a) and moments ``x_ij =
+    integral of (q - q_a)^i (v - p_a / w_a)^j f_a`` of degree 2. Sign +1; with potentials expanded to second order,
+    ``H = sum of p^2/(2 w) + x02/2 + w W(q) + W''(q) x20/2 + U''(0) w x20/2`` over particles plus ``w_a w_b U(r) +
     U''(r) (w_b x20_a + w_a x20_b)/2``, r = q_a - q_b, over pairs.
 
     Parameters
@@ -73,30 +73,30 @@ def decorated_particles(
     weights : (particles,)
         Masses w, positive.
     external : sequence of numbers, or four functions
-        W (energy per mass): its coefficients, ``sum of external[k] q^k`` up to degree 20, or the function of a number
-        with its first three derivatives, which Numba compiles.
+        W (energy per mass): its coefficients, ``sum of external[k] q^k`` up to degree 20, or a function of one number
+        and its first three derivatives, which Numba compiles.
     pair : sequence of numbers, or four functions
-        U of the distance (energy per mass squared), even.
+        U as a function of the distance (energy per mass squared), even.
 
     Returns
     -------
     LiePoissonSystem
         State: ``(q_1, ..., q_n, p_1, ..., p_n, 1, x20_1, x11_1, x02_1, x20_2, ...)``, as
         ``coadjoint.systems.canonical.canonical_state(q, p, x)`` makes it. The 1 is the central coordinate z. Casimirs:
-        z and the squared emittance x20 x02 - x11^2 of each particle. Integrals: the total momentum where there is no
-        external potential, and the energy of the centre of mass where it is ``(0, 0, k)``. ``exact(x0, t)`` where
-        both potentials are at most squares. Functions are not kept as parameters.
+        z and the squared emittance x20 x02 - x11^2 of each particle. Integrals: the total momentum if there is no
+        external potential, and the energy of the centre of mass if it is ``(0, 0, k)``. ``exact(x0, t)`` if both
+        potentials are at most quadratic. Functions are not stored in ``parameters``.
 
     Raises
     ------
     TypeError, ValueError
-        Weights that are not positive, coefficients that are no finite numbers, an odd pair potential, or functions that
-        are not the derivatives that they should be.
+        Weights that are not positive, coefficients that are not finite, a pair potential that is not even, or functions
+        that are not the stated derivatives.
 
     Notes
     -----
-    Scovel and Weinstein, Comm. Pure Appl. Math. 47, 683 (1994). Positions commute with x20, and momenta with x02: a
-    splitting has two parts. Exact for the lumps where the potentials have degree 3 at most.
+    Scovel and Weinstein, Comm. Pure Appl. Math. 47, 683 (1994). Positions commute with x20, and momenta with x02, so a
+    splitting has two parts. The expansion is exact for potentials of degree at most 3.
 
     Examples
     --------
@@ -175,10 +175,10 @@ def _integrals(dim: int, w: Floats, W: Floats) -> dict[str, Quadratic]:
 
 
 def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the motion where W = push q + k q^2/2 and U = u r^2/2, up to constants.
+    """Return the motion for W = push q + k q^2/2 and U = u r^2/2, up to constants.
 
-    The centre of mass follows W; about it all particles, and their widths, have the stiffness k + u sum(w). For another
-    value z of the central coordinate positions and momenta see the time z t.
+    The centre of mass follows W; relative positions and widths have the stiffness k + u sum(w). At a value z of the
+    central coordinate, positions and momenta evolve in the time z t.
     """
     states_alone(attitude, "decorated_particles")
     n = len(w)

@@ -1,4 +1,4 @@
-"""The potential energy of particles with a width, to second order: as a polynomial, or as functions of Python."""
+"""Potential energy of particles with finite width, to second order: as a polynomial or as Python functions."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from coadjoint.systems.user_functions import callable_when_compiled, check_deriv
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
-Chain = tuple[Callable[..., Any], ...]  # a function of a number, and its first three derivatives
+Chain = tuple[Callable[..., Any], ...]  # a function of one number and its first three derivatives
 
-BYTES = 16  # of a monomial, for each coordinate
+BYTES = 16  # memory of a monomial, for each coordinate
 
 
 def read_chain(given: Any, what: str) -> Chain | None:
-    """Return a function and its derivatives, each checked; None where it is something else that was given.
+    """Validate a function and its first three derivatives; None if `given` is not callables.
 
     Examples
     --------
@@ -42,7 +42,7 @@ def read_chain(given: Any, what: str) -> Chain | None:
 
 
 def check_even(chain: Chain, what: str) -> None:
-    """Refuse a potential that is not the same on both sides.
+    """Raise ValueError if a potential is not even.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def check_even(chain: Chain, what: str) -> None:
 
 
 def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
-    """Return H where both potentials are polynomials, by their coefficients; see `decorated_particles`.
+    """Return H for polynomial potentials, from their coefficients; see `decorated_particles`.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
 
 
 def chain_of(coefficients: Floats | None) -> Chain:
-    """Return a polynomial, by its coefficients, and its derivatives as functions of a number; zero for None.
+    """Return a polynomial and its first three derivatives as functions of one number; zero for None.
 
     Examples
     --------

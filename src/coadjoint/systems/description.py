@@ -1,4 +1,4 @@
-"""What is known of a ready-made system, as plain numbers and text?"""
+"""Descriptions of ready-made systems, as plain numbers and text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
 
 
 def description(name: str) -> dict[str, Any]:
-    """Return what is known of a ready-made system, with its default parameters.
+    """Describe a ready-made system with its default parameters.
 
     Parameters
     ----------
@@ -32,19 +32,19 @@ def description(name: str) -> dict[str, Any]:
     dict
         ``"summary"``, ``"equations"`` (the text below it), ``"parameters"`` (name to its default, kind and meaning),
         ``"state"``, ``"source"``; ``"sign"``, ``"algebra"``, ``"dimension"``, ``"rank"`` of J(x) at a generic point,
-        ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None where they are
-        no polynomials), ``"exact"`` (whether there is a closed form) and ``"attitude"`` ("representation", "coadjoint"
-        "matrices" or "none": the group element that runs carry); for `json`.
+        ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None if they are
+        not polynomials), ``"exact"`` (whether there is a closed form) and ``"attitude"`` ("representation", "coadjoint"
+        "matrices" or "none": the group element that runs carry); serializable by `json`.
 
     Raises
     ------
     ValueError
-        No such system; the nearest name is given.
+        Unknown system; the message suggests the nearest name.
 
     Examples
     --------
-    >>> told = description("rigid_body")
-    >>> told["algebra"], told["dimension"], told["rank"], told["casimirs"], told["parameters"]["inertia"]["default"]
+    >>> d = description("rigid_body")
+    >>> d["algebra"], d["dimension"], d["rank"], d["casimirs"], d["parameters"]["inertia"]["default"]
     ('so(3)', 3, 2, {'|x|^2': 'x1^2 + x2^2 + x3^2'}, [1.0, 2.0, 3.0])
     """
     system = importlib.import_module("coadjoint.systems").get(name)
@@ -80,18 +80,12 @@ def description(name: str) -> dict[str, Any]:
 
 
 def summary_of(told: Callable[..., Any]) -> str:
-    """Return the first paragraph of what is written about a function or a class, in one line.
-
-    Examples
-    --------
-    >>> summary_of(summary_of)
-    'Return the first paragraph of what is written about a function or a class, in one line.'
-    """
+    """Return the first paragraph of the docstring of a function or a class, in one line."""
     return _line(_sections(inspect.getdoc(told) or "")[""].partition("\n\n")[0])
 
 
 def told_parameters(told: Callable[..., Any]) -> dict[str, dict[str, str]]:
-    """Return what is written about the parameters of a function or a class: name to ``"kind"`` and ``"meaning"``.
+    """Parse the documented parameters of a function or a class: name to ``"kind"`` and ``"meaning"``.
 
     Examples
     --------
@@ -102,13 +96,13 @@ def told_parameters(told: Callable[..., Any]) -> dict[str, dict[str, str]]:
 
 
 def _sections(text: str) -> dict[str, str]:
-    """Return the sections of a docstring in the style of NumPy, by their headings; the first has none."""
+    """Split a numpydoc docstring into sections by heading; the first has the empty heading."""
     pieces = _HEADING.split(text)
     return {"": pieces[0].strip(), **dict(zip(pieces[1::2], map(str.strip, pieces[2::2]), strict=True))}
 
 
 def _entries(text: str) -> dict[str, dict[str, str]]:
-    """Return name to kind and meaning, from the section of parameters; one entry may name several."""
+    """Parse a Parameters section: name to kind and meaning; one entry may name several."""
     found: dict[str, dict[str, str]] = {}
     for entry in re.split(r"\n(?=\S)", text):
         head, _, meaning = entry.partition("\n")
@@ -146,7 +140,7 @@ def _attitude(system: Any) -> str:
 
 
 def short_formula(text: str) -> str:
-    """Return a formula, cut between its terms where it is long.
+    """Return a formula, truncated between terms if it is long.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The energy of two rods that hang from one another, by scalar products of their directions and momenta."""
+"""Energy of a double spherical pendulum, in scalar products of its directions and momenta."""
 
 from __future__ import annotations
 
@@ -13,24 +13,12 @@ from coadjoint.systems.user_functions import callable_when_compiled
 
 @lru_cache(maxsize=64)
 def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], gravity: float) -> Hamiltonian:
-    """Return H of a double spherical pendulum; the same functions for the same numbers, so that they are compiled once.
+    """Return H of a double spherical pendulum, of (q_1, q_2, p_1, p_2, z); cached, so that it is compiled once.
 
-    Beside the weights, H is a function of the scalar products of Y = (q_1, q_2, p_1, p_2). With r = |q_1| |q_2|, f =
+    Apart from gravity, H depends on the scalar products of Y = (q_1, q_2, p_1, p_2). With r = |q_1| |q_2|, f =
     q_1.q_2, s_ij = q_i.p_j, t_1 = |q_1|^2 s_21 - f s_11, t_2 = f s_22 - |q_2|^2 s_12 and d = a b - c^2 the inverse of
     the inertia gives ``2 d T = b |L_1|^2 + a |L_2|^2 - 2 c (r p_1.p_2 - E/r) - c^2 W/Z``, where ``E = |q_2|^2 s_11 s_12
     + |q_1|^2 s_21 s_22 - f s_11 s_22``, ``W = b t_1^2 + a t_2^2 - 2 c f t_1 t_2 / r``, ``Z = d r^2 + c^2 (r^2 - f^2)``.
-
-    Parameters
-    ----------
-    masses, lengths : (float, float)
-        From the pivot on.
-    gravity : float
-        Acceleration.
-
-    Returns
-    -------
-    Hamiltonian
-        Of (q_1, q_2, p_1, p_2, z).
 
     Examples
     --------
@@ -64,7 +52,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         return half * moving + weight1 * x[2] / np.sqrt(A1) + weight2 * x[5] / np.sqrt(A2)
 
     def common(D: Any) -> Any:
-        """What derivatives by the products share: 1 / r and f / r, w_1 and w_2 (c^2 W/Z by t_1 and t_2) and others."""
+        """Return subexpressions shared by the derivatives: 1 / r, f / r, w_1, w_2 (c^2 W/Z by t_1, t_2), ..."""
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
         r = np.sqrt(A1 * A2)
         e, t1, t2 = f / r, A1 * s21 - f * s11, f * s22 - A2 * s12
@@ -78,7 +66,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
     common = callable_when_compiled(common)
 
     def sums(D: Any) -> Any:
-        """Twice the derivative of 2 d T by each square, and the derivative by each other product."""
+        """Return twice the derivative of 2 d T by each square, and the derivative by each other product."""
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
         r, _, t1, t2, _, _, X, V, w1, w2, by_r = common(D)
         S, g = 0 * D, 2 * c / r
@@ -113,7 +101,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         return found
 
     def change(x: Any, v: Any) -> Any:
-        """How the gradient changes along v; what begins with d is the derivative of what the rest names."""
+        """Return the derivative of the gradient along v; d... is the derivative of what the rest names."""
         D, dD = products(x, x), products(v, x)
         dD = dD + dD.T
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]

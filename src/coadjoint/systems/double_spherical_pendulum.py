@@ -1,4 +1,4 @@
-"""Two rods without weight, one hanging from the other, each with a mass at its end, in space."""
+"""The double spherical pendulum: two massless rods in space, one hanging from the other, with a mass at each end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from coadjoint.systems.unit_range import read_in_range
 
 
 def _swinging() -> npt.NDArray[np.float64]:
-    """Return both rods horizontal, at a right angle, the lower one pushed sideways."""
+    """Return the state with both rods horizontal at a right angle, the lower one moving sideways."""
     return np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5, 0.0, -0.3, 0.0, 0.2, 1.0])
 
 
@@ -49,38 +49,38 @@ def _swinging() -> npt.NDArray[np.float64]:
 def double_spherical_pendulum(
     masses: npt.ArrayLike = (1.0, 1.0), lengths: npt.ArrayLike = (1.0, 1.0), gravity: float = 1.0
 ) -> LiePoissonSystem:
-    """Return a spherical pendulum that hangs from another one, by two directions in space and their momenta.
+    """Return a spherical pendulum that hangs from another one, in terms of two directions in space and their momenta.
 
     With unit vectors u_1 (from the pivot to the first mass) and u_2 (from there to the second), the Lagrangian is ``a
     |u_1'|^2/2 + b |u_2'|^2/2 + c u_1'.u_2' - gravity ((m_1 + m_2) l_1 u_13 + m_2 l_2 u_23)``, a = (m_1 + m_2) l_1^2,
-    b = m_2 l_2^2, c = m_2 l_1 l_2; the third axis points up. H is that of the directions ``q/|q|`` and the angular
-    momenta ``q cross p``: so q stays on its sphere, and what p has along q moves nothing. Sign +1.
+    b = m_2 l_2^2, c = m_2 l_1 l_2; the third axis points up. H depends on the directions ``q/|q|`` and the angular
+    momenta ``q cross p`` only: so q stays on its sphere, and the component of p along q has no effect. Sign +1.
 
     Parameters
     ----------
     masses, lengths : (2,)
-        m and l, positive, from the pivot on.
+        m and l, positive; the first belong to the rod at the pivot.
     gravity : float
-        Acceleration, from 0 (length/time^2).
+        Acceleration (length/time^2), not negative.
 
     Returns
     -------
     LiePoissonSystem
         State: ``(q_1, q_2, p_1, p_2, 1)``, 13 numbers, q_1 = u_1, q_2 = u_2, and ``p_1 = a u_1' + c u_2'``, ``p_2 = b
-        u_2' + c u_1'`` or what differs from it along q (angular momentum);
-        ``coadjoint.systems.canonical.canonical_state`` puts them together. Casimir: ``"z"``, which is 1. Integrals, all
-        quadratic: ``"|q1|^2"``, ``"q1.p1"`` and so for 2, and the vertical component ``"total L3"`` of the angular
-        momentum, or all three without gravity.
+        u_2' + c u_1'`` (angular momentum), up to components along q;
+        ``coadjoint.systems.canonical.canonical_state`` assembles it. Casimir: ``"z"``, which is 1. Integrals, all
+        quadratic: ``"|q1|^2"``, ``"q1.p1"``, the same of q2 and p2, and the vertical component ``"total L3"`` of the
+        angular momentum, or all three components without gravity.
 
     Raises
     ------
     TypeError, ValueError
-        Not two positive masses and lengths, or gravity below 0.
+        Not two positive masses and two positive lengths, or negative gravity.
 
     Notes
     -----
     Marsden and Scheurle, Z. angew. Math. Phys. 44, 17 (1993). The kinetic energy does not split. The bracket is
-    constant, where `GaussLegendre` is a symplectic map that keeps all quadratic integrals: McLachlan, Modin and
+    constant, so `GaussLegendre` is a symplectic map that keeps all quadratic integrals: McLachlan, Modin and
     Verdier, Nonlinearity 27, 1525 (2014).
 
     Examples
@@ -117,7 +117,7 @@ def _algebra() -> LieAlgebra:
 
 
 def _integrals(gravity: float) -> dict[str, Quadratic]:
-    """Return the squares of the lengths, what the momenta have along them, and the angular momentum."""
+    """Return the squares of q_1 and q_2, their products with the momenta, and the angular momentum."""
 
     def form(*entries: tuple[int, int, float]) -> Quadratic:
         M = np.zeros((13, 13))

@@ -1,4 +1,4 @@
-"""A quadratic Hamiltonian beside forces in time, ``H(x) + sum of f_k(t) x_k``."""
+"""A quadratic Hamiltonian with a linear time-dependent drive, ``H(x) + sum of f_k(t) x_k``."""
 
 from __future__ import annotations
 
@@ -21,29 +21,10 @@ from coadjoint.wording import short
 
 
 class Driven(Summable):
-    """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic; f may be the same for all sites.
+    """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic in ``sites * axes`` coordinates.
 
-    Parameters
-    ----------
-    quadratic : Quadratic
-        Of ``sites * axes`` coordinates, those of a site side by side. Coordinates of the same axis commute.
-    force : callable
-        Function of the time that returns ``axes`` numbers, or ``(sites, axes)`` of them; Numba compiles it.
-    sites, axes : int
-        Their numbers.
-    what : str
-        What the function is called in messages.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not a function of one argument, or it does not return such numbers.
-
-    Examples
-    --------
-    >>> H = Driven(Quadratic(np.zeros(3)), lambda t: (0.0, np.sin(t), 2.0), sites=1, axes=3, what="field")
-    >>> H.gradient([1.0, 1.0, 1.0], t=0.0)
-    array([ 0.,  0., -2.])
+    `force` is a function of the time alone that returns ``(axes,)`` numbers, common to all sites, or ``(sites, axes)``;
+    Numba compiles it. Coordinates of the same axis must commute. `what` is the name of the function in messages.
     """
 
     timed = True
@@ -62,18 +43,18 @@ class Driven(Summable):
         if given.shape not in ((axes,), (sites, axes)):
             raise ValueError(f"{what}(t) has shape {given.shape}; it must return ({axes},) or ({sites}, {axes})")
         if not np.isfinite(given).all():
-            raise ValueError(f"{what}(0.0) is not finite")
+            raise ValueError(f"{what}(0.0) is not finite; give a function with finite values")
         self.uniform = given.ndim == 1
         self._force, self._factor = force, 1.0
         self._terms: tuple[Term, ...] | None = None
 
     def bind(self, n: int) -> Driven:
-        """Return this Hamiltonian, which has its dimension already; another one is refused."""
+        """Return this Hamiltonian; raise an error if n is not its dimension."""
         self._quadratic.bind(n)
         return self
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the multiple of the quadratic part and of the forces."""
+        """Return the Hamiltonian multiplied by a factor."""
         result = copy.copy(self)
         result._quadratic, result._factor, result._terms = factor * self._quadratic, factor * self._factor, None
         return result
@@ -93,11 +74,11 @@ class Driven(Summable):
         return self._quadratic.gradient(y, t) - self._forces(t, y)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the matrix of the quadratic part, dense."""
+        """Return the dense matrix of the quadratic part."""
         return self._quadratic.hessian(x, t)
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the quadratic term, and a function of the coordinates of each axis."""
+        """Return the quadratic term and one function term for each axis."""
         if self._terms is None:
             need("a force in time, a Python function,", "numba")
             import numba

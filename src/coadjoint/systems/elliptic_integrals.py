@@ -1,4 +1,4 @@
-"""Jacobi's amplitude and elliptic integrals, from the complement k'^2 = 1 - k^2, so that they hold where it is tiny."""
+"""Jacobi's amplitude and elliptic integrals in terms of the complement k'^2 = 1 - k^2, accurate also if it is tiny."""
 
 from __future__ import annotations
 
@@ -11,28 +11,10 @@ Floats = npt.NDArray[np.float64]
 
 
 def amplitude(u: Floats, complement: float) -> Floats:
-    """Return Jacobi's amplitude am(u), continuous over all periods, by the arithmetic-geometric mean.
+    """Return Jacobi's amplitude am(u), u (k,), continuous over all periods, by the arithmetic-geometric mean.
 
-    Parameters
-    ----------
-    u : (k,)
-        Arguments.
-    complement : float
-        k'^2 = 1 - k^2, in (0, 1]; given in place of k^2 so that it may be tiny.
-
-    Returns
-    -------
-    (k,) array
-
-    Notes
-    -----
-    DLMF 22.20.6. The arcsine of (c/a) sin phi is taken as an arctangent with 1 - (c/a)^2 = (b/a)^2, which does not
-    lose digits where c/a is nearly one.
-
-    Examples
-    --------
-    >>> amplitude(np.array([2.0]), 1.0)
-    array([2.])
+    The arcsine of (c/a) sin phi (DLMF 22.20.6) is computed as an arctangent with 1 - (c/a)^2 = (b/a)^2, without
+    cancellation near c = a. `complement` is k'^2 in (0, 1].
     """
     a, b = 1.0, math.sqrt(complement)
     means = []
@@ -62,14 +44,9 @@ def first_kind(sine: float, cosine: float, complement: float) -> float:
 
 
 def across_integral(nu: float, phi: Floats, complement: float) -> Floats:
-    """Return the integral of cos^2/((1 - nu sin^2) sqrt(1 - k^2 sin^2)) from 0 to phi, nu <= 0.
+    """Return the integral of cos^2/((1 - nu sin^2) sqrt(1 - k^2 sin^2)) from 0 to phi, nu <= 0; bounded as k nears 1.
 
-    It is bounded where k nears 1, and with u it makes up the integral of the third kind: (u - nu this)/(1 - nu).
-
-    Examples
-    --------
-    >>> across_integral(0.0, np.array([np.pi]), 1.0)
-    array([1.57079633])
+    The integral of the third kind is (u - nu * this)/(1 - nu).
     """
     from scipy.special import elliprc, elliprj
 
@@ -77,7 +54,7 @@ def across_integral(nu: float, phi: Floats, complement: float) -> Floats:
     sine, cosine = np.sin(phi), np.abs(np.cos(phi))
     sine = np.where(half_turns % 2 == 0, sine, -sine)
     delta, rest = cosine**2 + complement * sine**2, complement / (1.0 - nu)
-    # DLMF 19.21.12 in place of a difference of integrals: both terms are positive.
+    # DLMF 19.21.12, a sum of positive terms, avoids the cancellation of a difference of integrals.
     other = cosine**2 + rest * sine**2
     part = cosine * elliprc(delta, (1.0 - nu * sine**2) * other)
     part += rest * sine**2 / 3.0 * elliprj(cosine**2, delta, 1.0, other)

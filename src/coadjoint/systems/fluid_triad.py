@@ -1,4 +1,4 @@
-"""Three interacting waves of an ideal fluid in two dimensions."""
+"""A triad of interacting waves of an ideal fluid in two dimensions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from coadjoint.wording import short
 
 
 def _waves(system: Any, X: Any, Y: Any) -> Any:
-    """Return the three waves cos(k . r) at places."""
+    """Return the three waves cos(k . r) at the points (X, Y)."""
     (a, b), (c, d) = system.parameters["first"], system.parameters["second"]
     return np.cos([a * X + b * Y, c * X + d * Y, (a + c) * X + (b + d) * Y])
 
 
 def _two_waves(system: Any) -> float:
-    """Return twice the length of the longest wave."""
+    """Return twice the longest wavelength."""
     (a, b), (c, d) = system.parameters["first"], system.parameters["second"]
     return 4.0 * math.pi / min(math.hypot(a, b), math.hypot(c, d), math.hypot(a + c, b + d))
 
@@ -46,12 +46,12 @@ def _two_waves(system: Any) -> float:
     )
 )
 def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5, 1.5)) -> LiePoissonSystem:
-    """Return a triad of waves of the two-dimensional Euler equations, which moves like a rigid body.
+    """Return a triad of waves of the two-dimensional Euler equations, equivalent to a rigid body.
 
-    The vorticity ``sum of x_i cos(k_i . r)`` has three waves with k1 + k2 + k3 = 0, and the Euler equations are kept to
-    these: ``x1' = (S/2) (1/k3^2 - 1/k2^2) x2 x3`` and so on around, S = k1 cross k2. So so(3) with brackets S, sign -1,
-    and H the mean kinetic energy ``sum of x_i^2 / (4 k_i^2)``. The wave of middle length is unstable, as the middle
-    axis of a body is.
+    The vorticity ``sum of x_i cos(k_i . r)`` has three waves with k1 + k2 + k3 = 0, and the Euler equations are
+    truncated to these: ``x1' = (S/2) (1/k3^2 - 1/k2^2) x2 x3`` and cyclic, S = k1 cross k2. The algebra is so(3) with
+    brackets S, sign -1, and H is the mean kinetic energy ``sum of x_i^2 / (4 k_i^2)``. The wave of middle length is
+    unstable, as the middle axis of a rigid body.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
     -------
     LiePoissonSystem
         State: the amplitudes of vorticity (x1, x2, x3), per unit of time. Casimir: the mean enstrophy, ``(x1^2 + x2^2 +
-        x3^2) / 4``. ``exact(x0, t)`` in closed form. There are no matrices for a group element, which would mean
-        nothing for the fluid.
+        x3^2) / 4``. ``exact(x0, t)`` in closed form. There is no representation, because a group element has no
+        meaning for the fluid.
 
     Raises
     ------
     ValueError
-        Not two finite numbers each; or parallel vectors, whose waves do not interact; or a size beyond float64.
+        Not two finite numbers each, parallel vectors (whose waves do not interact), or squares beyond float64.
 
     Notes
     -----
@@ -84,7 +84,7 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
     k3 = (-k1[0] - k2[0], -k1[1] - k2[1])
     area = k1[0] * k2[1] - k1[1] * k2[0]
     if area == 0:
-        raise ValueError(f"first {short(first)} and second {short(second)} are parallel; such waves do not interact")
+        raise ValueError(f"first {short(first)} and second {short(second)} are parallel; give others that are not")
     try:
         S = float(area)
         masses = tuple(float(1 / (2 * (x * x + y * y))) for x, y in (k1, k2, k3))

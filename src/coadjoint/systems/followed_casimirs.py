@@ -1,4 +1,4 @@
-"""Which Casimirs does a system follow: those given, checked to be constant, or those of its algebra."""
+"""Casimirs of a system: validation of given ones, and a search for those of its algebra."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from coadjoint.systems.terms import QuadraticTerm
 from coadjoint.systems.user_functions import sample_points
 from coadjoint.wording import short
 
-# A system searches for Casimirs by itself where that takes a fraction of a second. This is the largest number of
-# monomials times constants, for each coordinate.
+# Systems search for Casimirs automatically up to this number of monomials times constants per coordinate, which takes
+# a fraction of a second.
 LARGEST_SEARCH = 5000
 HIGHEST_DEGREE = 4
 
@@ -29,35 +29,10 @@ Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArr
 
 
 def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
-    """Return the Casimirs by name, plain functions wrapped, each one checked where its gradient is known.
+    """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points.
 
-    Parameters
-    ----------
-    casimirs : mapping
-        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x.
-    n : int
-        Dimension of the system.
-    product : callable
-        ``product(x, u)`` is J(x) u.
-    size : callable
-        ``size(x, u)`` is the sum of the absolute products in each component of it.
-
-    Returns
-    -------
-    dict
-        Name to `Polynomial`, `Quadratic` or `Invariant`.
-
-    Raises
-    ------
-    TypeError
-        Not a mapping, or an entry is neither polynomial nor function.
-    ValueError
-        ``J(x) grad C(x)`` is not zero at a sample point; the Casimir is named.
-
-    Notes
-    -----
-    The tolerance is u times the number of operations, times the sum of the absolute products, for a polynomial.
-    The gradient of an `Invariant` is a function of unknown rounding: it may lose 20 bits.
+    ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
+    times the number of operations times that sum for polynomials; gradients of an `Invariant` may lose 20 bits.
     """
     result = read_invariants(casimirs, n, "Casimir")
     for name, casimir in result.items():
@@ -67,21 +42,9 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
 
 
 def read_invariants(given: Any, n: int, kind: str) -> dict[str, Any]:
-    """Return invariants by name, plain functions wrapped; refuse what is none by its kind and name.
+    """Validate invariants in n coordinates by name: `Polynomial`, `Quadratic`, `Invariant` or a function (wrapped).
 
-    Parameters
-    ----------
-    given : mapping
-        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x.
-    n : int
-        Dimension of the system.
-    kind : str
-        What one of them is called in a message.
-
-    Returns
-    -------
-    dict
-        Name to `Polynomial`, `Quadratic` or `Invariant`.
+    `kind` is what messages call one of them.
     """
     if not isinstance(given, Mapping):
         raise TypeError(
@@ -92,7 +55,7 @@ def read_invariants(given: Any, n: int, kind: str) -> dict[str, Any]:
         if name == "energy":
             article = "an" if kind[0] in "aeiou" else "a"
             raise ValueError(
-                f"{article} {kind} is called 'energy', which is the name of the Hamiltonian; give it another"
+                f"{article} {kind} is called 'energy', which is the name of the Hamiltonian; choose another name"
             )
         if not isinstance(one, Polynomial | Quadratic | Invariant) and not callable(one):
             raise TypeError(
@@ -106,22 +69,14 @@ def read_invariants(given: Any, n: int, kind: str) -> dict[str, Any]:
     return result
 
 
-# Algebras do not change, and equal ones have the same Casimirs, so that a scan over Hamiltonians searches once.
+# Algebras are immutable and compare by value, so a scan over Hamiltonians searches once.
 _FOUND: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
 
 
 def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
-    """Return the Casimirs that are known of an algebra or, where some are missing, those that a quick search finds.
+    """Return the known Casimirs of an algebra or, if some are missing, those of a quick search.
 
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra; ``algebra.casimirs(max_degree)`` searches further than is done here.
-
-    Returns
-    -------
-    mapping
-        Name to `Polynomial` or `Invariant`.
+    ``algebra.casimirs(max_degree)`` searches further.
 
     Examples
     --------
@@ -132,7 +87,7 @@ def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     """
     known = algebra.casimirs_known
     constants = len(algebra.triples.c)
-    # A bracket that is not zero has rank two at least.
+    # A nonzero bracket has rank at least two.
     if constants == 0 or (known and len(known) >= algebra.dim - 2):
         return known
     degree = max(
@@ -144,7 +99,7 @@ def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     if algebra not in _FOUND:
         try:
             _FOUND[algebra] = algebra.casimirs(degree)
-        except ValueError:  # the constants are rounded, and leave open what is a Casimir
+        except ValueError:  # undecidable with rounded constants
             _FOUND[algebra] = {}
     found = _FOUND[algebra]
     return found if len(found) > len(known) else known
@@ -157,23 +112,9 @@ def _search_size(dim: int, degree: int, constants: int) -> float:
 def slope_and_size(
     name: str, invariant: Polynomial | Quadratic | Invariant, x: npt.NDArray[np.float64], kind: str = "Casimir"
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], int] | None:
-    """Return the gradient at a point, sums of the absolute products in it, and their number; None if it is not finite.
+    """Return gradient (n,) at a point, sums of its absolute products (n,), and their number; None if it is not finite.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    invariant : Polynomial, Quadratic or Invariant
-        With a gradient. That of an `Invariant` may lose 20 bits.
-    x : (n,)
-        The point.
-    kind : str, optional
-        For messages.
-
-    Returns
-    -------
-    slope, size : (n,) arrays
-    operations : int
+    `name` and `kind` are for messages.
     """
     n, gradient = x.size, cast(Any, invariant.gradient)
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""A system with forces: damping, torques, noise beside the Hamiltonian."""
+"""Systems with forces: damping, torques and noise in addition to the Hamiltonian."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from coadjoint.wording import short
 class ForcedSystem:
     """A system with forces: ``x' = sign J(x) grad H(x, t) + the sum of the forces``.
 
-    ``system.with_forces(...)`` makes it. A run splits it symmetrically: half flows of the forces in their order, a step
-    of the scheme for the Hamiltonian part, half flows in the opposite order. What the forces break is labelled in
-    `Method.properties`, and what they do to energy and Casimirs is balanced (`Solution.balance`).
+    ``system.with_forces(...)`` makes it. A run uses a symmetric splitting: half flows of the forces in their order, a
+    step of the scheme for the Hamiltonian part, half flows in reverse order. `Method.properties` lists the properties
+    lost by the forces, and `Solution.balance` compares the changes of energy and Casimirs with the work of the forces.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
         The Hamiltonian part.
     forces : sequence of Force
-        One or more, in the order in which their flows are taken.
+        One or more, in the order in which their flows are applied.
 
     Attributes
     ----------
     system, forces
         As given.
     dim, sign, name, algebra, representation, hamiltonian, casimirs
-        Those of the Hamiltonian part. The Casimirs are followed, and forces may change them.
+        Those of the Hamiltonian part. Runs record the Casimirs, which forces may change.
 
     Raises
     ------
     TypeError, ValueError
-        No forces, something else among them, or one that cannot act on the system.
+        No forces, an entry that is not a force, or a force that cannot act on the system.
 
     Examples
     --------
@@ -65,12 +65,12 @@ class ForcedSystem:
         if len(set(drawn)) < len(drawn):
             raise ValueError("two forces draw the same noise; give each a seed of its own")
         if not getattr(system, "linear_stream", True):
-            # the kernels find the energy of matrices by their stream
-            raise ValueError(f"the energy of {system.name} is a function; forces need one that its stream gives")
+            # the kernels compute the energy of matrices from their stream
+            raise ValueError(f"the energy of {system.name} is a user function; forces need a system without energy=")
         self.system, self.forces = system, forces
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with these forces after those that it has.
+        """Return the system with further forces after the present ones.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class ForcedSystem:
         return ForcedSystem(self.system, (*self.forces, *forces))
 
     def numbered_from(self, first: int) -> ForcedSystem:
-        """Return the system for members whose numbers begin at `first`: noise is a function of these too."""
+        """Return the system for members whose numbers begin at `first`; noise depends on these numbers."""
         if not first or not any(force.random for force in self.forces):
             return self
         forces: list[Any] = list(self.forces)
@@ -93,7 +93,7 @@ class ForcedSystem:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Labels of the forces, numbered from the second of a kind on."""
+        """Labels of the forces, numbered from the second of a type on."""
         found: list[str] = []
         for k, force in enumerate(self.forces):
             earlier = sum(other.label == force.label for other in self.forces[:k])
@@ -117,17 +117,17 @@ class ForcedSystem:
 
     @property
     def name(self) -> str:
-        """The name of the Hamiltonian part, with the forces."""
+        """Name of the Hamiltonian part and of the forces."""
         return title(f"{self.system.name} with {', '.join(self.labels)}")
 
     @property
     def algebra(self) -> Any:
-        """The one of the Hamiltonian part."""
+        """Algebra of the Hamiltonian part."""
         return self.system.algebra
 
     @property
     def representation(self) -> Any:
-        """The one of the Hamiltonian part."""
+        """Representation of the Hamiltonian part."""
         return self.system.representation
 
     @property
@@ -142,7 +142,7 @@ class ForcedSystem:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of a state."""
+        """Shape of a state."""
         return tuple(getattr(self.system, "shape", (self.dim,)))
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
@@ -152,42 +152,42 @@ class ForcedSystem:
     @over_states
     @QUIET
     def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
-        """Return x', with all forces.
+        """Return the vector field x', including all forces.
 
         Parameters
         ----------
         x : (n,) or (..., n)
-            The state, or many.
+            One state or several.
         t : float or (k,)
-            The time, or one for each along the first axis of many states.
+            The time, or one for each entry of the first axis of several states.
 
         Returns
         -------
         ndarray, shape (n,) or (..., n)
-            Each with the bits that it has alone.
+            Bit-identical to separate calls for each state.
 
         Raises
         ------
         TypeError
-            A force is a noise.
+            A force is random.
         """
         y, t = self._numbers(x), read_number(t, "t")
         found = sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
         return np.asarray(self.system.from_vector(found) if array_given(x, "x", "iufc").ndim > 1 else found)
 
     def _numbers(self, x: Any) -> npt.NDArray[Any]:
-        """Return a state as its numbers; those of a matrix are its entries."""
+        """Return a state as a vector; a matrix by its entries."""
         if hasattr(self.system, "from_vector") and array_given(x, "x", "iufc").ndim > 1:
             x = self.system.read(x, "x")
         return point(read_numbers(x, "x"), self.dim)
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
-        """Refuse: no closed form of a motion with forces is known here."""
+        """Raise TypeError: systems with forces have no closed form."""
         return solution_of(None, self.name)(x0, t, attitude)
 
     @over_states
     def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
-        """Return H(x, t), of one state or of many; see `LiePoissonSystem.energy`."""
+        """Return H(x, t) of one state or several; see `LiePoissonSystem.energy`."""
         return self.system.energy(x, t)
 
     @QUIET
@@ -204,12 +204,12 @@ class ForcedSystem:
         Returns
         -------
         dict
-            Label of a force -> ``grad H . force``; negative where it takes energy out.
+            Label of a force to ``grad H . force``; negative if the force dissipates energy.
 
         Raises
         ------
         TypeError
-            A force is a noise.
+            A force is random.
 
         Examples
         --------

@@ -1,10 +1,10 @@
-"""The free rigid body in closed form, by Jacobi's elliptic functions.
+"""Closed-form solution of the free rigid body by Jacobi's elliptic functions.
 
 Body convention: ``x' = x cross (m x)``, ``A' = A hat(m x)``, m the inverse moments of inertia along the principal axes.
-For given conserved L = |x| and T the axes are named a, b, c: c is the axis that x encircles, b the middle one, and
+For given L = |x| and energy T the axes are named a, b, c: c is the axis that x encircles, b the middle one, and
 ``x_a = A_a cn u``, ``x_b = -+A_b sn u``, ``x_c = +-A_c dn u``, ``u = u0 + lam t``. See Whittaker, "Analytical
-Dynamics", 69. The attitude follows from the moving frame of e_c cross x and x, which turns about the constant A x by an
-angle that is an integral of the third kind.
+Dynamics", 69. The attitude follows from the moving frame of e_c cross x and x, which rotates about the constant A x by
+an angle that is an integral of the third kind.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _cross_matrix(w: Floats) -> Floats:
 
 
 def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
-    """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula; the angle loses no digits over long times.
+    """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula, accurate for large angles.
 
     Examples
     --------
@@ -62,13 +62,13 @@ def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
 
 
 def _root(square: Fraction) -> float:
-    """Return the square root of a fraction of any size, as far as float64 reaches."""
+    """Return the square root of a fraction of any size; overflow and underflow only beyond float64."""
     exponent = (square.numerator.bit_length() - square.denominator.bit_length()) // 2
     return math.ldexp(math.sqrt(square / Fraction(4) ** exponent), min(exponent, 1020))
 
 
 def _frames(x: Floats, axis: int) -> Floats:
-    """Return the rows (e_axis cross n, n cross that, n), n = x/|x|, shape (k, 3, 3), in the body's coordinates."""
+    """Return the rows (e_axis cross n, n cross that, n), n = x/|x|, shape (k, 3, 3), in body coordinates."""
     n = x / np.linalg.norm(x, axis=1, keepdims=True)
     first = np.cross(np.eye(3)[axis], n)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -76,35 +76,10 @@ def _frames(x: Floats, axis: int) -> Floats:
 
 
 def free_rigid_body(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Return body momentum and attitude of the free rigid body in the body convention, with A(0) the unit matrix.
+    """Return momentum (k, 3) and attitude (k, 3, 3) of the free rigid body at times t, body convention, with A(0) = 1.
 
-    Parameters
-    ----------
-    m : (3,)
-        Inverse moments of inertia; any real numbers.
-    x0 : (3,)
-        Body angular momentum at time zero.
-    t : (k,)
-        Times, of any sign.
-
-    Returns
-    -------
-    x : (k, 3) array
-        Body angular momentum.
-    A : (k, 3, 3) array
-        Attitude, from the body to space: A x is constant.
-
-    Notes
-    -----
-    T, L^2 and the three differences of 2T and m L^2 are taken exactly, in rationals: they cancel near the separatrix
-    and near a permanent rotation, and decide which case it is. Whole periods are counted in many digits, so that the
-    error does not grow with time.
-
-    Examples
-    --------
-    >>> x, A = free_rigid_body(np.array([1.0, 0.5, 0.25]), np.array([1.0, 2.0, 0.5]), np.array([0.0, 3.0]))
-    >>> np.allclose(A[1] @ x[1], x[0], rtol=0, atol=1e-14)
-    True
+    `m` are inverse moments of inertia, any real numbers. T, L^2 and differences of 2T and m L^2 are rational, since
+    they cancel near the separatrix and permanent rotations; periods are reduced in extended precision.
     """
     return _along_principal_axes([Fraction(v) for v in m.tolist()], [Fraction(v) for v in x0.tolist()], t)
 
@@ -115,7 +90,7 @@ def _along_principal_axes(m: list[Fraction], x0: list[Fraction], t: Floats) -> t
     if all(m[i] == m[j] or x0[i] == 0 or x0[j] == 0 for i, j in pairs):
         w = [p * q for p, q in zip(m, x0, strict=True)]
         return np.broadcast_to(start, (t.size, 3)).copy(), fixed_axis(w, t)
-    # x(t; 2^e y) = 2^e x(2^e t; y): momenta of any size without overflow.
+    # x(t; 2^e y) = 2^e x(2^e t; y): scaling avoids overflow for momenta of any size.
     exponent = math.frexp(float(np.abs(start).max()))[1]
     y = [v / Fraction(2) ** exponent for v in x0]
     scaled = np.ldexp(t, exponent)
@@ -165,7 +140,7 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
         third = -nu / (1.0 - nu) * across_integral(nu, phi, complement)
     x = np.empty((t.size + 1, 3))
     x[:, a], x[:, b], x[:, c] = size_a * cn, size_b * sn, size_c * dn
-    # Of the integral of the third kind, u/(1 - nu) is in the phases: near the separatrix u does not follow from phi.
+    # The phases contain the term u/(1 - nu) of the integral of the third kind: near the separatrix phi does not fix u.
     psi = phases.psi + phases.factor * (third[:-1] - third[-1])
     frames = _frames(x, c)
     turn = np.zeros((t.size, 3, 3))
@@ -175,30 +150,10 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
 
 
 class _Phases:
-    """The phases of a body at some times, without their whole periods.
+    """Phases of a body: `u` is lam t modulo 4 K, (k,); `factor` multiplies the integral of the third kind.
 
-    Parameters
-    ----------
-    length2 : Fraction
-        |x|^2.
-    masses : (Fraction, Fraction)
-        m along the axes a and c.
-    lam2 : Fraction
-        The square of the rate of u.
-    complement, nu : Fraction
-        Of the elliptic integrals.
-    t : (k,)
-        Times.
-
-    Attributes
-    ----------
-    u : (k,) array
-        lam t, less whole periods 4 K of the elliptic functions.
-    psi : (k,) array
-        What the turn of the moving frame has beside the integral over u, less whole turns: the part that is linear in
-        time, and what the integral gains over those periods.
-    factor : float
-        Of the integral of the third kind in that turn.
+    `psi` is the rotation of the moving frame besides the integral over u, modulo 2 pi: its part linear in time, and the
+    gain of the integral over the whole periods.
     """
 
     def __init__(
@@ -236,35 +191,10 @@ class _Phases:
 
 
 def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return the closed form of ``x' = sign * J(x) M x`` on so(3) for a diagonal or full M.
+    """Return the closed form of ``x' = sign * J(x) M x`` on so(3), M (3,) or (3, 3), at one or several times.
 
-    Parameters
-    ----------
-    M : (3,) or symmetric (3, 3)
-        Inverse inertia.
-    sign : {-1, +1}
-        -1: the body equations; +1: the same motion backwards in time.
-    x0 : (3,)
-        Body angular momentum at time zero.
-    t : float or (k,)
-        One time, or several.
-    attitude : bool or (3, 3)
-        Also return the attitude; an array is the initial one (True: the unit matrix).
-
-    Returns
-    -------
-    (3,) or (k, 3) array
-        With attitude the pair of this and the attitudes, shape (3, 3) or (k, 3, 3).
-
-    Raises
-    ------
-    ValueError
-        A shape is wrong or a number is not finite.
-
-    Examples
-    --------
-    >>> exact_solution(np.array([1.0, 0.5, 0.25]), -1, [0.0, 0.0, 2.0], 7.0)
-    array([0., 0., 2.])
+    With `attitude` (True, or an initial (3, 3)) return the pair of states and attitudes. sign = -1 gives the body
+    equations, +1 the same motion backward in time. Raises ValueError for wrong shapes and non-finite numbers.
     """
     start, times = start_and_times(x0, t, 3)
     first = first_element(attitude, 3)

@@ -1,4 +1,4 @@
-"""The top of Goryachev and Chaplygin: I1 = I2 = 4 I3, with the center of mass in the equatorial plane."""
+"""The Goryachev-Chaplygin top: I1 = I2 = 4 I3, with the center of mass in the equatorial plane."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from coadjoint.systems.telling import Picture, Telling
     )
 )
 def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
-    """Return the top of Goryachev and Chaplygin: ``I1 = I2 = 4 I3``, the center of mass in the plane of axes 1 and 2.
+    """Return the Goryachev-Chaplygin top: ``I1 = I2 = 4 I3``, the center of mass in the plane of axes 1 and 2.
 
-    State, sign -1, Casimirs and what the blocks of the group element mean are those of `heavy_top`. It is integrable
-    where the vertical momentum m . gamma is zero, and there only. So its further integral is no entry of ``integrals``,
-    which hold everywhere: `goryachev_chaplygin_integral` returns it, for ``observe``.
+    State, sign -1, Casimirs and group element are those of `heavy_top`. It is integrable only if the vertical momentum
+    m . gamma is zero. Its additional integral is therefore not in ``integrals``, which hold for all states:
+    `goryachev_chaplygin_integral` returns it, for ``observe``.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
 
 
 def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> Polynomial:
-    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, which the top keeps where m . gamma is zero.
+    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, which the top keeps if m . gamma is zero.
 
-    Elsewhere it changes at the rate ``(l2 m1 - l1 m2)(m . gamma) / I1``.
+    Otherwise it changes at the rate ``(l2 m1 - l1 m2)(m . gamma) / I1``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The gyrostat: a rigid body with rotors inside."""
+"""The gyrostat: a rigid body with internal rotors."""
 
 from __future__ import annotations
 
@@ -47,26 +47,26 @@ Floats = npt.NDArray[np.float64]
 def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> LiePoissonSystem:
     """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
 
-    x is the angular momentum of body and rotors together, in the frame of the body. That of the rotors relative to the
-    body, k, is constant. The attitude A, from the body to space, follows ``A' = A hat(Omega)``, so that ``A x`` is
-    constant. Thus so(3) with the body sign, -1, and ``H = (x - k) . I^-1 (x - k) / 2``. Without rotors it is
+    x is the angular momentum of body and rotors together, in the body frame. That of the rotors relative to the
+    body, k, is constant. The attitude A, from the body to space, satisfies ``A' = A hat(Omega)``, so that ``A x`` is
+    constant. The algebra is so(3) with the body sign, -1, and ``H = (x - k) . I^-1 (x - k) / 2``. Without rotors use
     `rigid_body`.
 
     Parameters
     ----------
     inertia : (3,) or (3, 3)
-        Principal moments, or the symmetric positive definite tensor (mass times length squared). Of body and rotors
-        with the rotors locked, where motors keep their speed relative to the body; without their moments about their
-        own axes, where they spin freely and so keep their own momentum.
+        Principal moments, or the symmetric positive definite tensor (mass times length squared): with the rotors locked
+        if motors keep their speed relative to the body; without the moments of the rotors about their own axes if they
+        spin freely and so keep their own momentum.
     rotors : (3,)
         Angular momentum k of the rotors (mass times length squared over time).
 
     Returns
     -------
     LiePoissonSystem
-        Casimir |x|^2. The momentum along an axis of symmetry, ``"x3"`` for instance, is an integral, where two
-        principal moments are equal and k lies along the third axis, or all three are equal; then also
-        ``exact(x0, t, attitude=False)`` in closed form.
+        Casimir |x|^2. If two principal moments are equal and k lies along the third axis, or if all three are equal,
+        the momentum along the axis of symmetry, such as ``"x3"``, is an integral, and
+        ``exact(x0, t, attitude=False)`` is known in closed form.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     Warns
     -----
     UserWarning
-        A principal moment exceeds the sum of the other two, which no body has.
+        A principal moment exceeds the sum of the other two, which is impossible for a body.
 
     Notes
     -----
@@ -117,7 +117,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
 def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
     """Return the closed form of a symmetric gyrostat.
 
-    ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x turns about the axis by
+    ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x rotates about the axis by
     ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
     """
     start, times = start_and_times(x0, t, 3)

@@ -1,4 +1,4 @@
-"""What is a Hamiltonian? The interface that all kinds share, and the kind given by Python functions."""
+"""The interface of Hamiltonians, and Hamiltonians given by Python functions or polynomials."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
 from coadjoint.wording import short
 
-MOST_REMEMBERED = 64  # monomials
+MOST_REMEMBERED = 64  # monomials of cached polynomials
 BYTES_PER_COORDINATE = 200  # at the sample points
 
 
 @runtime_checkable
 class HamiltonianLike(Protocol):
-    """What every kind of Hamiltonian offers; x has shape (n,), of floats, complex numbers or objects."""
+    """The interface of Hamiltonians; x has shape (n,) and contains floats, complex numbers or objects."""
 
     @property
     def dim(self) -> int | None:
@@ -39,7 +39,7 @@ class HamiltonianLike(Protocol):
         """Whether it depends on the time."""
 
     def bind(self, n: int) -> HamiltonianLike:
-        """Return the same Hamiltonian for dimension n, checked."""
+        """Return the same Hamiltonian, checked and bound to dimension n."""
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
@@ -51,30 +51,30 @@ class HamiltonianLike(Protocol):
         """Return the second derivatives, shape (n, n)."""
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the terms of the sum (bound only)."""
+        """Return the terms of the sum; the Hamiltonian must be bound."""
 
 
 class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 
-    Use it if H is neither quadratic, polynomial nor separable. Schemes that need no splitting work with it. For an
-    explicit splitting, give the structure of H by `Separable` or `SplitHamiltonian`.
+    Use it if H is neither quadratic, polynomial nor separable. Schemes that need no splitting support it. For explicit
+    splitting, describe the structure of H by `Separable` or `SplitHamiltonian`.
 
     Parameters
     ----------
     value : callable
         Pure function of ``(x)`` or ``(x, t)``, x of shape (n,); returns a number.
     gradient : callable
-        Of the same arguments; returns shape (n,). Checked against the central difference of `value`.
+        Function of the same arguments that returns shape (n,). Checked against the central difference of `value`.
     hessian : callable, optional
-        Of the same arguments; returns shape (n, n). Needed for exact tangents.
+        Function of the same arguments that returns shape (n, n). Needed for exact tangents.
 
     Raises
     ------
     TypeError
-        Not functions, or not all of the same arguments.
+        Not functions, or functions of different arguments.
     ValueError
-        In `bind`: a shape is wrong, or a derivative contradicts what it is the derivative of, at a sample point.
+        In `bind`: a shape is wrong, or a derivative disagrees with a finite difference at a sample point.
 
     Examples
     --------
@@ -91,7 +91,7 @@ class Hamiltonian(Summable):
         self._value, self._gradient, self._hessian = value, gradient, hessian
 
     def bind(self, n: int) -> Hamiltonian:
-        """Return this Hamiltonian for dimension `n`, its functions checked at sample points.
+        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class Hamiltonian(Summable):
         Raises
         ------
         ValueError
-            A shape is wrong, or a derivative contradicts what it is the derivative of.
+            A shape is wrong, or a derivative disagrees with a finite difference.
         """
         n = read_whole(n, "the dimension")
         if self.dim is not None and self.dim != n:
@@ -131,7 +131,7 @@ class Hamiltonian(Summable):
         return bound
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian of the multiples of the functions.
+        """Return the Hamiltonian multiplied by a factor.
 
         Parameters
         ----------
@@ -165,11 +165,11 @@ class Hamiltonian(Summable):
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the second derivatives, shape (n, n)."""
         if self._hessian is None:
-            raise TypeError("this Hamiltonian was given without second derivatives; give hessian=")
+            raise TypeError("this Hamiltonian has no second derivatives; give hessian=")
         return np.asarray(self._call(self._hessian, x, t)[0])
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the one `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
+        """Return the single `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
         if self.dim is None:
             raise TypeError("this Hamiltonian has no dimension yet; bind(n) it first")
         everything = np.arange(self.dim, dtype=np.int64)
@@ -182,18 +182,7 @@ class Hamiltonian(Summable):
 
 
 class PolynomialHamiltonian(Summable):
-    """A `Polynomial` as a Hamiltonian; made by `as_hamiltonian`, for degree three and more.
-
-    Parameters
-    ----------
-    polynomial : Polynomial
-        In n variables.
-
-    Examples
-    --------
-    >>> PolynomialHamiltonian(Polynomial({(3, 0): 1.0, (0, 2): 0.5})).gradient([2.0, 5.0])
-    array([12.,  5.])
-    """
+    """A `Polynomial` as a Hamiltonian; `as_hamiltonian` makes it for degree three and higher."""
 
     timed = False
 
@@ -202,16 +191,16 @@ class PolynomialHamiltonian(Summable):
         self.dim: int | None = polynomial.dim
 
     def bind(self, n: int) -> PolynomialHamiltonian:
-        """Return itself; refuse a dimension other than the number of variables."""
+        """Return itself; raise ValueError if n is not the number of variables."""
         _check_variables(self.polynomial, n)
         return self
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the multiple of the polynomial."""
+        """Return the Hamiltonian multiplied by a factor."""
         return type(self)(factor * self.polynomial)
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return the polynomial at x."""
+        """Return the value of the polynomial at x."""
         return self.polynomial(point(x, self.dim))
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
@@ -223,7 +212,7 @@ class PolynomialHamiltonian(Summable):
         return self.polynomial.hessian(point(x, self.dim))
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the one `PolynomialTerm`."""
+        """Return the single `PolynomialTerm`."""
         return (PolynomialTerm(self.polynomial),)
 
     def __repr__(self) -> str:
@@ -235,41 +224,18 @@ def _check_variables(polynomial: Polynomial, n: int, owner: str = "the system") 
         raise ValueError(f"the polynomial has {polynomial.dim} variables but {owner} has dimension {n}; give {n}")
 
 
-# The members of an ensemble follow the same Casimirs, which are converted once. Polynomials of floats and of whole
-# numbers can be equal, so that the kinds of numbers belong to the key.
+# Members of an ensemble share Casimirs, so the conversion is cached. Polynomials of floats and of integers can compare
+# equal, so the number types are part of the key.
 @lru_cache(maxsize=64)
 def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
     return Quadratic.from_polynomial(polynomial)
 
 
 def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike:
-    """Return `H`, of any accepted kind, as a Hamiltonian bound to dimension `n`.
+    """Convert `H` of any accepted type to a Hamiltonian bound to dimension `n`; `owner` names its owner in messages.
 
-    Parameters
-    ----------
-    H : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, or of a kind of the user
-        A kind of the user is checked at sample points. A polynomial of degree two or less becomes a `Quadratic` (its
-        constant kept in the value).
-    n : int
-        Number of coordinates.
-    owner : str
-        What has so many, as messages name it.
-
-    Returns
-    -------
-    HamiltonianLike
-
-    Raises
-    ------
-    TypeError
-        `H` is of no accepted kind.
-    ValueError
-        `H` does not fit dimension `n`.
-
-    Examples
-    --------
-    >>> as_hamiltonian(Polynomial({(2, 0): 0.5, (0, 2): 1.0}), 2)
-    Quadratic([1.0, 2.0])
+    A polynomial of degree at most two becomes a `Quadratic`. User-defined types are checked at sample points. Raises
+    TypeError for other types, ValueError for a different dimension.
     """
     if isinstance(H, Polynomial):
         _check_variables(H, n, owner)

@@ -41,28 +41,28 @@ Floats = npt.NDArray[np.float64]
 def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> LiePoissonSystem:
     """Return a heavy top, ``m' = m cross Omega + gamma cross lever``, ``gamma' = gamma cross Omega``.
 
-    The first three coordinates are the angular momentum m about the fixed point, in the frame of the body, with
-    ``Omega = I^-1 m``; the last three are gamma, the upward vertical in that frame, of length 1. Thus e(3) with the
-    body sign, -1, and ``H = m . I^-1 m / 2 + lever . gamma``.
+    The first three coordinates are the angular momentum m about the fixed point, in the body frame, with
+    ``Omega = I^-1 m``; the last three are gamma, the upward vertical in that frame, of length 1. The algebra is e(3)
+    with the body sign, -1, and ``H = m . I^-1 m / 2 + lever . gamma``.
 
     The group element g is a matrix of SE(3), ``g' = g rho(Omega, lever)``. Its block ``A = g[:3, :3]`` is the attitude,
-    from the body to space, so that ``A gamma`` is constant. Its column ``r = g[:3, 3]`` is no position: the fixed point
-    does not move. It is the integral of ``A lever`` over time, so ``r cross A gamma`` is the angular impulse of gravity
-    with the sign reversed, and ``A m + r cross A gamma`` is constant.
+    from the body to space, so that ``A gamma`` is constant. Its column ``r = g[:3, 3]`` is not a position: the fixed
+    point does not move. It is the integral of ``A lever`` over time, so ``r cross A gamma`` is minus the angular
+    impulse of gravity, and ``A m + r cross A gamma`` is constant.
 
     Parameters
     ----------
     inertia : (3,) or (3, 3)
         Principal moments about the fixed point, or the symmetric positive definite tensor (mass times length squared).
     lever : (3,)
-        Weight times the position of the center of mass from the fixed point, in the frame of the body (an energy).
+        Weight times the position of the center of mass from the fixed point, in the body frame (an energy).
 
     Returns
     -------
     LiePoissonSystem
-        Casimirs: ``"|p|^2"``, the square of the length of gamma, and ``"m.p"``, the vertical angular momentum
-        m . gamma. Integrals where the parameters are those of Lagrange's top, about any axis (the momentum along it,
-        such as ``"m3"``), or of Kovalevskaya's, in any order of the axes (``"K"``).
+        Casimirs: ``"|p|^2"``, the squared length of gamma, and ``"m.p"``, the vertical angular momentum m . gamma.
+        Integrals for the parameters of Lagrange's top about any axis (the momentum along it, such as ``"m3"``), or of
+        Kovalevskaya's top in any order of the axes (``"K"``).
 
     Raises
     ------
@@ -72,12 +72,13 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     Warns
     -----
     UserWarning
-        A principal moment exceeds the sum of the other two, which no body has.
+        A principal moment exceeds the sum of the other two, which is impossible for a body.
 
     Notes
     -----
-    Where gravity is weak, ``Splitting(parts="free_body")`` has the free body as one part and gravity as the other: its
-    error has the size of gravity. At equal cost it gains up to potential energies of about that of the rotation.
+    If gravity is weak, ``Splitting(parts="free_body")`` has the free body as one part and gravity as the other: its
+    error is proportional to gravity. At equal cost it is more accurate up to potential energies comparable to the
+    rotational energy.
 
     Marsden and Ratiu, "Introduction to Mechanics and Symmetry" (1999), section 15.10; Audin, "Spinning Tops" (1996).
 
@@ -96,22 +97,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
 
 
 def top_under_gravity(M: Floats, lever: Floats, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
-    """Return the top on e(3) with the inverse inertia M, with the integrals that it is known to have.
-
-    Parameters
-    ----------
-    M : (3,) or symmetric (3, 3)
-        Inverse inertia.
-    lever : (3,)
-        Coefficients of gamma in H.
-    name : str
-        Name of the system.
-    parameters : dict
-        What makes it again.
-
-    Returns
-    -------
-    LiePoissonSystem
+    """Return the top on e(3) with inverse inertia M, (3,) or (3, 3), and coefficients `lever` of gamma, with integrals.
 
     Examples
     --------
@@ -130,5 +116,5 @@ def top_under_gravity(M: Floats, lever: Floats, name: str, parameters: dict[str,
 
 @cache
 def rigid_motions() -> LieAlgebra:
-    """Return e(3), which does not change, to all tops and bodies in fluids."""
+    """Return e(3), cached: one object for all tops and bodies in fluids."""
     return catalogue.e(3)

@@ -1,4 +1,4 @@
-"""Which inertia does a body have? Principal moments or a tensor, read and inverted without rounding on the way."""
+"""Moments of inertia: validation of principal moments or a tensor, and their correctly rounded inverse."""
 
 from __future__ import annotations
 
@@ -17,24 +17,9 @@ LEAST_MOMENT = 2.0**-1022
 
 
 def inverse_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> tuple[npt.NDArray[np.float64], Any]:
-    """Return the inverse inertia of a body, and the inertia as a plain tuple, which is its parameter.
+    """Return the inverse inertia M, (3,) or (3, 3), and the inertia as a tuple, from principal moments or a tensor.
 
-    Parameters
-    ----------
-    inertia : (3,) or (3, 3)
-        Principal moments, or the symmetric positive definite tensor.
-    what : str, optional
-        What it is called in a message.
-
-    Returns
-    -------
-    M : (3,) or (3, 3) array
-    kept : tuple
-
-    Raises
-    ------
-    ValueError
-        Another shape, or not finite, symmetric and positive; or the inverse overflows.
+    `what` is the name in messages. Raises ValueError unless symmetric and positive definite with a finite inverse.
 
     Examples
     --------
@@ -50,18 +35,12 @@ def inverse_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> tuple[npt.
 
 
 def plain(array: npt.NDArray[np.float64]) -> Any:
-    """Return an array as tuples of numbers.
-
-    Examples
-    --------
-    >>> plain(np.eye(2))
-    ((1.0, 0.0), (0.0, 1.0))
-    """
+    """Return an array as nested tuples of numbers."""
     return tuple(map(plain, array)) if array.ndim > 1 else tuple(array.tolist())
 
 
 def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.float64]:
-    """Return a vector of n finite numbers, or refuse it by name.
+    """Validate a vector of n finite numbers; `what` is its name in messages.
 
     Examples
     --------
@@ -75,7 +54,7 @@ def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.
 
 
 def principal(M: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the diagonal of an inverse inertia, or None where the axes are not the principal ones.
+    """Return the diagonal of an inverse inertia, or None if it is not diagonal.
 
     Examples
     --------
@@ -88,9 +67,9 @@ def principal(M: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
 
 
 def axis_of_symmetry(M: npt.NDArray[np.float64], vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the axis about which both an inverse inertia and a vector are symmetric, a unit vector; or None.
+    """Return the unit vector of the common axis of symmetry of an inverse inertia and a vector; None if there is none.
 
-    Only principal axes along the coordinates are looked at: others are rounded.
+    Only coordinate axes are considered: other axes are rounded.
 
     Examples
     --------
@@ -111,7 +90,7 @@ def axis_of_symmetry(M: npt.NDArray[np.float64], vector: npt.NDArray[np.float64]
 
 
 def momentum_along(axis: npt.NDArray[np.float64] | None, letter: str, n: int) -> dict[str, Polynomial]:
-    """Return the momentum along an axis of symmetry by name, as an integral in n coordinates; nothing without one.
+    """Return the momentum along an axis of symmetry by name, as an integral in n coordinates; empty without an axis.
 
     Examples
     --------
@@ -126,7 +105,7 @@ def momentum_along(axis: npt.NDArray[np.float64] | None, letter: str, n: int) ->
 
 
 def positive_moments(moments: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
-    """Return moments whose inverses are numbers; the first that is not positive is refused by name."""
+    """Validate moments: return them, or raise ValueError for the first that is not positive or whose inverse overflows."""
     for i, moment in enumerate(moments.tolist()):
         place = f"[{i}]" if len(moments) > 1 else ""
         if moment <= 0.0:
@@ -137,13 +116,7 @@ def positive_moments(moments: npt.NDArray[np.float64], what: str) -> npt.NDArray
 
 
 def moments_of(size: float, what: str, ratios: tuple[float, ...] = (1.0,)) -> tuple[npt.NDArray[np.float64], float]:
-    """Return inverse moments in given ratios, which are powers of two, to one moment; and that moment.
-
-    Examples
-    --------
-    >>> moments_of(2.0, "equatorial", (1.0, 1.0, 0.5))
-    (array([0.5, 0.5, 1. ]), 2.0)
-    """
+    """Return inverse moments with the given ratios (powers of two) to that of `size`, and the validated size."""
     given = read_number(size, what)
     for moment in (given, given * min(ratios)):
         positive_moments(np.array([moment]), what)
@@ -151,7 +124,7 @@ def moments_of(size: float, what: str, ratios: tuple[float, ...] = (1.0,)) -> tu
 
 
 def check_symmetric_matrix(matrix: npt.NDArray[np.float64], what: str) -> None:
-    """Refuse a matrix that is farther from symmetric than 64 u of its largest entry; the entry is named."""
+    """Raise ValueError if a matrix is asymmetric by more than 64 u of its largest entry, with the entry."""
     with np.errstate(over="ignore"):
         asymmetry = np.abs(matrix - matrix.T)
     if asymmetry.max() > 64 * UNIT_ROUNDOFF * np.abs(matrix).max():
@@ -160,27 +133,17 @@ def check_symmetric_matrix(matrix: npt.NDArray[np.float64], what: str) -> None:
 
 
 def inverse_of(matrix: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
-    """Return the inverse of a positive definite matrix, correctly rounded from rationals.
+    """Return the inverse of a small positive definite matrix, correctly rounded from rational arithmetic.
 
-    So it has the same bits on every machine, which LAPACK's has not. For matrices of a few rows.
-
-    Raises
-    ------
-    ValueError
-        Not symmetric or not positive definite, or the inverse overflows.
-
-    Examples
-    --------
-    >>> inverse_of(np.array([[2.0, 0.0], [0.0, 4.0]]), "mass")
-    array([[0.5 , 0.  ],
-           [0.  , 0.25]])
+    So it has the same bits on every machine, unlike LAPACK's. Raises ValueError if not symmetric positive definite,
+    or on overflow.
     """
     check_symmetric_matrix(matrix, what)
     n = len(matrix)
     unit = [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
     q = [[Fraction(float(matrix[min(i, j), max(i, j)])) for j in range(n)] + unit[i] for i in range(n)]
     for c in range(n):
-        # Without exchanges of rows the pivots are those of L D L^T, all positive where the matrix is.
+        # Without pivoting the pivots are those of L D L^T, all positive if the matrix is positive definite.
         if q[c][c] <= 0:
             raise ValueError(
                 f"{what} {short(matrix.tolist())} is not positive definite; every principal moment must be positive"

@@ -1,4 +1,4 @@
-"""Where is a body after a time on its orbit about a centre of gravity?"""
+"""Kepler's problem: position and velocity on an orbit at given times."""
 
 from __future__ import annotations
 
@@ -12,44 +12,19 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 Floats = npt.NDArray[np.float64]
 
 ITERATIONS = 200
-SERIES = 12  # terms; the next one is below rounding up to |z| = 1
+SERIES = 12  # number of terms; the next is below round-off for |z| <= 1
 
 
 def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats, Floats]:
-    """Return positions and velocities of ``r'' = -gravity r/|r|^3`` on an ellipse, parabola or hyperbola.
+    """Return positions and velocities, (k, 3) each, of ``r'' = -gravity r/|r|^3`` at times (k,), on any conic.
 
-    Parameters
-    ----------
-    r, v : (3,)
-        Position and velocity at the time zero, not parallel.
-    gravity : float
-        Positive (length^3/time^2).
-    times : (k,)
-        Times, of any sign.
-
-    Returns
-    -------
-    (k, 3), (k, 3) arrays
-
-    Raises
-    ------
-    ValueError
-        r and v are parallel: the body falls into the centre.
-
-    Notes
-    -----
     By universal variables: R. Battin, "An Introduction to the Mathematics and Methods of Astrodynamics" (1999), 4.5.
-
-    Examples
-    --------
-    >>> r, v = kepler(np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 1.0, np.array([np.pi / 2]))
-    >>> r.round(12) + 0.0, v.round(12) + 0.0
-    (array([[0., 1., 0.]]), array([[-1.,  0.,  0.]]))
+    `gravity` is positive (length^3/time^2). Raises ValueError if r and v are parallel.
     """
     if not np.any(np.cross(r, v)):
-        raise ValueError("the orbit is a fall into the centre, or out of it, and has no closed form; integrate it")
+        raise ValueError("the orbit is radial and has no closed form; integrate it")
     distance, along = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
-    bent = 2.0 / distance - float(v @ v) / gravity  # 1 / major axis; negative on a hyperbola
+    bent = 2.0 / distance - float(v @ v) / gravity  # inverse semi-major axis; negative on a hyperbola
     found = [_moved(r, v, gravity, distance, along, bent, float(t)) for t in times]
     return np.array([x for x, _ in found]).reshape(-1, 3), np.array([y for _, y in found]).reshape(-1, 3)
 
@@ -73,7 +48,7 @@ def _moved(
 
 
 def _universal(distance: float, along: float, bent: float, target: float) -> float:
-    """Return s with ``distance s + along s^2 c2 + (1 - bent distance) s^3 c3 = target``, the left side growing."""
+    """Solve ``distance s + along s^2 c2 + (1 - bent distance) s^3 c3 = target`` for s; the left side is increasing."""
 
     def beyond(s: float) -> tuple[float, float]:
         c2, c3 = _stumpff(bent * s * s)
@@ -100,7 +75,7 @@ def _universal(distance: float, along: float, bent: float, target: float) -> flo
 
 
 def _stumpff(z: float) -> tuple[float, float]:
-    """Return (1 - cos w)/z and (w - sin w)/w^3 with w^2 = z, entire in z.
+    """Return the Stumpff functions (1 - cos w)/z and (w - sin w)/w^3 with w^2 = z, entire in z.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What moves: one system, or a batch of them? Anything else is refused before it fails somewhere else."""
+"""Validation of systems and batches: protocol, checks by kind, conversion to vector states."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ System = LiePoissonSystem | PoissonSystem
 
 @runtime_checkable
 class GeneralSystem(Protocol):
-    """What runs ask of a system, whatever it is: one of your own may have a matrix for its state, or no table.
+    """The minimal interface that runs require of a system, also a user-defined one.
 
-    `shape` may say that a state is a matrix; without it, it is a vector of `dim` numbers. An `algebra` need not have
-    its structure constants in memory, as `triples`: then schemes whose step is written in Python serve the system, and
-    the compiled loops, which read tables, refuse it by name.
+    `shape` is the shape of a matrix state; without it the state is a vector of `dim` numbers. Compiled loops need an
+    `algebra` with its structure constants as `triples`; without them only schemes stepped in Python are available.
     """
 
     @property
@@ -30,15 +29,15 @@ class GeneralSystem(Protocol):
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name in messages."""
 
     @property
     def sign(self) -> int:
-        """Of the right-hand side."""
+        """Sign of the right-hand side."""
 
     @property
     def algebra(self) -> Any:
-        """Where the state lives, or None."""
+        """Lie algebra on whose dual the state lies, or None."""
 
     @property
     def representation(self) -> Any:
@@ -50,50 +49,32 @@ class GeneralSystem(Protocol):
 
     @property
     def casimirs(self) -> Mapping[str, Any]:
-        """Name to what is followed beside the energy."""
+        """Invariants recorded besides the energy, by name."""
 
     def vector_field(self, x: Any, t: float = 0.0) -> Any:
-        """Return x'."""
+        """Return the vector field x'."""
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H(x, t)."""
 
 
 def shape_of(system: Any) -> tuple[int, ...]:
-    """Return the shape of a state.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.rigid_body import rigid_body
-    >>> shape_of(rigid_body((1, 2, 3)))
-    (3,)
-    """
+    """Return the shape of a state."""
     return tuple(getattr(system, "shape", (system.dim,)))
 
 
 def unforced(system: Any) -> Any:
-    """Return the Hamiltonian part of a system with forces, another system as it is."""
+    """Return the Hamiltonian part of a system with forces; any other system unchanged."""
     return system.system if isinstance(system, ForcedSystem) else system
 
 
 def tabulated(system: Any) -> bool:
-    """Return whether the kernels can read the bracket: from structure constants, or from a function J."""
+    """Return whether the kernels can evaluate the bracket, from structure constants or a function J."""
     return system.algebra is None or getattr(system.algebra, "triples", None) is not None
 
 
 def check_system(system: Any) -> None:
-    """Refuse what is no system.
-
-    Parameters
-    ----------
-    system : object
-        What was given as one.
-
-    Raises
-    ------
-    TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, nor a `Batch` of them, and no `GeneralSystem`.
-    """
+    """Raise TypeError unless given a `LiePoissonSystem`, a `PoissonSystem`, a `Batch` of them or a `GeneralSystem`."""
     if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch | ForcedSystem | GeneralSystem):
         raise TypeError(
             f"system is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem, such as "
@@ -102,30 +83,18 @@ def check_system(system: Any) -> None:
 
 
 def check_one_system(system: Any) -> None:
-    """Refuse a batch where one system is needed, and what is no system.
-
-    Parameters
-    ----------
-    system : object
-        What was given.
-
-    Raises
-    ------
-    TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, or has forces.
-    """
+    """Raise TypeError for a batch, a system with forces, or an object that is not a system."""
     check_system(system)
     if isinstance(system, ForcedSystem):
         raise TypeError(
-            f"{system.name} has forces, for which this is not defined (runs and steppers are); take its "
-            "Hamiltonian part, system.system"
+            f"{system.name} has forces, which only runs and steppers support; take its Hamiltonian part, system.system"
         )
     if isinstance(system, Batch):
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")
 
 
 def in_coordinates(system: Any) -> Any:
-    """Return a system whose states are vectors: of matrices the same with rows of numbers, of others itself.
+    """Return a system whose states are vectors: for matrices the one on rows of numbers, otherwise the system itself.
 
     Examples
     --------
@@ -137,22 +106,7 @@ def in_coordinates(system: Any) -> Any:
 
 
 def check_vectors(system: Any, instead: str = "take a scheme for these, IsospectralGauss") -> None:
-    """Refuse what is no one system, and a system of matrices where coordinates of a vector are needed.
-
-    Parameters
-    ----------
-    system : object
-        What was given.
-    instead : str
-        What would be right for matrices.
-
-    Raises
-    ------
-    TypeError
-        As `check_one_system`.
-    ValueError
-        It moves matrices.
-    """
+    """Raise an error unless given a single system with vector states; `instead` is the advice for matrix systems."""
     check_one_system(system)
     if isinstance(system, MatrixSystem):
         raise ValueError(f"{system.name} moves matrices in {system.algebra}; {instead}")

@@ -1,4 +1,4 @@
-"""Kirchhoff's equations: a rigid body that moves in an ideal fluid."""
+"""Kirchhoff's equations: a rigid body moving in an ideal fluid."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def kirchhoff_body(
     """Return a body in a fluid at rest at infinity, ``m' = m cross Omega + p cross v``, ``p' = p cross Omega``.
 
     The first three coordinates are the angular impulse m of body and fluid together, the last three the linear impulse
-    p, both in the frame of the body. The velocities Omega (angular) and v (linear) belong to them by
-    ``m = inertia Omega + coupling v`` and ``p = coupling^T Omega + mass v``. Thus e(3) with the body sign, -1, and
-    ``H = (m . Omega + p . v) / 2``. A full 6 x 6 matrix K of inertia is given by its blocks: ``inertia=K[:3, :3]``,
-    ``coupling=K[:3, 3:]``, ``mass=K[3:, 3:]``.
+    p, both in the body frame. They are related to the velocities Omega (angular) and v (linear) by
+    ``m = inertia Omega + coupling v`` and ``p = coupling^T Omega + mass v``. The algebra is e(3) with the body sign,
+    -1, and ``H = (m . Omega + p . v) / 2``. A full 6 x 6 matrix K of inertia is given by its blocks:
+    ``inertia=K[:3, :3]``, ``coupling=K[:3, 3:]``, ``mass=K[3:, 3:]``.
 
     The group element g is a matrix of SE(3), ``g' = g rho(Omega, v)``. Its block ``A = g[:3, :3]`` is the attitude,
     from the body to space. Its column ``r = g[:3, 3]`` is the position of the origin of the body, ``r' = A v``. The
@@ -55,12 +55,12 @@ def kirchhoff_body(
     Parameters
     ----------
     inertia : (3,) or (3, 3)
-        Moments of inertia with what the fluid adds, a diagonal or a symmetric matrix (mass times length squared). One
-        may exceed the sum of the other two, as that of a long thin plate does.
+        Moments of inertia including added inertia of the fluid, a diagonal or a symmetric matrix (mass times length
+        squared). One may exceed the sum of the other two, as for a long thin plate.
     mass : (3,) or (3, 3)
-        Mass with what the fluid adds, which depends on the direction: a diagonal or a symmetric matrix.
+        Mass including added mass of the fluid, which depends on the direction: a diagonal or a symmetric matrix.
     coupling : (3, 3), optional
-        Of rotation and translation (mass times length); it vanishes for a body with three planes of symmetry.
+        Coupling of rotation and translation (mass times length); zero for a body with three planes of symmetry.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def kirchhoff_body(
     Raises
     ------
     ValueError
-        A block has another shape or is not finite, or `inertia` or `mass` is not symmetric; or the whole matrix is not
+        A block has the wrong shape or is not finite, `inertia` or `mass` is not symmetric, or the full matrix is not
         positive definite.
 
     Notes
@@ -110,7 +110,7 @@ def kirchhoff_body(
 
 
 def _of_revolution(A: Floats, C: Floats) -> dict[str, Polynomial]:
-    """Return the angular impulse along each coordinate axis about which the body is one of revolution."""
+    """Return the angular impulse along each coordinate axis that is an axis of revolution."""
     a, c = principal(A), principal(C)
     if a is None or c is None:
         return {}

@@ -1,4 +1,4 @@
-"""Which integrals beside energy and Casimirs does a motion keep? Those given, checked to be constant."""
+"""Validation of integrals: constants of motion besides energy and Casimirs."""
 
 from __future__ import annotations
 
@@ -19,34 +19,10 @@ TIMES = (0.0, 1.0)
 
 @QUIET
 def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
-    """Return the integrals by name, each one checked where its gradient is known.
+    """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
 
-    Parameters
-    ----------
-    integrals : mapping
-        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x.
-    H : HamiltonianLike
-        The energy, bound to n coordinates.
-    n : int
-        Dimension of the system.
-    product, size : callable
-        ``product(x, u)`` is J(x) u, ``size(x, u)`` the sum of the absolute products in each component of it.
-
-    Returns
-    -------
-    dict
-        Name to `Polynomial`, `Quadratic` or `Invariant`.
-
-    Raises
-    ------
-    TypeError
-        Not a mapping, or an entry is neither polynomial nor function.
-    ValueError
-        ``grad F(x) . J(x) grad H(x)`` is not zero at a sample point; the integral is named.
-
-    Notes
-    -----
-    The tolerance is u times the number of operations, times the sum of the absolute products, for polynomials.
+    ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
+    times the number of operations times that sum for polynomials.
     """
     result = read_invariants(integrals, n, "integral")
     polynomial = H.polynomial if isinstance(H, PolynomialHamiltonian) else H if isinstance(H, Quadratic) else None

@@ -1,4 +1,4 @@
-"""The fourth integral of Kovalevskaya's top, in any order of the axes."""
+"""The quartic integral of Kovalevskaya's top, for any order of the axes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,10 @@ from coadjoint.systems.inertia import principal
 
 
 def kovalevskaya_integral(M: npt.NDArray[np.float64], lever: npt.NDArray[np.float64]) -> Polynomial | None:
-    """Return ``|(m_a + i m_b)^2 / (2 A) - (l_a + i l_b)(gamma_a + i gamma_b)|^2``, or None where the top has none.
+    """Return ``|(m_a + i m_b)^2 / (2 A) - (l_a + i l_b)(gamma_a + i gamma_b)|^2`` in six coordinates, or None.
 
-    Parameters
-    ----------
-    M : (3,) or (3, 3)
-        Inverse inertia: that of Kovalevskaya's top has the values 1/A, 1/A and 2/A along three coordinates a, b, c.
-    lever : (3,)
-        Weight times position of the center of mass; it must lie across c.
-
-    Returns
-    -------
-    Polynomial or None
-        In six coordinates, energy squared.
+    The top has it if the inverse inertia M, (3,) or (3, 3), is 1/A, 1/A and 2/A along coordinates a, b, c, and `lever`,
+    weight times position of the center of mass, is orthogonal to c.
 
     Examples
     --------

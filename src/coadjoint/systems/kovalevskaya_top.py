@@ -32,9 +32,9 @@ from coadjoint.systems.telling import Picture, Telling
 def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
     """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the center of mass in the plane of axes 1, 2.
 
-    State, sign -1, Casimirs and what the blocks of the group element mean are those of `heavy_top`. It is the third and
-    last integrable heavy top, by the integral ``K = |(m1 + i m2)^2 / (2 I1) - (l1 + i l2)(gamma1 + i gamma2)|^2``. For
-    other axes call `heavy_top`.
+    State, sign -1, Casimirs and group element are those of `heavy_top`. It is the third and last integrable heavy top,
+    with the integral ``K = |(m1 + i m2)^2 / (2 I1) - (l1 + i l2)(gamma1 + i gamma2)|^2``. For other axes use
+    `heavy_top`.
 
     Parameters
     ----------

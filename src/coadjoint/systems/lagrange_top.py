@@ -33,17 +33,17 @@ from coadjoint.systems.telling import Picture, Telling
 def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
     """Return Lagrange's top: a heavy top with ``I1 = I2`` and the center of mass on the third axis.
 
-    State, sign -1, Casimirs and what the blocks of the group element mean are those of `heavy_top`. The momentum along
-    the axis, m3, is an integral, so the motion is integrable. The top sleeps, upright and stable, where
-    ``m3^2 > 4 equatorial lever``. For another axis call `heavy_top`.
+    State, sign -1, Casimirs and group element are those of `heavy_top`. The momentum along the axis, m3, is an
+    integral, so the motion is integrable. The upright position is stable (a sleeping top) if
+    ``m3^2 > 4 equatorial lever``. For other axes use `heavy_top`.
 
     Parameters
     ----------
     equatorial, axial : float
         Moments of inertia about the fixed point (mass times length squared): across the axis and about it. Positive.
     lever : float
-        Weight times the distance of the center of mass along the axis (an energy). Negative: it hangs below the fixed
-        point when the axis points up.
+        Weight times the distance of the center of mass along the axis (an energy); negative if the center of mass is
+        below the fixed point when the axis points up.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     Warns
     -----
     UserWarning
-        The axial moment exceeds twice the equatorial one, which no body has.
+        The axial moment exceeds twice the equatorial one, which is impossible for a body.
 
     Notes
     -----

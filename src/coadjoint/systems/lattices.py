@@ -1,4 +1,4 @@
-"""Which sites are neighbours? Lattices by name and shape, and graphs given as edges."""
+"""Neighbours of sites: lattices by name and shape, and graphs given by edges."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from coadjoint.wording import short
 
 Integers = npt.NDArray[np.int64]
 
-BYTES_PER_EDGE = 100  # while they are sorted
+BYTES_PER_EDGE = 100  # peak, while edges are sorted
 
 
 class Cell(NamedTuple):
-    """A unit cell: how many sites it has, and its bonds as (site, site of the other cell, steps to the other cell)."""
+    """A unit cell: its number of sites, and its bonds as (site, site of the other cell, offset of the other cell)."""
 
     sites: int
     bonds: tuple[tuple[int, int, tuple[int, ...]], ...]
 
 
-# Along the axes of the cells, which need not be at right angles; bonds of one length.
+# Offsets are along the axes of the cells, which need not be orthogonal; all bonds of a lattice have equal length.
 CELLS: Mapping[str, Cell] = {
     "chain": Cell(1, ((0, 0, (1,)),)),
     "square": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)))),
@@ -39,39 +39,14 @@ CELLS: Mapping[str, Cell] = {
 NAMES = (*CELLS, "complete", "ring")
 
 
-MOST_SITES = 2**30  # three coordinates of each are numbered by 32 bits
+MOST_SITES = 2**30  # three coordinates per site, with 32-bit indices
 
 
 def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
-    """Return how many sites a lattice has, and its edges.
+    """Return the number of sites of a lattice (a name of `NAMES`, or pairs of sites), and its edges, (edges, 2) int64.
 
-    Parameters
-    ----------
-    lattice : str or (edges, 2) array of int
-        One of `NAMES`, or pairs of different sites, from 0, each pair once.
-    shape : int or tuple of int
-        The number of cells along each axis; of sites where edges are given.
-    periodic : bool or tuple of bool
-        Whether the last cell along each axis has the first one as its neighbour.
-
-    Returns
-    -------
-    sites : int
-    edges : (edges, 2) array of int64
-        Of a lattice by the bonds of its cell, and for each of them by the number of the first cell. Cells are numbered
-        along the last axis first, and sites by cells. Of a complete graph (0, 1), (0, 2), ...
-
-    Raises
-    ------
-    TypeError, ValueError
-        No such lattice, a shape of another dimension, edges that are no pairs of different sites, or a pair twice.
-
-    Examples
-    --------
-    >>> graph("square", (2, 2), False)[1].tolist()
-    [[0, 2], [1, 3], [0, 1], [2, 3]]
-    >>> graph("ring", 3, False)[1].tolist()
-    [[0, 1], [1, 2], [2, 0]]
+    `shape` counts cells along each axis, or sites if edges are given; `periodic` joins the last cell to the first.
+    Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by their first cell.
     """
     if not isinstance(lattice, str):
         count = read_whole(shape, "shape, the number of sites where edges are given,", 1, MOST_SITES)
@@ -144,12 +119,12 @@ def _given(edges: Any, count: int) -> Integers:
     outside = np.argwhere((array < 0) | (array >= count))
     if outside.size:
         edge, end = outside[0].tolist()
-        raise ValueError(f"edge {edge} has the site {array[edge, end]}; there are the sites 0 to {count - 1}")
+        raise ValueError(f"edge {edge} has the site {array[edge, end]}; sites are numbered from 0 to {count - 1}")
     return array.astype(np.int64)
 
 
 def _check_once(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
-    """Refuse an edge from a site to itself, and two between the same sites."""
+    """Raise ValueError for an edge from a site to itself, and for two edges between the same sites."""
     low, high = edges.min(axis=1, initial=count), edges.max(axis=1, initial=0)
     what = f"a periodic {lattice} lattice of shape {short(shape)}" if isinstance(lattice, str) else "lattice"
     instead = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""

@@ -1,4 +1,4 @@
-"""A generalized Euler system: a Hamiltonian on the dual of a Lie algebra."""
+"""Lie-Poisson systems: generalized Euler equations of a Hamiltonian on the dual of a Lie algebra."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.sum_of_hamiltonians import summands_of
 
-BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
+BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class LiePoissonSystem:
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.
 
-    Use it if the bracket is linear in x. All schemes work with it, and the explicit splitting keeps all its Casimirs.
-    For another bracket see `PoissonSystem`.
+    Use it if the bracket is linear in x. All schemes support it, and explicit splitting keeps all its Casimirs. For
+    nonlinear brackets see `PoissonSystem`.
 
     Parameters
     ----------
@@ -39,25 +39,25 @@ class LiePoissonSystem:
     hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
         The energy.
     sign : {+1, -1}
-        +1: the convention of Reich (1993), right-invariant systems. -1: left-invariant (body) systems.
+        +1 for right-invariant systems (the convention of Reich, 1993), -1 for left-invariant (body) systems.
     casimirs : mapping, optional
-        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x. The default is those known of the algebra, or
-        found quickly. All of them are recorded in every run. So `copies` of an algebra have none by default above 2^22
-        exponents (682 copies of so(3)); give those that you want to record, as sparse `Quadratic` if they contain few
+        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x. By default the known Casimirs of the algebra,
+        or those of a quick search. Every run records all of them. Therefore `copies` of an algebra have none by default
+        above 2^22 exponents (682 copies of so(3)); give the ones to record, as sparse `Quadratic` if they contain few
         of many coordinates.
     representation : (n, d, d), optional
         Matrices of the basis for the group element, ``g' = -sign g rho(grad H)``. By default that of the algebra.
     name : str, optional
-        For messages, files and pictures.
+        Name in messages, files and pictures.
     parameters : mapping, optional
-        With these ``co.systems.get(name, **parameters)`` makes this system again.
+        Parameters for which ``co.systems.get(name, **parameters)`` makes this system again.
     exact : callable, optional
-        Closed form ``exact(x0, t, attitude)``, if one is known.
+        Closed form ``exact(x0, t, attitude)``, if known.
     integrals : mapping, optional
-        Further constants of the motion for this Hamiltonian: name to `Polynomial`, `Quadratic`, `Invariant` or function
+        Further constants of motion for this Hamiltonian: name to `Polynomial`, `Quadratic`, `Invariant` or function
         of x. ``observe=system.integrals`` records them in a run.
     layout : mapping, optional
-        For pictures of sites: ``"lattice"`` and ``"shape"``, as for `spin_lattice`. No motion depends on it.
+        Arrangement of sites in pictures: ``"lattice"`` and ``"shape"``, as for `spin_lattice`. It does not affect runs.
 
     Attributes
     ----------
@@ -71,9 +71,9 @@ class LiePoissonSystem:
     Raises
     ------
     TypeError, ValueError
-        Wrong kinds; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a piece of a
-        `SplitHamiltonian` that do not commute; a "Casimir" or an "integral" that is none (where its gradient is known);
-        a representation with other commutators.
+        An argument of the wrong type; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a
+        piece of a `SplitHamiltonian` that do not commute; a Casimir or an integral that is not constant (checked if its
+        gradient is known); a representation with other commutators.
 
     Notes
     -----
@@ -127,7 +127,7 @@ class LiePoissonSystem:
         self._check_pieces()
         i, j, k, c = algebra.triples
         check_room(BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},")
-        # J(x) u: the row i gets c x_k u_j, and, by antisymmetry, the row j gets -c x_k u_i.
+        # J(x) u: row i gets c x_k u_j, and, by antisymmetry, row j gets -c x_k u_i.
         keep(self, "_rows", np.concatenate([i, j]))
         keep(self, "_factors", np.concatenate([j, i]))
         keep(self, "_states", np.concatenate([k, k]))
@@ -171,29 +171,29 @@ class LiePoissonSystem:
 
     @property
     def casimirs(self) -> dict[str, Any]:
-        """Name to `Polynomial`, `Quadratic` or `Invariant` (a copy); none where they are too many, see `copies`."""
+        """Name to `Polynomial`, `Quadratic` or `Invariant` (a copy); empty by default for many `copies`."""
         if self._casimirs is None:
             object.__setattr__(self, "_casimirs", dict(casimirs_of(self.algebra)))
         return dict(self._casimirs or {})
 
     @property
     def integrals(self) -> dict[str, Any]:
-        """Name to `Polynomial`, `Quadratic` or `Invariant`: further constants of the motion (a copy)."""
+        """Further constants of motion: name to `Polynomial`, `Quadratic` or `Invariant` (a copy)."""
         return dict(self._integrals)
 
     @property
     def parameters(self) -> dict[str, Any] | None:
-        """Parameters that make this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
+        """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
     @property
     def layout(self) -> dict[str, Any]:
-        """Lattice and shape of sites, for pictures (a copy); empty where they are not known."""
+        """Lattice and shape of sites, for pictures (a copy); empty if not given."""
         return dict(self._layout)
 
     @property
     def closed_form(self) -> Callable[..., Any] | None:
-        """The function ``exact(x0, t, attitude)`` that was given, or None."""
+        """The given function ``exact(x0, t, attitude)``, or None."""
         return self._exact
 
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -211,14 +211,14 @@ class LiePoissonSystem:
         Parameters
         ----------
         x : (n,) or (..., n)
-            The state, or many; of floats, complex numbers or Python objects (fractions, multiprecision numbers).
+            One state or several, of floats, complex numbers or Python objects (fractions, multiprecision numbers).
         t : float or (k,)
-            The time, or one for each along the first axis of many states.
+            The time, or one for each entry of the first axis of several states.
 
         Returns
         -------
         ndarray, shape (n,) or (..., n)
-            Each with the bits that it has alone.
+            Bit-identical to separate calls for each state.
         """
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
@@ -231,9 +231,9 @@ class LiePoissonSystem:
         Parameters
         ----------
         x : (n,) or (..., n)
-            The state, or many.
+            One state or several.
         t : float or (k,)
-            The time, or one for each along the first axis of many states.
+            The time, or one for each entry of the first axis of several states.
 
         Returns
         -------
@@ -249,7 +249,7 @@ class LiePoissonSystem:
         return self.hamiltonian.value(point(x, self.dim), t)
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
-        """Return J(x), dense.
+        """Return the structure matrix J(x), dense.
 
         Parameters
         ----------
@@ -280,14 +280,14 @@ class LiePoissonSystem:
         Raises
         ------
         TypeError
-            The Hamiltonian was given without second derivatives.
+            The Hamiltonian has no second derivatives.
         """
         y = point(x, self.dim)
         moving = self.algebra.coadjoint(self.hamiltonian.gradient(y, t))
         return self.sign * (moving + self.algebra.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
-        """Return the solution in closed form, where one is known.
+        """Return the closed-form solution, if known.
 
         Parameters
         ----------
@@ -296,12 +296,12 @@ class LiePoissonSystem:
         t : float or (k,)
             One time, or several.
         attitude : bool or (d, d)
-            Also return the group element; an array is the initial one (True: the unit matrix).
+            Also return the group element; an array is its initial value (True: the unit matrix).
 
         Returns
         -------
         ndarray, shape (n,) or (k, n)
-            With attitude the pair of this and the group elements, shape (d, d) or (k, d, d).
+            With `attitude` the pair of this and the group elements, shape (d, d) or (k, d, d).
 
         Raises
         ------
@@ -311,12 +311,12 @@ class LiePoissonSystem:
         return solution_of(self._exact, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with damping, torques or noise in addition; these change invariants, and runs record how.
+        """Return the system with damping, torques or noise; runs record the resulting changes of invariants.
 
         Parameters
         ----------
         *forces : Force
-            One or more of ``co.forces``, in the order in which their flows are taken.
+            One or more of ``co.forces``, in the order in which their flows are applied.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""The linear term of a Hamiltonian: a field, gravity, rotors. Which is it, and what is the system with another one?"""
+"""The linear term of a Hamiltonian (a field, gravity, rotors): extraction and replacement."""
 
 from __future__ import annotations
 
@@ -22,32 +22,13 @@ Floats = npt.NDArray[np.float64]
 Moved = TypeVar("Moved", bound=System)
 
 PRESENT = 2.0**-300
-"""In place of a coefficient that is zero, where only that it may be another one matters. Products with it vanish."""
+"""Placeholder for a zero coefficient that may change later; products with it vanish."""
 
 
 def linear_of(H: HamiltonianLike, n: int) -> Floats:
-    """Return the coefficients of the linear term of a Hamiltonian.
+    """Return the coefficients of the linear term, (n,), of a bound Hamiltonian.
 
-    Parameters
-    ----------
-    H : Quadratic, Polynomial, SplitHamiltonian or Separable
-        Bound to n coordinates. Functions of Python have no linear term of their own.
-    n : int
-        Number of coordinates.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-
-    Raises
-    ------
-    TypeError
-        The Hamiltonian is one function of all coordinates, or of a kind of the user.
-
-    Examples
-    --------
-    >>> linear_of(Quadratic([1.0, 2.0], linear=[0.0, 3.0]), 2)
-    array([0., 3.])
+    Raises TypeError if it is one function of all coordinates or of a user-defined type.
     """
     if isinstance(H, Quadratic):
         (term,) = H.terms()
@@ -69,7 +50,7 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
                 found[list(coordinates)] += linear_of(piece, len(coordinates))
         return found
     raise TypeError(
-        f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could change; give a Quadratic, a "
+        f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace; give a Quadratic, a "
         "Polynomial, a Separable or a SplitHamiltonian"
     )
 
@@ -79,35 +60,10 @@ def _has_linear(H: HamiltonianLike) -> bool:
 
 
 def with_linear(system: Moved, linear: Floats) -> Moved:
-    """Return the system whose Hamiltonian has another linear term, and is else the same.
+    """Return the system with another linear term in its Hamiltonian; closed form, integrals and parameters are dropped.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        With a Hamiltonian that `linear_of` reads.
-    linear : ndarray, shape (n,)
-        The coefficients.
-
-    Returns
-    -------
-    LiePoissonSystem or PoissonSystem
-        With the same bracket, Casimirs and representation; without closed form, further integrals and parameters, which
-        belong to the Hamiltonian.
-
-    Raises
-    ------
-    TypeError
-        The Hamiltonian has no linear term that could change.
-    ValueError
-        Several pieces of a SplitHamiltonian are polynomials in a coordinate whose coefficient is another one. (Where
-        none is, the coordinate gets a piece of its own.)
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body((1, 2, 3))
-    >>> with_linear(body, np.array([0.0, 0.0, 0.5])).energy([0.0, 0.0, 3.0]) - body.energy([0.0, 0.0, 3.0])
-    1.5
+    Raises TypeError if the Hamiltonian has no linear term to replace, and ValueError if several pieces of a
+    `SplitHamiltonian` are polynomials in a coordinate whose coefficient changes (with none, a piece is added).
     """
     changed = copy.copy(system)
     fields: dict[str, Any] = {
@@ -123,20 +79,9 @@ def with_linear(system: Moved, linear: Floats) -> Moved:
 
 
 def with_all_present(system: Moved, coordinates: Sequence[int]) -> Moved:
-    """Return the system with `PRESENT` for those of some linear coefficients that are zero.
+    """Return the system with `PRESENT` in place of those of the given linear coefficients that are zero.
 
-    Its Hamiltonian has everything that it would have with any values of them.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        As for `with_linear`.
-    coordinates : sequence of int
-        Of the coefficients.
-
-    Returns
-    -------
-    LiePoissonSystem or PoissonSystem
+    Its Hamiltonian then has every part that it can have for any values of them.
     """
     linear, chosen = linear_of(system.hamiltonian, system.dim), np.array(coordinates, dtype=np.int64)
     absent = chosen[linear[chosen] == 0.0]
@@ -163,11 +108,11 @@ def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
             given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
             pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
         return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
-    raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could be another one")
+    raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace")
 
 
 def _other_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianLike:
-    """Change the linear term of the Quadratic or polynomial of a sum, which stands first, and get it one if need be."""
+    """Replace the linear term of the `Quadratic` or polynomial of a sum, its first summand; add one if missing."""
     first, n = H.summands[0], len(linear)
     if not isinstance(first, Quadratic | PolynomialHamiltonian):
         first = Quadratic(np.zeros(n))
@@ -197,7 +142,7 @@ def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
 
 
 def check_linear(system: Any) -> None:
-    """Refuse a system whose Hamiltonian has no linear term that could change.
+    """Raise TypeError if the Hamiltonian of a system has no linear term to replace.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Phases over long times: how many periods, and what is left, without losing digits to their number."""
+"""Phases over long times: whole periods and remainders without loss of digits."""
 
 from __future__ import annotations
 
@@ -13,21 +13,13 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 KEPT_BITS = 96
-"""Of a phase, below one period."""
+"""Bits of a phase below one period."""
 
 MOST_SWEEPS = 24
 
 
 def working_bits(t: Floats, rate: float, period: float) -> int:
-    """Return how many bits phases over some times need.
-
-    Parameters
-    ----------
-    t : (k,)
-        Times.
-    rate, period : float
-        Of the phase; their sizes matter.
-    """
+    """Return the number of bits needed for phases at times t (k,), from the magnitudes of rate and period."""
     sizes = [float(np.abs(t).max(initial=0.0)), abs(rate), 1.0 / period]
     return 2 * KEPT_BITS + sum(max(0, math.frexp(size)[1]) for size in sizes if math.isfinite(size))
 
@@ -35,26 +27,9 @@ def working_bits(t: Floats, rate: float, period: float) -> int:
 def remainders(
     rate: Any, period: Any, t: Floats, bits: int, jump: Any = None, jumps: Sequence[int] = ()
 ) -> tuple[list[int], Floats]:
-    """Return the whole periods in rate * t for each time, and what is left.
+    """Return the whole periods, nearest integers, in rate * t + jumps * jump for each time, and the remainders (k,).
 
-    Parameters
-    ----------
-    rate, period : arb
-        Of `working_bits` or more; the period is positive.
-    t : (k,)
-        Times, taken as they are.
-    bits : int
-        Behind the point.
-    jump : arb, optional
-        Of the phase; and how many of them there are up to each time.
-    jumps : sequence of int
-
-    Returns
-    -------
-    counts : list of int
-        Nearest whole numbers.
-    (k,) array
-        Between minus and plus half a period.
+    `rate`, `jump` and the positive `period` are `arb` of at least `working_bits`; `bits` counts fractional bits.
 
     Examples
     --------
@@ -74,39 +49,22 @@ def remainders(
 
 
 def fraction_of(value: Any) -> Fraction:
-    """Return the middle of a ball as a fraction."""
+    """Return the midpoint of a ball as a fraction."""
     digits, exponent = value.mid().man_exp()
     return Fraction(int(digits)) * Fraction(2) ** int(exponent)
 
 
 def ball(value: Fraction) -> Any:
-    """Return a fraction as a ball of the precision at work."""
+    """Return a fraction as a ball of the current precision."""
     from flint import arb, fmpq
 
     return arb(fmpq(value.numerator, value.denominator))
 
 
 def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[list[Fraction]]]:
-    """Return principal moments and axes of a symmetric matrix to many bits, by Jacobi's rotations.
+    """Return principal moments and axes (columns of a rotation) of a symmetric (3, 3) matrix to `bits` bits.
 
-    Parameters
-    ----------
-    M : (3, 3)
-        Symmetric; taken as it is.
-    bits : int
-        Of the result. Moments that agree to three quarters of them are taken as equal.
-
-    Returns
-    -------
-    moments : list of Fraction
-    axes : list of list of Fraction
-        Axis c is column c; a rotation.
-
-    Examples
-    --------
-    >>> moments, _ = exact_principal_axes(np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 5.0]]), 128)
-    >>> [float(m) for m in moments]
-    [1.0, 3.0, 5.0]
+    By Jacobi rotations. Moments that agree to three quarters of the bits are treated as equal.
     """
     from flint import ctx
 
@@ -129,7 +87,7 @@ def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[lis
 
 
 def _turn(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> None:
-    """Make entry (p, q) zero; radii of balls are forgotten."""
+    """Make entry (p, q) zero by a Jacobi rotation; radii of balls are discarded."""
     slope = (A[q][q] - A[p][p]) / (2 * A[p][q])
     t = 1 / (abs(slope) + (slope * slope + 1).sqrt())
     t = (-t if fraction_of(slope) < 0 else t).mid()
@@ -144,5 +102,5 @@ def _turn(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> None:
 
 
 def turned_back(axes: Sequence[Sequence[Fraction]], x: Sequence[Fraction]) -> list[Fraction]:
-    """Return the components of a vector along axes."""
+    """Return the components of a vector along the axes."""
     return [sum((axes[i][c] * x[i] for i in range(3)), Fraction(0)) for c in range(3)]

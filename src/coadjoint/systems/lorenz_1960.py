@@ -1,4 +1,4 @@
-"""Lorenz' maximum simplification of the dynamic equations."""
+"""Lorenz's maximum simplification of the dynamic equations of the atmosphere."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.systems.telling import Picture, Telling
 
 
 def _states(count: int) -> npt.NDArray[np.float64]:
-    """Return states of one enstrophy, A^2 + F^2 + 2 G^2 = 1."""
+    """Return states of equal enstrophy, A^2 + F^2 + 2 G^2 = 1."""
     return over_sphere(count) * (1.0, 1.0, 0.5**0.5)
 
 
@@ -36,30 +36,30 @@ def _states(count: int) -> npt.NDArray[np.float64]:
     )
 )
 def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
-    """Return the three equations of Lorenz (1960) for a westerly current and a wave, which move like a rigid body.
+    """Return the three equations of Lorenz (1960) for a zonal current and waves, equivalent to a rigid body.
 
-    The vorticity ``A cos(l y) + F cos(k x) + 2 G sin(l y) sin(k x)`` of an ideal fluid, kept to these waves:
+    The vorticity ``A cos(l y) + F cos(k x) + 2 G sin(l y) sin(k x)`` of an ideal fluid, truncated to these waves:
     ``A' = -(1/k^2 - 1/(k^2 + l^2)) k l F G``, ``F' = (1/l^2 - 1/(k^2 + l^2)) k l A G``,
-    ``G' = -(1/l^2 - 1/k^2) k l A F / 2``. So so(3) with the brackets k l, k l, 2 k l, sign -1, and H the mean kinetic
-    energy ``A^2/(4 l^2) + F^2/(4 k^2) + G^2/(2 (k^2 + l^2))``. In the coordinates (A, F, sqrt(2) G) it is the body with
-    the inverse moments 1/(2 l^2), 1/(2 k^2), 1/(2 (k^2 + l^2)), sqrt(2) k l times as fast.
+    ``G' = -(1/l^2 - 1/k^2) k l A F / 2``. The algebra is so(3) with brackets k l, k l, 2 k l, sign -1, and H is the
+    mean kinetic energy ``A^2/(4 l^2) + F^2/(4 k^2) + G^2/(2 (k^2 + l^2))``. In coordinates (A, F, sqrt(2) G) it is the
+    rigid body with inverse moments 1/(2 l^2), 1/(2 k^2), 1/(2 (k^2 + l^2)), sqrt(2) k l times as fast.
 
     Parameters
     ----------
     k, l : float
-        Wave numbers along x and y (1/length), positive. The current A can only break up where k < l.
+        Wave numbers along x and y (1/length), positive. The current A can be unstable only if k < l.
 
     Returns
     -------
     LiePoissonSystem
         State (A, F, G), vorticities, per unit of time. Casimir: the mean enstrophy, ``(A^2 + F^2 + 2 G^2) / 4``.
-        ``exact(x0, t)`` in closed form. There are no matrices for a group element, which would mean nothing for the
+        ``exact(x0, t)`` in closed form. There is no representation, because a group element has no meaning for the
         fluid.
 
     Raises
     ------
     ValueError
-        k or l is not positive, or so large or small that its square leaves the range of float64.
+        k or l is not positive, or its square leaves the range of float64.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""The integrals of Manakov, coefficients of ``tr (X + mu a)^m`` on so(n), and quadratic forms that are traces."""
+"""Manakov's integrals on so(n), the coefficients of ``tr (X + mu a)^m``, and quadratic trace forms."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.systems.quadratic import Quadratic
 
 HIGHEST_N = 6
-"""Up to which n the integrals of degree 4 and more are written out; their terms grow like n^4 and faster."""
+"""Largest n with integrals of degree 4 and higher; their number of terms grows at least like n^4."""
 HIGHEST_POWER = 10
-"""Of a in a quadratic integral: in large dimensions higher ones would leave the range of float64."""
+"""Largest power of a in a quadratic integral; higher ones would overflow float64 in large dimensions."""
 
 
 @lru_cache(maxsize=8)
 def rotations(n: int) -> LieAlgebra:
-    """Return so(n), which does not change, to all bodies."""
+    """Return so(n), cached: one object for all bodies."""
     return catalogue.so(n)
 
 
 def planes(n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return i and j of each coordinate of so(n): the entry (i, j) of the matrix X.
+    """Return i and j of each coordinate of so(n), the entry (i, j) of the matrix X.
 
     Examples
     --------
@@ -43,20 +43,9 @@ def planes(n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
 
 
 def trace_form(a: npt.NDArray[Any], k: int) -> npt.NDArray[Any]:
-    """Return the matrix of the form ``-sum over p + q = k of tr(X a^p X a^q) / 2`` in the coordinates x.
+    """Return the matrix of the form ``-sum over p + q = k of tr(X a^p X a^q) / 2`` in the n (n - 1)/2 coordinates x.
 
-    For k = 1 and the second moments of a body's mass that is the matrix from Omega to the momentum.
-
-    Parameters
-    ----------
-    a : (n, n)
-        A symmetric matrix of any numbers.
-    k : int
-        Total power of a.
-
-    Returns
-    -------
-    (n (n - 1)/2, n (n - 1)/2) array
+    `a` is symmetric (n, n), of any numbers. For k = 1 and the second moments of mass it maps Omega to the momentum.
 
     Examples
     --------
@@ -97,31 +86,13 @@ def inverse_of_form(form: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
 
 
 def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
-    """Return the integrals by name, without Casimirs and constants.
+    """Return the nontrivial integrals by name, for a diagonal (n,) or a symmetric matrix a.
 
-    Parameters
-    ----------
-    a : (n,) or (n, n)
-        The diagonal of a, or a symmetric matrix.
-
-    Returns
-    -------
-    dict
-        Quadratic ones, ten at most, for every n; those of higher degree for n up to 6.
-
-    Raises
-    ------
-    ValueError
-        A power of a overflows.
-
-    Examples
-    --------
-    >>> manakov_integrals(np.array([1.0, 2.0, 4.0]))["X^2 a"].value([1.0, 0.0, 0.0])
-    6.0
+    At most ten quadratic ones for every n; those of higher degree for n up to 6. Raises ValueError on overflow.
     """
     try:
         return _quadratic(a) | (_higher(a) if 5 <= len(a) <= HIGHEST_N else {})
-    except OverflowError:  # of fractions, as floats
+    except OverflowError:  # fractions beyond the range of floats
         raise ValueError("a power of the entries overflows in an integral; take other units") from None
 
 
@@ -149,7 +120,7 @@ def _name(degree: int, power: int) -> str:
 
 
 def _higher(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
-    """Return the integrals of degree 4 and more, from the powers of X + mu a as a matrix of polynomials."""
+    """Return the integrals of degree 4 and higher, from the powers of X + mu a as a matrix of polynomials."""
     n = len(a)
     whole = np.diag(a) if a.ndim == 1 else a
     ring = ExactPolynomials(rotations(n), ("mu",))
@@ -178,22 +149,9 @@ def _higher(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
 
 
 def halves_of_so4(sign: float) -> list[list[float]]:
-    """Return the linear forms of one of the two vectors in so(4), each of which has a constant length.
+    """Return the linear forms, (3, 6), of ``(x23, -x13, x12) + sign (x14, x24, x34)``, of constant length in so(4).
 
-    Parameters
-    ----------
-    sign : {1.0, -1.0}
-        Which one: ``(x23, -x13, x12) + sign (x14, x24, x34)``.
-
-    Returns
-    -------
-    list, shape (3, 6)
-        For the coordinates x12, x13, x14, x23, x24, x34.
-
-    Examples
-    --------
-    >>> halves_of_so4(-1.0)[0]
-    [0.0, 0.0, -1.0, 1.0, 0.0, 0.0]
+    The coordinates are x12, x13, x14, x23, x24, x34; sign is 1.0 or -1.0.
     """
     forms = [[0.0] * 6 for _ in range(3)]
     for row, (turn, factor, other) in enumerate(((3, 1.0, 2), (1, -1.0, 4), (0, 1.0, 5))):

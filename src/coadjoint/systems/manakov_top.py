@@ -1,4 +1,4 @@
-"""Manakov's top: the integrable quadratic energies on so(n)."""
+"""Manakov's top: integrable quadratic Hamiltonians on so(n)."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from coadjoint.systems.telling import Picture, Telling
 def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0, 3.0, 2.0, 5.0)) -> LiePoissonSystem:
     """Return Manakov's top on so(n), ``X' = [X, Omega]`` with ``Omega_ij = (b_i - b_j)/(a_i - a_j) x_ij``.
 
-    State, sign -1 and group element are those of `so_n_body`, which is the case ``a = l^2``, ``b = l``. Here the energy
+    State, sign -1 and group element are those of `so_n_body`, which is the case ``a = l^2``, ``b = l``. The energy
     ``sum of (b_i - b_j)/(a_i - a_j) x_ij^2 / 2`` need not be positive.
 
-    The equations say that ``(X + mu a)' = [X + mu a, Omega + mu b]`` for every number mu, with a and b as diagonal
-    matrices. So the coefficients of ``tr (X + mu a)^m`` are constant, and they are in involution.
+    The equations are equivalent to ``(X + mu a)' = [X + mu a, Omega + mu b]`` for every number mu, with a and b as
+    diagonal matrices. So the coefficients of ``tr (X + mu a)^m`` are constant, and they are in involution.
 
     Parameters
     ----------
     a : (n,)
-        Different numbers, n from 3.
+        Distinct numbers, n >= 3.
     b : (n,)
-        Any numbers. In units such that (b_i - b_j)/(a_i - a_j) is an inverse moment of inertia.
+        Any numbers, in units such that (b_i - b_j)/(a_i - a_j) is an inverse moment of inertia.
 
     Returns
     -------
@@ -58,8 +58,8 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     Raises
     ------
     ValueError
-        a and b are not as many finite numbers, fewer than three, or two of a are equal; or a quotient or a power of a
-        overflows.
+        a and b are not finite, differ in length or have fewer than three entries, two entries of a are equal, or a
+        quotient or a power of a overflows.
 
     Notes
     -----

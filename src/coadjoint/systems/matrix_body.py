@@ -1,4 +1,4 @@
-"""The free rigid body of n dimensions with its momentum as a matrix, for n in the hundreds."""
+"""The free rigid body of n dimensions with its momentum as a matrix, for large n."""
 
 from __future__ import annotations
 
@@ -49,31 +49,31 @@ def _in_all_planes() -> npt.NDArray[np.float64]:
 def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSystem:
     """Return the free rigid body of n dimensions, ``X' = [X, Omega]``, its momentum X a skew (n, n) matrix.
 
-    ``Omega_ij = X_ij / (l_i + l_j)`` is the angular velocity in the frame of the body. Choose it in place of
-    `so_n_body` where structure constants of so(n), some n^3 of them, would not fit, or the spectrum is to be kept: a
-    step takes products of matrices.
+    ``Omega_ij = X_ij / (l_i + l_j)`` is the angular velocity in the body frame. Choose it instead of `so_n_body` if the
+    structure constants of so(n), about n^3 of them, need too much memory, or to keep the spectrum: steps use products
+    of matrices.
 
     Parameters
     ----------
     inertia : (n,)
-        Second moments l of the mass along the principal axes (mass times length squared), n from 2. The sum of any two
+        Second moments l of the mass along the principal axes (mass times length squared), n >= 2. The sum of any two
         must be positive.
 
     Returns
     -------
     MatrixSystem
-        On so(n). Energy ``tr(Omega^T X)/2``, the sum over the planes of ``X_ij Omega_ij``: twice that of `so_n_body`.
+        On so(n). Energy ``tr(Omega^T X)/2``, the sum over planes of ``X_ij Omega_ij``: twice that of `so_n_body`.
         Casimirs tr X^2, tr X^4, ...
 
     Raises
     ------
     ValueError
-        `inertia` has another shape, is not finite, or the sum of two moments is not positive.
+        `inertia` has the wrong shape or is not finite, or the sum of two moments is not positive.
 
     Warns
     -----
     UserWarning
-        A second moment is negative, which no mass has.
+        A second moment is negative, which is impossible for a distribution of mass.
 
     Notes
     -----
@@ -94,7 +94,7 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
         raise ValueError(f"inertia is {short(values.tolist())}; the sum of any two moments must be positive")
     with np.errstate(over="ignore", divide="ignore"):
         sums = np.add.outer(values, values)
-        # The diagonal moves nothing: that of X is zero.
+        # The diagonal has no effect: that of X is zero.
         np.fill_diagonal(sums, np.inf)
         inverse = -1.0 / sums
     if not (np.isfinite(sums) | np.eye(len(values), dtype=bool)).all() or not np.isfinite(inverse).all():

@@ -1,4 +1,4 @@
-"""Which numbers does a given matrix have, and is it symmetric? Dense and sparse matrices, read entry by entry."""
+"""Entries of dense and sparse matrices: validation and symmetry."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from coadjoint.given import REAL, array_given, read_finite
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-BYTES_PER_ENTRY = 100  # while entries are sorted and compared with those across the diagonal
+BYTES_PER_ENTRY = 100  # peak, while entries are sorted and compared with the transposed ones
 SPARSE = "give a sparse matrix, or a diagonal"
 
 
 def real_array(given: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
-    """Return a copy as float64, or as it is where it holds fractions; refuse what is not a finite real number."""
+    """Return a copy as float64, or as objects if it contains fractions; raise an error unless real and finite."""
     array = array_given(given, name)
     check_room(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
     floats = read_finite(array, name)
     if array.dtype != object:
         return floats
     exact = np.empty(array.shape, dtype=object)
-    # Whole numbers of NumPy in an array of objects would overflow silently.
+    # NumPy integers in an array of objects would overflow silently.
     for place, entry in np.ndenumerate(array):
         exact[place] = entry.item() if isinstance(entry, np.generic) else entry
     return exact
 
 
 def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], bool]:
-    """Return n, the rows, columns and values of a SciPy sparse matrix, and whether it is its own mirror image.
+    """Return n, rows, columns and values of a SciPy sparse matrix, sorted by rows, and whether it is exactly symmetric.
 
-    The entries are sorted, row after row, each place once. SciPy is not imported.
+    SciPy is not imported.
     """
     if M.ndim != 2 or M.shape[0] != M.shape[1]:
         raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
@@ -54,7 +54,7 @@ def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt
 
 
 def check_symmetric(n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> None:
-    """Refuse an asymmetry beyond 64 u of the largest entry, the round-off of a computed symmetric matrix."""
+    """Raise ValueError for asymmetry beyond 64 u of the largest entry, the round-off of a computed symmetric matrix."""
     above, below = rows < columns, rows > columns
     upper, lower = rows[above] * n + columns[above], columns[below] * n + rows[below]
     places = distinct(np.concatenate([upper, lower]))

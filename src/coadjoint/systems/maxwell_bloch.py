@@ -1,4 +1,4 @@
-"""The real Maxwell-Bloch equations, a pendulum in disguise."""
+"""The real Maxwell-Bloch equations, equivalent to a pendulum."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def _portrait(count: int) -> Floats:
-    """Return starts in the ground state of the atoms, with fields of both signs and growing size."""
+    """Return initial states in the ground state of the atoms, with fields of both signs and increasing magnitude."""
     field = np.concatenate([np.linspace(0.4, 2.8, count), [-2.2, -2.5, -2.8]])
     return np.stack([field, 0.0 * field, -1.0 + 0.0 * field], axis=-1)
 
@@ -58,24 +58,24 @@ def _tipping(x: Any) -> Any:
     )
 )
 def maxwell_bloch(coupling: float = 1.0) -> LiePoissonSystem:
-    """Return the Maxwell-Bloch equations of light in two-level atoms, at resonance, real and without loss.
+    """Return the Maxwell-Bloch equations of light in two-level atoms: resonant, real and lossless.
 
     ``E' = coupling P``, ``P' = E D``, ``D' = -E P``: the dual of se(2) with sign +1 and ``H = E^2 / 2 + coupling D``.
     With ``P = R sin(theta)``, ``D = R cos(theta)`` it is ``theta' = E``, ``E' = coupling R sin(theta)``: a pendulum,
-    upright where theta = 0, all atoms excited.
+    upright at theta = 0, with all atoms excited.
 
     Parameters
     ----------
     coupling : float
-        Of the atoms to the field, positive (1/time^2).
+        Coupling of the atoms to the field, positive (1/time^2).
 
     Returns
     -------
     LiePoissonSystem
         State (E, P, D): the field as Rabi frequency (1/time), polarization and inversion of the atoms (numbers).
         Casimir: the squared length of the Bloch vector, ``P^2 + D^2``. ``exact(x0, t)`` in closed form. The group
-        element, 3 x 3, turns by theta, the area of the pulse, in its first two coordinates; its translation means
-        nothing.
+        element, 3 x 3, rotates by theta, the area of the pulse, in its first two coordinates; its translation has no
+        meaning.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def _exact(coupling: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
     push = Fraction(coupling) * radius
     velocity = Fraction(field) ** 2 / (4 * push)
     small = Fraction(polarization) ** 2 / (2 * radius * (radius + abs(Fraction(inversion))))
-    cosine2 = small if inversion > 0.0 else 1 - small  # of half the angle from the stable equilibrium
+    cosine2 = small if inversion > 0.0 else 1 - small  # squared cosine of half the angle from the stable equilibrium
     try:
         pace, k = math.sqrt(push), math.sqrt(velocity + 1 - cosine2)
     except OverflowError:
@@ -132,7 +132,7 @@ def _exact(coupling: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
 
 
 def _length(p: float, d: float) -> Fraction:
-    """Return the length of (p, d) to 200 bits, for it decides near the separatrix."""
+    """Return the length of (p, d) to 200 bits, as needed near the separatrix."""
     square = Fraction(p) ** 2 + Fraction(d) ** 2
     scale = square.denominator << 200
     return Fraction(math.isqrt(square.numerator * square.denominator << 400), scale)
@@ -141,33 +141,13 @@ def _length(p: float, d: float) -> Fraction:
 def pendulum(
     start: tuple[float, float, float], k: float, regime: tuple[bool, float], t: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return ``s' = c v``, ``c' = -s v``, ``v' = -s c``: sine and cosine of half an angle, and half its velocity.
+    """Return the solution, three (k,) arrays, of ``s' = c v``, ``c' = -s v``, ``v' = -s c``.
 
-    Parameters
-    ----------
-    start : (s, c, v)
-        ``sin(phi/2)``, ``cos(phi/2)``, not negative, and phi'/2 of a pendulum ``phi'' = -sin(phi)``.
-    k : float
-        ``sqrt(s^2 + v^2)``.
-    regime : (bool, float)
-        Whether the pendulum goes around, ``v^2 >= c^2``, and the complementary modulus squared: (v^2 - c^2) / k^2 where
-        it does, else c^2 - v^2. Both are given, since they cancel.
-    t : (k,)
-        Times.
-
-    Returns
-    -------
-    three (k,) arrays
-
-    Notes
-    -----
-    Libration: s = k sn u, c = dn u, v = k cn u, u = t + u0, of the modulus k. Rotation: s = sn u, c = cn u, v = +-k dn
-    u, u = +-k t + u0, of the modulus 1/k.
-
-    Examples
-    --------
-    >>> pendulum((0.0, 1.0, 1.0), 1.0, (True, 0.0), np.array([1.0]))  # the separatrix: tanh and sech
-    (array([0.76159416]), array([0.64805427]), array([0.64805427]))
+    For a pendulum ``phi'' = -sin(phi)``: s = sin(phi/2), c = cos(phi/2) >= 0, v = phi'/2; k = sqrt(s^2 + v^2). `regime`
+    is whether it rotates, ``v^2 >= c^2``, and the complementary modulus squared: (v^2 - c^2) / k^2 then, else c^2 - v^2
+    (given, since they cancel).
+    Libration: s = k sn u, c = dn u, v = k cn u, u = t + u0, modulus k. Rotation: s = sn u, c = cn u, v = +-k dn u,
+    u = +-k t + u0, modulus 1/k.
     """
     s, c, v = start
     turns, complement = regime

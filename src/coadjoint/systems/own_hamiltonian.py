@@ -1,4 +1,4 @@
-"""A Hamiltonian of a kind that this library does not have: does its class say the same thing everywhere?"""
+"""Consistency checks of user-defined Hamiltonian classes."""
 
 from __future__ import annotations
 
@@ -16,21 +16,9 @@ MEMBERS = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
 
 
 def check_own(H: Any, n: int) -> None:
-    """Refuse a bound Hamiltonian whose value, gradient, second derivatives and terms contradict one another.
+    """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree.
 
-    The compiled loops follow the terms, everything that is read in Python the functions.
-
-    Parameters
-    ----------
-    H : HamiltonianLike
-        Bound to dimension n.
-    n : int
-        Number of coordinates.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Something is no term, of another dimension or shape, or contradicts what it must agree with.
+    Compiled loops use the terms; Python code uses the functions.
     """
     kind = type(H).__name__
     if getattr(H, "dim", None) != n:
@@ -63,7 +51,7 @@ def check_own(H: Any, n: int) -> None:
 
 
 class _Gradient:
-    """The gradient of a sum of terms at a sample point, and the size of what was added."""
+    """The gradient of a sum of terms at a sample point, and the sum of absolute values for tolerances."""
 
     def __init__(self, x: npt.NDArray[np.float64]) -> None:
         self.x, self.total, self.size = x, np.zeros(len(x)), 0.0

@@ -1,4 +1,4 @@
-"""The two examples of Reich's paper, in the paper's convention."""
+"""The two examples of Reich (1993), in the convention of the paper."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
 
     ``[e1, e3] = a e1 - e2``, ``[e2, e3] = e1 + a e2`` and ``x' = J(x) M x``. Not unimodular; its Casimir,
     ``log(x1^2 + x2^2) - 2 a theta``, is multivalued. Every orbit goes from one equilibrium on the axis of x3 to the
-    other, so that long runs say nothing: [0, 20] from (1, 1, 1) shows the motion.
+    other, so long runs are not informative: [0, 20] from (1, 1, 1) shows the motion.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
 
     Notes
     -----
-    Section 5.1 of Reich, "Numerical integration of the generalized Euler equations" (1993). The paper asks for a > 1,
-    which is not needed, and prints neither initial state nor time.
+    Section 5.1 of Reich, "Numerical integration of the generalized Euler equations" (1993). The paper requires a > 1,
+    which is not necessary, and states neither initial state nor time.
 
     Examples
     --------
@@ -102,8 +102,8 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
 def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoissonSystem:
     """Return example 5.2 of the paper: the rigid body, ``x' = (M x) cross x``, with its exact solution.
 
-    The paper's printed convention (sign +1) is the body equations run backwards in time; the attitude follows
-    ``A' = -A hat(M x)`` and ``A x`` is constant. For the standard body equations take `rigid_body`.
+    The paper's convention (sign +1) is the body equations backward in time; the attitude satisfies
+    ``A' = -A hat(M x)`` and ``A x`` is constant. For the standard body equations use `rigid_body`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""An ideal fluid with a scalar that it carries, such as a dye, quantized."""
+"""A quantized ideal fluid with a passive scalar, such as a dye."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coadjoint.systems.telling import Picture, Telling
 
 
 def _latitude_as_dye() -> npt.NDArray[np.complex128]:
-    """Return a random flow on the sphere with a dye that is the sine of the latitude."""
+    """Return a random flow on the sphere with a dye equal to the sine of the latitude."""
     fluid = sphere_euler(N=33)
     return np.stack([fluid.from_modes({(1, 0): 1.0}), fluid.random(seed=3)])
 
@@ -37,17 +37,17 @@ def _latitude_as_dye() -> npt.NDArray[np.complex128]:
     )
 )
 def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
-    """Return an ideal fluid in two dimensions that carries a scalar, as two matrices.
+    """Return an ideal fluid in two dimensions with a passive scalar, as two matrices.
 
-    ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not act
-    back. All traces of products of W and Theta are kept.
+    ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not
+    affect the flow. All traces of products of W and Theta are kept.
 
     Parameters
     ----------
     N : int
-        Size of the matrices, as of `sphere_euler` and `torus_euler`.
+        Size of the matrices, as for `sphere_euler` and `torus_euler`.
     surface : {"sphere", "torus"}
-        Where the fluid moves.
+        Surface of the fluid.
 
     Returns
     -------

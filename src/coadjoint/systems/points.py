@@ -1,7 +1,7 @@
-"""At which point, and in which numbers, is a function evaluated?
+"""Evaluation points of functions: validation and number types.
 
-Every evaluation of this folder goes through these functions, so that it works alike with floats, complex
-numbers (for complex steps), and arrays of Python objects (fractions, multiprecision numbers).
+Every evaluation in this folder uses these functions, so that floats, complex numbers (for complex steps) and arrays
+of Python objects (fractions, multiprecision numbers) are treated alike.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Of = TypeVar("Of", bound=Callable[..., Any])
 
 
 def QUIET(method: Of) -> Of:
-    """Let a method give infinity or NaN without a warning where it leaves the range of float64.
+    """Decorate a method to return infinity or NaN without a warning on overflow of float64.
 
-    Whole numbers of Python have no infinity; where one of them meets floats and is too large for them, that is said.
+    Python integers too large for floats raise an OverflowError with an explanation.
 
     Examples
     --------
@@ -52,9 +52,9 @@ def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
 
 
 def over_states(method: Of) -> Of:
-    """Let a method of a state x (n,) and a time take many states (..., n), each with the bits that it has alone.
+    """Extend a method of a state (n,) and a time to several states (..., n), bit-identical to separate calls.
 
-    The time is one for all, or one for each along the first axis.
+    The time is a scalar, or one value for each entry of the first axis.
     """
 
     @functools.wraps(method)
@@ -72,7 +72,7 @@ def over_states(method: Of) -> Of:
         each = np.broadcast_to(times if times.ndim == 0 else times.reshape(-1, *[1] * (len(lead) - 1)), lead).ravel()
         rows = array.reshape(-1, array.shape[-1])
         found = [method(self, row, float(time)) for row, time in zip(rows, each, strict=True)]
-        if not found:  # of no states there are no values, of the shape that they would have
+        if not found:  # without states, return an empty array of the right shape
             like = np.asarray(method(self, np.zeros(array.shape[-1])))
             return np.empty((*lead, *like.shape))
         values = np.asarray(found)
@@ -82,10 +82,9 @@ def over_states(method: Of) -> Of:
 
 
 def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return `coefficients` in numbers that multiply those of `x` without loss.
+    """Return `coefficients` in a number type whose products with `x` are lossless.
 
-    Fractions times floats are floats in Python. At a point of objects the coefficients therefore become the whole or
-    rational numbers that they are.
+    In Python a Fraction times a float is a float, so for x of objects coefficients are converted to exact rationals.
     """
     if x.dtype != object:
         return coefficients
@@ -93,7 +92,7 @@ def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray
 
 
 def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
-    """Return the sums of `entries` over equal `rows`, shape (n,), each sum in index order."""
+    """Return the sums of `entries` over equal `rows`, shape (n,), each added in index order."""
     if entries.dtype == np.float64:
         return np.bincount(rows, weights=entries, minlength=n)
     sums = np.zeros(n, dtype=entries.dtype)
@@ -102,12 +101,12 @@ def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> n
 
 
 def checked_name(name: Any, otherwise: str) -> str:
-    """Return a name that was given, or another where there is none."""
+    """Return the validated name, or `otherwise` if it is None."""
     return otherwise if name is None else read_title(name, "name of a system")
 
 
 def checked_sign(sign: int) -> int:
-    """Return `sign` if it is +1 or -1."""
+    """Validate a sign, +1 or -1."""
     if not is_real(sign) or sign not in (1, -1):
         raise ValueError(f"sign is {short(sign)}; give +1 (x' = J(x) grad H) or -1 (body systems)")
     return int(sign)

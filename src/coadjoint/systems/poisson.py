@@ -1,4 +1,4 @@
-"""A system with any skew matrix J(x), linear in x or not."""
+"""Poisson systems with any skew matrix J(x), linear in x or not."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from coadjoint.systems.points import QUIET, checked_name, checked_sign, over_sta
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
 from coadjoint.wording import short
 
-BYTES_PER_PRODUCT = 40  # while J(x) is checked
+BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class PoissonSystem:
     """The system ``x' = sign * J(x) grad H(x)`` with any skew-symmetric function J.
 
-    For brackets that are not linear in x (Lotka-Volterra, nonholonomic systems; J need not satisfy the Jacobi
-    identity). The schemes that keep the energy serve it. Splitting does not, since its flows would not be linear. Where
-    J is linear in x, make a `LiePoissonSystem`.
+    Use it for brackets that are not linear in x (Lotka-Volterra, nonholonomic systems; J need not satisfy the Jacobi
+    identity). The energy-conserving schemes support it. Splitting does not, since its flows would not be linear. If J
+    is linear in x, use `LiePoissonSystem`.
 
     Parameters
     ----------
@@ -39,15 +39,15 @@ class PoissonSystem:
     hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
         The energy.
     sign : {+1, -1}
-        Of the right-hand side.
+        Sign of the right-hand side.
     dim : int, optional
-        n; needed where the Hamiltonian does not say it.
+        n; required if the Hamiltonian does not determine it.
     derivative : callable, optional
         Function of x that returns ``d J_ij / d x_k``, shape (n, n, n); needed for exact tangents only.
     casimirs : mapping, optional
         Name to `Polynomial`, `Invariant` or function of x, with ``J(x) grad C(x) = 0``.
     name : str, optional
-        For messages, files and pictures.
+        Name in messages, files and pictures.
     parameters, exact
         As for `LiePoissonSystem`.
 
@@ -58,12 +58,12 @@ class PoissonSystem:
     hamiltonian : Hamiltonian
         Bound to `dim`.
     algebra, representation
-        None: what a `LiePoissonSystem` has in these places.
+        None; present for compatibility with `LiePoissonSystem`.
 
     Raises
     ------
     TypeError, ValueError
-        J is no function, of the wrong shape or not skew at a sample point; the dimension is unknown; and as for
+        J is not a function, has the wrong shape or is not skew at a sample point; the dimension is unknown; or as for
         `LiePoissonSystem`.
 
     Notes
@@ -142,7 +142,7 @@ class PoissonSystem:
         size = np.abs(J).max(initial=0.0)
         with np.errstate(all="ignore"):
             excess = np.abs(J + J.T)
-        # Where J is not finite nothing is checked, since x may lie outside its domain.
+        # A point where J is not finite is skipped: it may lie outside the domain.
         if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
             i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
             raise ValueError(
@@ -163,16 +163,16 @@ class PoissonSystem:
 
     @property
     def parameters(self) -> dict[str, Any] | None:
-        """Parameters that make this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
+        """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
     @property
     def closed_form(self) -> Callable[..., Any] | None:
-        """The function ``exact(x0, t, attitude)`` that was given, or None."""
+        """The given function ``exact(x0, t, attitude)``, or None."""
         return self._exact
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
-        """Return J(x), shape (n, n)."""
+        """Return the structure matrix J(x), shape (n, n)."""
         return np.asarray(self.structure_function(point(x, self.dim)))
 
     @over_states
@@ -183,14 +183,14 @@ class PoissonSystem:
         Parameters
         ----------
         x : (n,) or (..., n)
-            The state, or many.
+            One state or several.
         t : float or (k,)
-            The time, or one for each along the first axis of many states.
+            The time, or one for each entry of the first axis of several states.
 
         Returns
         -------
         ndarray, shape (n,) or (..., n)
-            Each with the bits that it has alone.
+            Bit-identical to separate calls for each state.
         """
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
@@ -198,7 +198,7 @@ class PoissonSystem:
     @over_states
     @QUIET
     def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
-        """Return H(x, t), of one state or of many; see `LiePoissonSystem.energy`."""
+        """Return H(x, t) of one state or several; see `LiePoissonSystem.energy`."""
         return self.hamiltonian.value(point(x, self.dim), t)
 
     @QUIET
@@ -228,7 +228,7 @@ class PoissonSystem:
         return self.sign * (turned + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
-        """Return the solution in closed form, where one is known; see `LiePoissonSystem.exact`."""
+        """Return the closed-form solution, if known; see `LiePoissonSystem.exact`."""
         return solution_of(self._exact, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:

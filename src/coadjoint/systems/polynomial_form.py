@@ -1,4 +1,4 @@
-"""Is a Hamiltonian a polynomial, and which?"""
+"""Conversion of Hamiltonians to polynomials."""
 
 from __future__ import annotations
 
@@ -9,23 +9,7 @@ from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 
 def polynomial_of(hamiltonian: HamiltonianLike) -> Polynomial | None:
-    """Return a bound Hamiltonian as a polynomial; None where it calls functions of the user.
-
-    Parameters
-    ----------
-    hamiltonian : HamiltonianLike
-        A bound Hamiltonian of any kind.
-
-    Returns
-    -------
-    Polynomial or None
-        The coefficients of a `Quadratic` and of a `Polynomial` are those that were given, fractions among them.
-
-    Examples
-    --------
-    >>> polynomial_of(Quadratic([1.0, 0.5], linear=[0.0, 3.0]))
-    3.0*x2 + 0.5*x1^2 + 0.25*x2^2
-    """
+    """Return a bound Hamiltonian as a polynomial, with its given coefficients; None if it calls user functions."""
     if isinstance(hamiltonian, Quadratic):
         return hamiltonian.to_polynomial()
     reader = _Pieces()
@@ -35,7 +19,7 @@ def polynomial_of(hamiltonian: HamiltonianLike) -> Polynomial | None:
 
 
 class _Pieces:
-    """The terms of a Hamiltonian, each as a polynomial."""
+    """Term reader that collects the terms of a Hamiltonian as polynomials."""
 
     def __init__(self) -> None:
         self.found: list[Polynomial] = []

@@ -1,4 +1,4 @@
-"""The quadratic Hamiltonian, ``H(x) = x . M x / 2 + linear . x``."""
+"""The quadratic Hamiltonian, ``H(x) = x . M x / 2 + linear . x + constant``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from coadjoint.wording import short
 
 
 class Entries(NamedTuple):
-    """The numbers of a quadratic Hamiltonian: places and entries of M, and the linear part."""
+    """The entries of a quadratic Hamiltonian: rows, columns and values of M, and the linear part."""
 
     rows: npt.NDArray[np.int64]
     columns: npt.NDArray[np.int64]
@@ -33,8 +33,8 @@ class Entries(NamedTuple):
 class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
-    Use it whenever H is quadratic. Every scheme of the library works with it, and `Taylor`, `GaussLegendre` and
-    ``freeze="structure"`` keep its energy to round-off. M need not be positive.
+    Use it whenever H is quadratic. Every scheme of the library supports it, and `Taylor`, `GaussLegendre` and
+    ``freeze="structure"`` keep its energy to round-off. M need not be positive definite.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Quadratic(Summable):
     Raises
     ------
     ValueError
-        M is not symmetric (the entry is named), not square or not finite, or `linear` has another length.
+        M is not symmetric (the message gives the entry), not square or not finite, or `linear` has another length.
     TypeError
         M or `linear` does not consist of real numbers.
 
@@ -110,7 +110,7 @@ class Quadratic(Summable):
         entries: npt.NDArray[Any],
         mirrored: bool = False,
     ) -> None:
-        """Keep the upper triangle and its mirror image as sparse rows; `mirrored` ones, sorted, are kept as given."""
+        """Store the upper triangle and its mirror image as sparse rows; `mirrored` entries, sorted, as given."""
         if n == 0:
             raise ValueError("M has no entries; give at least one coordinate")
         if self._linear is None:
@@ -137,12 +137,12 @@ class Quadratic(Summable):
 
     @classmethod
     def from_polynomial(cls, polynomial: Polynomial) -> Self:
-        """Return a polynomial of degree two or less as a quadratic Hamiltonian, its coefficients kept as they are.
+        """Convert a polynomial of degree at most two to a quadratic Hamiltonian, with its coefficients unchanged.
 
         Parameters
         ----------
         polynomial : Polynomial
-            Of degree at most two.
+            Polynomial of degree at most two.
 
         Returns
         -------
@@ -196,14 +196,14 @@ class Quadratic(Summable):
         linear: npt.NDArray[Any],
         constant: Any,
     ) -> Self:
-        """Return the Hamiltonian whose M has some entries, in both triangles and each place once.
+        """Return the Hamiltonian whose M has the given entries, in both triangles and without duplicates.
 
         Parameters
         ----------
         n : int
             Number of coordinates.
         rows, columns : ndarray of int64, shape (nnz,)
-            Where the entries stand.
+            Positions of the entries.
         entries : ndarray, shape (nnz,)
             Floats, or fractions in an array of objects.
         linear : ndarray, shape (n,)
@@ -227,19 +227,19 @@ class Quadratic(Summable):
 
     @property
     def constant(self) -> Any:
-        """What is added to the value, as it was given: a float or a Fraction."""
+        """The constant as given: a float or a Fraction."""
         return self._constant
 
     @property
     def exact(self) -> bool:
-        """Whether M, `linear` or `constant` hold numbers that are no floats, such as fractions."""
+        """Whether M, `linear` or `constant` contain exact numbers such as fractions."""
         if self.dim is None:
             return not isinstance(self._scalar, float) or isinstance(self._constant, Fraction)
         kinds = {self._entries.dtype, np.zeros(0).dtype if self._linear is None else self._linear.dtype}
         return kinds != {np.dtype(np.float64)} or isinstance(self._constant, Fraction)
 
     def to_polynomial(self) -> Polynomial:
-        """Return this Hamiltonian, bound, as a polynomial; the way back of `from_polynomial`.
+        """Convert this bound Hamiltonian to a polynomial; inverse of `from_polynomial`.
 
         Returns
         -------
@@ -289,28 +289,28 @@ class Quadratic(Summable):
         return self
 
     def check_dimension(self, n: int, owner: str = "the system") -> None:
-        """Refuse M where its owner, as messages name it, has another dimension n; a number as M fits all."""
+        """Raise ValueError if the dimension of M is not n, that of `owner`; a number as M has any dimension."""
         if self.dim not in (None, read_whole(n, "the dimension")):
             raise ValueError(f"{self._size()}; {owner} has dimension {n}; give {n}")
 
     def _size(self) -> str:
-        """Return how large M is, as it was probably given."""
+        """Describe the size of M in the form in which it was probably given."""
         diagonal = np.array_equal(self._rows, self._indices)
         return f"M has {self.dim} entries" if diagonal else f"M is {self.dim} x {self.dim}"
 
     @property
     def scalar(self) -> Any:
-        """The number M of a Hamiltonian without a dimension, as it was given; None where there is a dimension."""
+        """The number M of a Hamiltonian without a dimension, as given; otherwise None."""
         return self._scalar
 
     def as_given(self) -> Entries:
-        """Return M, both triangles sorted by rows, and the linear part, bound; fractions as they were given."""
+        """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
         if self.dim is None or self._linear is None:
             raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
         return Entries(self._rows, self._indices, self._entries, self._linear)
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the multiple of this Hamiltonian; fractions stay exact.
+        """Return the Hamiltonian multiplied by a factor; fractions stay exact.
 
         Parameters
         ----------
@@ -331,7 +331,7 @@ class Quadratic(Summable):
         return cast(Self, multiplied(self, factor))
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
-        """Return the same Hamiltonian, bound, with another linear part; M is shared.
+        """Return the same bound Hamiltonian with another linear part; M is shared.
 
         Parameters
         ----------
@@ -347,7 +347,7 @@ class Quadratic(Summable):
         ValueError
             `linear` has another length, or is not finite.
         TypeError
-            The dimension is not known yet, or `linear` does not consist of real numbers.
+            The Hamiltonian is not bound, or `linear` does not consist of real numbers.
 
         Examples
         --------
@@ -383,7 +383,7 @@ class Quadratic(Summable):
         return (half @ y) / 2 + linear @ y + constant
 
     def __call__(self, x: npt.ArrayLike) -> Any:
-        """Return the value at a state (n,), or the values at states (..., n), as other invariants do."""
+        """Return the value at a state (n,), or the values at states (..., n), like other invariants."""
         array = array_given(x, "x", "iufc")
         if array.ndim < 2 or array.size == 0:
             return self.value(array)
@@ -416,7 +416,7 @@ class Quadratic(Summable):
         return scatter(self._rows, self._numbers(self._entries, x) * x[self._indices], x.size)
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the one `QuadraticTerm`; the Hamiltonian must be bound."""
+        """Return the single `QuadraticTerm`; the Hamiltonian must be bound."""
         if self.dim is None:
             raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
         return self._terms
@@ -442,13 +442,7 @@ class Quadratic(Summable):
 
 
 def factors_of(exponents: tuple[int, ...]) -> list[int]:
-    """Return the coordinates in a monomial, each as often as its exponent; fast for low degrees and many coordinates.
-
-    Examples
-    --------
-    >>> factors_of((0, 1, 2)), factors_of((0, 0, 0))
-    ([1, 2, 2], [])
-    """
+    """Return the coordinates in a monomial with multiplicity; fast for low degrees and many coordinates."""
     found: list[int] = []
     for degree in range(1, max(exponents) + 1):
         place = -1

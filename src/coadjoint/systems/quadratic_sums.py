@@ -1,4 +1,4 @@
-"""Sums and multiples of quadratic Hamiltonians, entry by entry; fractions stay exact."""
+"""Sums and multiples of quadratic Hamiltonians, by entries; fractions stay exact."""
 
 from __future__ import annotations
 
@@ -16,21 +16,7 @@ from coadjoint.systems.quadratic import Quadratic
 
 @QUIET
 def added(first: Quadratic, second: Quadratic) -> Quadratic:
-    """Return the sum of two quadratic Hamiltonians.
-
-    Parameters
-    ----------
-    first, second : Quadratic
-        Of one dimension, or without one.
-
-    Returns
-    -------
-    Quadratic
-
-    Raises
-    ------
-    ValueError
-        They have different dimensions, or a sum leaves the range of float64.
+    """Return the sum of two quadratic Hamiltonians; raise ValueError on different dimensions or overflow.
 
     Examples
     --------
@@ -59,29 +45,7 @@ def added(first: Quadratic, second: Quadratic) -> Quadratic:
 
 @QUIET
 def multiplied(H: Quadratic, factor: Coefficient) -> Quadratic:
-    """Return a multiple of a quadratic Hamiltonian.
-
-    Parameters
-    ----------
-    H : Quadratic
-        With or without a dimension.
-    factor : int, float or Fraction
-        Finite.
-
-    Returns
-    -------
-    Quadratic
-
-    Raises
-    ------
-    ValueError
-        A product leaves the range of float64.
-
-    Examples
-    --------
-    >>> multiplied(Quadratic([1.0, 2.0], linear=[0.0, 1.0]), 0.5)
-    Quadratic([0.5, 1.0], linear=[0.0, 0.5])
-    """
+    """Return a multiple of a quadratic Hamiltonian, bound or not; raise ValueError on overflow."""
     if H.dim is None:
         return Quadratic(H.scalar * factor, constant=H.constant * factor)
     own = H.as_given()
@@ -94,7 +58,7 @@ def _like(factor: Coefficient, numbers: npt.NDArray[Any]) -> Any:
 
 
 def _plain(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return numbers that are all floats as float64."""
+    """Return an array of objects as float64 if all are floats."""
     if numbers.dtype == object and all(isinstance(one, float) for one in numbers):
         return numbers.astype(np.float64)
     return numbers

@@ -1,4 +1,4 @@
-"""The register of ready-made systems: a system is one file in this folder, and nothing else names it."""
+"""Registry of ready-made systems: each is one file in this folder, registered by a decorator."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
     Parameters
     ----------
     function : callable
-        What is decorated.
+        The decorated function.
     telling : Telling, optional
-        What a user of the system wants to see first: of it `Solution.plot` and ``coadjoint gallery`` draw.
+        Example run and pictures of the system, used by `Solution.plot` and ``coadjoint gallery``.
 
     Returns
     -------
     callable
-        The function itself; with `telling` alone a decorator.
+        The function itself; with only `telling`, a decorator.
 
     Raises
     ------
     TypeError
-        `telling` is no `Telling`.
+        `telling` is not a `Telling`.
     """
     if not isinstance(telling, Telling | None):
         raise TypeError(f"telling is {short(telling)}; give a coadjoint.systems.telling.Telling")
@@ -60,17 +60,7 @@ def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
 
 
 def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
-    """Return all ready-made systems by name; every file of the folder is imported for it.
-
-    Returns
-    -------
-    mapping of str to callable
-
-    Examples
-    --------
-    >>> "rigid_body" in ready_made_systems()
-    True
-    """
+    """Return all ready-made systems by name; imports every file of the folder."""
     package = importlib.import_module("coadjoint.systems")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
@@ -78,12 +68,12 @@ def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
 
 
 def telling_of(name: str) -> Telling | None:
-    """Return the declared run and pictures of a ready-made system, or None if it declares none.
+    """Return the example run and pictures of a ready-made system, or None if it declares none.
 
     Parameters
     ----------
     name : str
-        Of a system, ready-made or not.
+        Name of any system, ready-made or not.
 
     Returns
     -------
@@ -99,7 +89,7 @@ def telling_of(name: str) -> Telling | None:
 
 
 def told_systems() -> tuple[str, ...]:
-    """Return the names of the ready-made systems that declare a run and pictures, sorted.
+    """Return the names of the ready-made systems that declare an example run and pictures, sorted.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Reduced magnetohydrodynamics on sphere and torus, quantized."""
+"""Quantized reduced magnetohydrodynamics on the sphere and the torus."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "tor
 
 
 def _two_vortices() -> npt.NDArray[np.complex128]:
-    """Return the vortex of Orszag and Tang: omega = cos x + cos y, Theta = cos y + cos(2 x)/2."""
+    """Return the Orszag-Tang vortex: omega = cos x + cos y, Theta = cos y + cos(2 x)/2."""
     fluid = torus_euler(N=33)
     theta, W = (fluid.from_modes(modes) for modes in ({(0, 1): 0.5, (2, 0): 0.25}, {(1, 0): 0.5, (0, 1): 0.5}))
     return np.stack([theta, W])
@@ -48,14 +48,14 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     """Return the equations of an ideal conducting fluid in two dimensions, as two matrices.
 
     ``W' = [P, W] + [J, Theta]``, ``Theta' = [P, Theta]`` with ``L P = -W`` and ``J = -L Theta``: W is the vorticity,
-    Theta the magnetic potential, J the current. Alfven waves run along the magnetic field.
+    Theta the magnetic potential, J the current. Alfven waves propagate along the magnetic field.
 
     Parameters
     ----------
     N : int
-        Size of the matrices, as of `sphere_euler` and `torus_euler`.
+        Size of the matrices, as for `sphere_euler` and `torus_euler`.
     surface : {"sphere", "torus"}
-        Where the fluid moves.
+        Surface of the fluid.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
 
 
 def ideal_fluid(N: int, surface: str) -> MatrixSystem:
-    """Return the fluid without a second field on a surface.
+    """Return the fluid on a surface without a second field.
 
     Examples
     --------
@@ -97,13 +97,7 @@ def ideal_fluid(N: int, surface: str) -> MatrixSystem:
 
 
 def inverse_of(stream: Stream) -> Stream:
-    """Return W of P: by products where P of W is by solving.
-
-    Examples
-    --------
-    >>> inverse_of(sphere_euler(4).stream).kind
-    'MULTIPLIED'
-    """
+    """Return the inverse stream, W of P, by products if the stream solves equations."""
     if isinstance(stream, DiagonalSolve):
         return Inverse(stream)
     assert isinstance(stream, Circulants)

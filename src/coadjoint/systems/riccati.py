@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def _root(sign: float, x: Any) -> Any:
-    """Return a root of x1 w^2 - 2 x2 w - x3 = 0, or NaN where it is beyond 6 or not real."""
+    """Return a root of x1 w^2 - 2 x2 w - x3 = 0, or NaN if it is beyond 6 or not real."""
     with np.errstate(all="ignore"):
         w = (x[..., 1] + sign * np.sqrt(x[..., 1] ** 2 + x[..., 0] * x[..., 2])) / x[..., 0]
         return np.where(np.abs(w) < 6.0, w, np.nan)
@@ -42,12 +42,12 @@ def _root(sign: float, x: Any) -> Any:
     )
 )
 def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) -> LiePoissonSystem:
-    """Return the Riccati equation ``w' = constant + linear w + quadratic w^2``, without its poles.
+    """Return the Riccati equation ``w' = constant + linear w + quadratic w^2``, regularized at its poles.
 
-    Both roots of ``x1 w^2 - 2 x2 w - x3 = 0`` obey the equation while x moves on the dual of sl(2), A3,8, with the sign
-    +1 and ``H = -constant x1 - linear x2 + quadratic x3``. Two solutions v, w are the state ``(1, (v + w)/2, -v w)``,
-    times any number. Where w goes through infinity x1 goes through zero, and x stays smooth. Roots that are not real
-    move in the complex plane.
+    Both roots of ``x1 w^2 - 2 x2 w - x3 = 0`` satisfy the equation as x moves on the dual of sl(2), A3,8, with sign +1
+    and ``H = -constant x1 - linear x2 + quadratic x3``. Two solutions v, w correspond to any multiple of the state
+    ``(1, (v + w)/2, -v w)``. When w passes through infinity, x1 passes through zero, and x stays smooth. Roots that are
+    not real move in the complex plane.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) 
 def _exact(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
     """Return ``exp(t D_u) x0`` and ``g exp(-t rho(u))``.
 
-    D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 are enough.
+    D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 suffice.
     """
     start, times = start_and_times(x0, t, 3)
     first = first_element(attitude, 2)

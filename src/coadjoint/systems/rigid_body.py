@@ -1,4 +1,4 @@
-"""The free rigid body, in the standard body equations."""
+"""The free rigid body in the standard body equations."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     """Return the free rigid body, ``x' = x cross (I^-1 x)``, with its exact solution.
 
     The standard body equations: x is the angular momentum in the body frame, ``Omega = I^-1 x`` the angular velocity,
-    and the attitude A, from the body to space, follows ``A' = A hat(Omega)``, so that ``A x`` is constant. Thus so(3)
-    with sign -1 and ``H = x . I^-1 x / 2``. The convention of Reich (1993) is `paper_rigid_body`.
+    and the attitude A, from the body to space, satisfies ``A' = A hat(Omega)``, so that ``A x`` is constant. The
+    algebra is so(3) with sign -1, and ``H = x . I^-1 x / 2``. For the convention of Reich (1993) use
+    `paper_rigid_body`.
 
     Parameters
     ----------
@@ -61,8 +62,8 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     Warns
     -----
     UserWarning
-        A principal moment exceeds the sum of the other two, which no distribution of mass has. Other systems have the
-        same equations: a quadratic form on so(3) is ``LiePoissonSystem(algebras.so(3), Quadratic(M), sign=-1)``.
+        A principal moment exceeds the sum of the other two, which is impossible for a body. For another quadratic form
+        on so(3) use ``LiePoissonSystem(algebras.so(3), Quadratic(M), sign=-1)``.
 
     Examples
     --------
@@ -78,27 +79,9 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
 
 
 def so3_body(M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
-    """Return the system on so(3) with ``H = x . M x / 2`` and its closed form.
+    """Return the system on so(3) with ``H = x . M x / 2``, M (3,) or (3, 3), and its closed form.
 
-    Parameters
-    ----------
-    M : (3,) or symmetric (3, 3)
-        Inverse inertia.
-    sign : {+1, -1}
-        -1: body equations; +1: the convention of Reich (1993).
-    name : str
-        Name of the system.
-    parameters : dict
-        What makes it again.
-
-    Returns
-    -------
-    LiePoissonSystem
-
-    Examples
-    --------
-    >>> so3_body(np.array([1.0, 0.5, 0.25]), sign=1, name="body", parameters={}).sign
-    1
+    Sign -1 gives the body equations, +1 the convention of Reich (1993).
     """
     exact = partial(exact_solution, M, sign)
     return LiePoissonSystem(rotations(), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
@@ -106,5 +89,5 @@ def so3_body(M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: di
 
 @cache
 def rotations() -> LieAlgebra:
-    """Return so(3), which does not change, to all bodies."""
+    """Return so(3), cached: one object for all bodies."""
     return catalogue.so(3)

@@ -1,4 +1,4 @@
-"""A rigid body that orbits a centre of gravity, turned by the gravity gradient."""
+"""A rigid satellite on an orbit about a centre of gravity, with the gravity-gradient torque."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def _librating() -> npt.NDArray[np.float64]:
-    """Return a circle of radius 5 with the body turned away from the radius by 40 degrees, and a little across."""
+    """Return a circular orbit of radius 5, the body rotated from the radius by 40 degrees and slightly out of plane."""
     radius, mass, turned = 5.0, 100.0, np.radians(40.0)
     rate = radius**-1.5
     c, s = np.cos(turned), np.sin(turned)
@@ -65,51 +65,51 @@ def _pitch(x: Any) -> Any:
     )
 )
 def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> LiePoissonSystem:
-    """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient between them.
+    """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient that couples them.
 
-    All in the frame of the body, which turns by ``Omega = I^-1 L``: ``L' = L cross Omega + r cross dV/dr``,
-    ``r' = r cross Omega + p / mass``, ``p' = p cross Omega - dV/dr``. With ``sign = -1`` and ``H = L . I^-1 L / 2 +
-    |p|^2 / (2 mass) + V(r)``, ``V = -gravity (mass/|r| + (tr I - 3 u . I u) / (2 |r|^3))``, u = r/|r|: the field to the
-    second moments of the body.
+    All vectors are in the body frame, which rotates by ``Omega = I^-1 L``: ``L' = L cross Omega + r cross dV/dr``,
+    ``r' = r cross Omega + p / mass``, ``p' = p cross Omega - dV/dr``. Sign -1, ``H = L . I^-1 L / 2 +
+    |p|^2 / (2 mass) + V(r)``, ``V = -gravity (mass/|r| + (tr I - 3 u . I u) / (2 |r|^3))``, u = r/|r|: the expansion of
+    the potential to the second moments of the body.
 
     Parameters
     ----------
     inertia : (3,)
-        Principal moments of inertia, positive (mass length^2). The axes of the body are the principal ones.
+        Principal moments of inertia, positive (mass length^2). The body frame is that of the principal axes.
     mass : float
-        Of the satellite, positive.
+        Mass of the satellite, positive.
     gravity : float
-        The constant of gravity times the mass of the centre, positive (length^3/time^2).
+        Gravitational constant times the mass of the centre, positive (length^3/time^2).
 
     Returns
     -------
     LiePoissonSystem
-        State: ``(L, p, r, 1)``, ten numbers: angular momentum about the centre of mass, momentum, and position as seen
-        from the centre of gravity, all by their components along the axes of the body. The 1 is the central coordinate
-        of a Heisenberg algebra. Casimirs: ``"z"``, which is 1, and ``"|total L|^2"``, where total L = L + r cross p.
-        Integrals: the spin about an axis of symmetry. ``exact(x0, t)`` for a ball: an orbit of Kepler's. Of the group
-        element, 5 x 5, the block ``[1:4, 1:4]`` is the attitude A, from the body to space: A r is the position in
-        space, A (L + r cross p) is constant. Its other entries are no position.
+        State: ``(L, p, r, 1)``, ten numbers: angular momentum about the centre of mass, momentum, and position relative
+        to the centre of gravity, all in components along the body axes. The 1 is the central coordinate of a Heisenberg
+        algebra. Casimirs: ``"z"``, which is 1, and ``"|total L|^2"``, where total L = L + r cross p. Integrals: the
+        spin about an axis of symmetry. ``exact(x0, t)`` for equal moments: a Kepler orbit. The block ``[1:4, 1:4]`` of
+        the group element, 5 x 5, is the attitude A, from the body to space: A r is the position in space, and
+        A (L + r cross p) is constant. Its other entries are not a position.
 
     Raises
     ------
     TypeError, ValueError
-        Not three positive moments, or a mass or gravity that is not positive.
+        Not three positive moments, or `mass` or `gravity` is not positive.
 
     Warns
     -----
     UserWarning
-        A moment exceeds the sum of the other two, which no body has.
+        A moment exceeds the sum of the other two, which is impossible for a body.
 
     Notes
     -----
     Wang, Krishnaprasad and Maddocks, Celest. Mech. Dyn. Astron. 50, 349 (1991). The algebra is so(3) acting on
-    heisenberg(3). A splitting has five parts at most: three rotations, a flight, and a kick.
+    heisenberg(3). A splitting has at most five parts: three rotations, a drift, and a kick.
 
     Examples
     --------
     >>> system = satellite(inertia=(1.0, 1.0, 1.0), mass=2.0)
-    >>> system.vector_field([0, 0, 0, 0, 2.0, 0, 1.0, 0, 0, 1]) + 0.0  # Kepler's circle
+    >>> system.vector_field([0, 0, 0, 0, 2.0, 0, 1.0, 0, 0, 1]) + 0.0  # a circular Kepler orbit
     array([ 0.,  0.,  0., -2.,  0.,  0.,  0.,  1.,  0.,  0.])
     """
     moments = read_finite(inertia, "inertia")
@@ -167,7 +167,7 @@ def _total() -> Polynomial:
 
 @lru_cache(maxsize=64)
 def _potential(moments: tuple[float, float, float], mass: float, gravity: float) -> Hamiltonian:
-    """Return V as a function of r; the same one for the same numbers, so that it is compiled once."""
+    """Return V as a function of r, cached, so that it is compiled once for equal parameters."""
     a, b, c = moments
     trace = a + b + c
 
@@ -205,9 +205,9 @@ def _potential(moments: tuple[float, float, float], mass: float, gravity: float)
 
 
 def _ball(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the motion of a ball, on which gravity has no torque: Kepler's, seen from a body that turns evenly.
+    """Return the torque-free motion for equal moments: a Kepler orbit in a uniformly rotating body frame.
 
-    For another value z of the central coordinate the orbit sees the time z t.
+    At a value z of the central coordinate the orbit evolves in the time z t.
     """
     states_alone(attitude, "satellite")
     start, times = start_and_times(x0, t, 10)

@@ -24,20 +24,20 @@ MOST_COORDINATES = 2**32 - 1
 class Separable(Summable):
     """A sum of functions of one coordinate each, ``sum of H_i(x_i)``.
 
-    Explicit splittings work with it on every algebra, since the flow of each H_i is linear.
+    Explicit splittings support it on every algebra, since the flow of each H_i is linear.
 
     Parameters
     ----------
     functions : mapping
         Coordinate (0-based) to ``(H_i, dH_i)`` or ``(H_i, dH_i, d2H_i)``: pure functions of a number, or of a number
-        and the time, that return a number. Coordinates that are left out do not occur in H.
+        and the time, that return a number. H does not depend on omitted coordinates.
 
     Raises
     ------
     TypeError
-        Not functions, or those of one coordinate do not take the same arguments.
+        Not functions, or functions of one coordinate with different arguments.
     ValueError
-        In `bind`: a coordinate does not exist, or a derivative contradicts its function at a sample point.
+        In `bind`: a coordinate does not exist, or a derivative disagrees with a finite difference at a sample point.
 
     Notes
     -----
@@ -69,7 +69,7 @@ class Separable(Summable):
         self.timed = any(term.timed for term in self._terms)
 
     def bind(self, n: int) -> Separable:
-        """Return this Hamiltonian for dimension `n`, its functions checked at sample points.
+        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class Separable(Summable):
         Raises
         ------
         ValueError
-            A coordinate does not exist, or a derivative contradicts its function.
+            A coordinate does not exist, or a derivative disagrees with a finite difference.
         """
         n = read_whole(n, "the dimension")
         if self.dim == n:
@@ -105,7 +105,7 @@ class Separable(Summable):
         return bound
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the sum of the multiples of the functions.
+        """Return the Hamiltonian multiplied by a factor.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class Separable(Summable):
             except (TypeError, ArithmeticError) as reason:
                 if y.dtype != object:
                     raise
-                # Functions of NumPy take numbers of Python as objects without such a function.
+                # NumPy functions reject Python objects that lack the method.
                 said = in_one_line(str(reason), 200)
                 raise TypeError(f"the function of coordinate {i} does not take {short(y[i])} ({said})") from None
         return results

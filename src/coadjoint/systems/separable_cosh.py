@@ -1,4 +1,4 @@
-"""A Hamiltonian that is a sum of functions of one coordinate each, none of them a polynomial, on any algebra."""
+"""A separable Hamiltonian of non-polynomial functions of one coordinate, on any algebra."""
 
 from __future__ import annotations
 
@@ -48,31 +48,30 @@ def separable_cosh(
 ) -> LiePoissonSystem:
     """Return ``H = sum of masses_i (cosh(stiffness x_i) - 1) / stiffness^2`` on an algebra of the catalogue.
 
-    The generalized Euler equations with an energy that is separable and not quadratic; for small momenta it is ``sum of
-    masses_i x_i^2 / 2``. A splitting has exact flows of single coordinates still. Sign +1.
+    The generalized Euler equations with a separable, non-quadratic energy; for small momenta it is ``sum of
+    masses_i x_i^2 / 2``. A splitting still has exact flows of single coordinates. Sign +1.
 
     Parameters
     ----------
     algebra : str
-        A name that ``co.algebras.get`` knows.
+        A name for ``co.algebras.get``.
     masses : (n,)
-        Of the coordinates (inverse inertia, energy per momentum squared); any sign, zero where H has no such term.
+        Coefficients (inverse inertia, energy per momentum squared) of any sign; zero for coordinates not in H.
     stiffness : float
         Positive (1/momentum).
     constants : mapping, optional
-        Parameters of the algebra by name, where it has any: ``{"a": 2.0}`` for A3,7.
+        Parameters of the algebra by name, if it has any: ``{"a": 2.0}`` for A3,7.
 
     Returns
     -------
     LiePoissonSystem
-        Casimirs and representation are those of the algebra. No integrals beside them and H are known, and no closed
-        form.
+        Casimirs and representation are those of the algebra. No further integrals and no closed form are known.
 
     Raises
     ------
     ValueError, TypeError
-        The algebra or its parameters are unknown, masses of another length or all zero, a stiffness that is not
-        positive, or numbers so large that H'' leaves the range of float64.
+        Unknown algebra or parameters of it, masses of another length or all zero, a stiffness that is not positive, or
+        numbers so large that H'' leaves the range of float64.
 
     Notes
     -----
@@ -93,7 +92,7 @@ def separable_cosh(
     if values.shape != (g.dim,):
         raise ValueError(f"masses has shape {values.shape}; give {g.dim} numbers, one for each coordinate of {algebra}")
     if not values.any():
-        raise ValueError("masses are all zero, and nothing moves; give one that is not")
+        raise ValueError("masses are all zero, so nothing moves; give at least one nonzero mass")
     kappa = read_positive(stiffness, "stiffness")
     parameters: dict[str, Any] = {"algebra": algebra, "masses": tuple(values.tolist()), "stiffness": kappa}
     if constants:
@@ -103,7 +102,7 @@ def separable_cosh(
 
 
 def _functions(mass: float, kappa: float) -> tuple[Formula, ...]:
-    """Return H_i and its derivatives, whose tables the kernels evaluate to the same bits with every C library."""
+    """Return H_i and its derivatives with tables, which the kernels evaluate bit-identically with every C library."""
 
     def value(y: Any) -> Any:
         return 2.0 * mass * (np.sinh(0.5 * kappa * y) / kappa) ** 2  # (cosh - 1)/kappa^2 without its cancellation
@@ -122,7 +121,7 @@ def _functions(mass: float, kappa: float) -> tuple[Formula, ...]:
 
 
 def _formula(function: Callable[[Any], Any], role: int, weight: float, rate: float, divisor: float) -> Formula:
-    """Return a function with its table: a term of (rate x), the function of it being divided by a number."""
+    """Return a function with its table: a multiple of a function of (rate x), over a divisor."""
 
     def whole(*numbers: int) -> npt.NDArray[np.int64]:
         return np.array(numbers, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The classical Sklyanin algebra: a Poisson bracket that is quadratic in the coordinates."""
+"""The classical Sklyanin algebra: a Poisson bracket quadratic in the coordinates."""
 
 from __future__ import annotations
 
@@ -46,29 +46,29 @@ def sklyanin(
 ) -> PoissonSystem:
     """Return a quadratic energy on Sklyanin's quadratic bracket, equation (17) with a J that is not linear in x.
 
-    ``{x1, x0} = (J2 - J3) x2 x3``, ``{x1, x2} = -x0 x3`` and so on around 1, 2, 3, with ``H = sum of masses_i x_i^2 /
+    ``{x1, x0} = (J2 - J3) x2 x3``, ``{x1, x2} = -x0 x3`` and cyclic in 1, 2, 3, with ``H = sum of masses_i x_i^2 /
     2`` and sign +1: the bracket of one site of the lattice Landau-Lifshitz magnet. The Jacobi identity holds. So x1' =
-    x0 x2 x3 (m3 - m2) and so on around, ``m_a = masses_a - masses_0 J_a``: a free body whose clock goes at the pace
-    x0, and ``x0' = -x1 x2 x3 sum of masses_1 (J2 - J3)``.
+    x0 x2 x3 (m3 - m2) and cyclic, ``m_a = masses_a - masses_0 J_a``: a free rigid body with time rescaled by x0, and
+    ``x0' = -x1 x2 x3 sum of masses_1 (J2 - J3)``.
 
     Parameters
     ----------
     anisotropy : (3,)
-        J1, J2, J3, numbers; only their differences move anything.
+        J1, J2, J3 (dimensionless); only their differences matter.
     masses : (4,)
-        Of x0, x1, x2, x3, any sign (1/time, where x are numbers).
+        Coefficients of x0, x1, x2, x3, of any sign (1/time for dimensionless x).
 
     Returns
     -------
     PoissonSystem
         State (x0, x1, x2, x3). Casimirs: ``x1^2 + x2^2 + x3^2`` and ``x0^2 + J1 x1^2 + J2 x2^2 + J3 x3^2``; with H they
-        are all integrals. ``exact(x0, t)`` in closed form where x0 is constant: masses of x1, x2, x3 that are equal, or
-        a linear function of J, to the last bit.
+        make the system integrable. ``exact(x0, t)`` in closed form if x0 is constant: if the masses of x1, x2, x3 are
+        equal, or a linear function of J, exactly in float64.
 
     Raises
     ------
     ValueError
-        Not three and four finite numbers, or so large that their products leave the range of float64.
+        Not three and four finite numbers, or products of them leave the range of float64.
 
     Notes
     -----

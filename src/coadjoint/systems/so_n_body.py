@@ -26,7 +26,7 @@ from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
-BYTES_PER_ENTRY = 500  # of a matrix of fractions, with its inverse
+BYTES_PER_ENTRY = 500  # for a matrix of fractions with its inverse
 
 
 @ready_made(
@@ -51,11 +51,10 @@ BYTES_PER_ENTRY = 500  # of a matrix of fractions, with its inverse
 def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem:
     """Return the free rigid body of n dimensions, ``X' = [X, Omega]`` with ``X = Lambda Omega + Omega Lambda``.
 
-    X is the angular momentum in the frame of the body, a skew n x n matrix, and Omega the angular velocity. The state
-    holds the coordinates of X in the basis of so(n), those of the planes 12, 13, ..., 1n, 23, ...; for n = 3 they are
-    those of the vector, about the axes. Sign -1, the body equations, and ``H = sum of x_ij Omega_ij / 2`` over the
-    planes. For principal axes ``Omega_ij = x_ij / (l_i + l_j)``, so for n = 3 it is `rigid_body` with the moments
-    l2 + l3, l3 + l1, l1 + l2.
+    X is the angular momentum in the body frame, a skew n x n matrix, and Omega the angular velocity. The state consists
+    of the coordinates of X in the basis of so(n), for the planes 12, 13, ..., 1n, 23, ...; for n = 3 it is the vector
+    along the axes. Sign -1, the body equations, and ``H = sum of x_ij Omega_ij / 2`` over the planes. For principal
+    axes ``Omega_ij = x_ij / (l_i + l_j)``, so for n = 3 it is `rigid_body` with the moments l2 + l3, l3 + l1, l1 + l2.
 
     The group element g is the attitude, a rotation of n-dimensional space from the body to space; ``g X g^T`` is
     constant.
@@ -64,24 +63,24 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
     ----------
     inertia : (n,) or (n, n)
         Second moments of the mass along the principal axes, or the symmetric matrix of them, Lambda (mass times length
-        squared), n from 3. The sum of any two principal values must be positive. From about n = 20 a full matrix takes
-        minutes to invert, in rationals: give principal values there.
+        squared), n >= 3. The sum of any two principal values must be positive. A full matrix is inverted in rational
+        arithmetic, which takes minutes from about n = 20: give principal values then.
 
     Returns
     -------
     LiePoissonSystem
-        Casimirs those of so(n). The integrals of Manakov with ``a = Lambda^2``, such as ``"X^2 a"``; see
-        `manakov_top`. The energy is a combination of the quadratic ones and of |x|^2.
+        Casimirs of so(n). Manakov's integrals with ``a = Lambda^2``, such as ``"X^2 a"``; see `manakov_top`. The energy
+        is a linear combination of the quadratic ones and |x|^2.
 
     Raises
     ------
     ValueError
-        `inertia` has another shape, is not finite or not symmetric, or the sum of two principal values is not positive.
+        `inertia` has the wrong shape, is not finite or not symmetric, or a sum of two principal values is not positive.
 
     Warns
     -----
     UserWarning
-        A principal value is negative, which no mass has.
+        A principal value is negative, which is impossible for a distribution of mass.
 
     Notes
     -----
@@ -108,7 +107,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         lightest = least.sum()
     if lightest <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max()):
         raise ValueError(
-            f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; no mass has them"
+            f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; give a positive sum"
         )
     warn_of_negative_mass(given)
     algebra = rotations(n)

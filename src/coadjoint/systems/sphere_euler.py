@@ -1,4 +1,4 @@
-"""Ideal fluids on the sphere, quantized: Zeitlin's model."""
+"""Quantized ideal fluids on the sphere: Zeitlin's model."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ Matrix = npt.NDArray[np.complex128]
 
 
 class SphereEuler(FluidSystem):
-    """A fluid on the unit sphere, with the ways between matrices, spherical harmonics and grids.
+    """A fluid on the unit sphere, with conversions between matrices, spherical harmonics and grids.
 
-    `coadjoint.systems.matrices.spherical_modes` has the conventions of modes and matrices. Latitudes and longitudes are
-    in radians, rows of a grid go from north to south, and columns from the longitude 0 eastward.
+    `coadjoint.systems.matrices.spherical_modes` documents the conventions of modes and matrices. Latitudes and
+    longitudes are in radians; rows of a grid go from north to south, and columns from longitude 0 eastward.
 
     Attributes
     ----------
     rotation : float
-        Angular velocity of the frame about the axis z. A state is the *absolute* vorticity, 2 rotation sin(latitude)
-        more than the relative one, which is seen in the frame.
+        Angular velocity of the frame about the axis z. A state is the *absolute* vorticity, which exceeds the relative
+        vorticity in the frame by 2 rotation sin(latitude).
     planetary : (N, N) array
         The matrix of 2 rotation sin(latitude), -2 rotation S_3.
     scale : float
@@ -59,7 +59,7 @@ class SphereEuler(FluidSystem):
             MatrixAlgebra("su", N),
             stream,
             energy_sign=-1,
-            # of the degree 1, on which the stream is -1/2
+            # of degree 1, where the stream is -1/2
             linear=0.5 * self.planetary if rotation else None,
             name="sphere_euler",
             parameters={"N": N, "rotation": rotation},
@@ -75,13 +75,13 @@ class SphereEuler(FluidSystem):
         return harmonics_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
-        """Return W of coefficients of orthonormal spherical harmonics with the phase of Condon and Shortley.
+        """Return W from coefficients of orthonormal spherical harmonics in the Condon-Shortley phase convention.
 
         Parameters
         ----------
         modes : mapping or (..., N, N) array
-            ``(l, m) -> c``, 0 < l < N; those of -m are ``(-1)^m conj(c)`` where they are missing. Or an array as
-            `mode_array` returns it.
+            ``(l, m) -> c``, 0 < l < N; missing ones of -m are ``(-1)^m conj(c)``. Or an array in the form of
+            `mode_array`.
 
         Returns
         -------
@@ -97,7 +97,7 @@ class SphereEuler(FluidSystem):
         return matrix_of_harmonics(read_harmonics(modes, self.algebra.N))
 
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
-        """Return the coefficients of one matrix by (l, m), those that are not zero to round-off."""
+        """Return the coefficients of one matrix by (l, m) that are nonzero beyond round-off."""
         return as_mapping(harmonics_of_matrix(self._one(W)))
 
     def _one(self, W: Any) -> Matrix:
@@ -112,9 +112,9 @@ class SphereEuler(FluidSystem):
         Parameters
         ----------
         shape : (int, int), optional
-            Rows and columns; without it (N + 1, 2 N), the smallest grid that holds all modes.
+            Rows and columns; by default (N + 1, 2 N), the smallest grid that resolves all modes.
         points : {"clenshaw-curtis", "fejer", "gauss-legendre"}
-            Rows equally spaced with the poles, or without, half a row from them; or those of Gauss.
+            Rows equally spaced including the poles; equally spaced half a row from the poles; or Gauss-Legendre nodes.
 
         Returns
         -------
@@ -133,12 +133,12 @@ class SphereEuler(FluidSystem):
         return sphere_grid.read_shape(shape, (2, 1), sphere_grid.usual_shape(self.algebra.N))
 
     def to_grid(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> Floats:
-        """Return the values of the field of matrices at the points of a grid, exactly, of any shape.
+        """Return the values of the field of matrices at the points of a grid of any shape, exactly.
 
         Parameters
         ----------
         W : (..., N, N) array
-            Matrices, such as states: of these it is the absolute vorticity; ``relative(W)`` is the other one.
+            Matrices, such as states, whose field is the absolute vorticity; for the relative one give ``relative(W)``.
         shape, points
             As for `grid`.
 
@@ -149,7 +149,7 @@ class SphereEuler(FluidSystem):
         Raises
         ------
         MissingPackageError
-            Without ducc0.
+            ducc0 is not installed.
 
         Examples
         --------
@@ -160,18 +160,18 @@ class SphereEuler(FluidSystem):
         return sphere_grid.values_of(self.mode_array(W), self._shape(shape), points)
 
     def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
-        """Return the matrix of a field that is given at the points of a grid, without its mean.
+        """Return the matrix of a field given at the points of a grid; the mean is removed.
 
         Parameters
         ----------
         values : (..., rows, columns) array
-            Of a finer or a coarser grid: degrees that the grid does not resolve stay zero, those from N on are left
-            out. Exact where the field has no degree above ``rows - 2``, without the poles ``rows - 1``, and no order
-            above ``(columns - 1)/2``.
+            Values on a grid of any shape: degrees that it does not resolve are zero, those from N on are dropped. Exact
+            for fields of degrees up to ``rows - 2`` (without poles ``rows - 1``) and orders up to
+            ``(columns - 1)/2``.
         points : str
             As for `grid`.
         longitude : float
-            That of the first column, in radians.
+            Longitude of the first column, in radians.
 
         Returns
         -------
@@ -228,18 +228,18 @@ class SphereEuler(FluidSystem):
         return np.asarray(self.matrices(W) + self.planetary)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
-        """Return the exact motion (N, N) or (k, N, N) of a state at a time, or at several (k,).
+        """Return the exact motion (N, N) or (k, N, N) of a state at one time or several (k,).
 
-        It is known of zonal flows, and of states of the degree 1, about any axis, and one further degree, such as
-        `rossby_haurwitz` makes; ValueError for others.
+        It is known for zonal flows, and for states of degree 1, about any axis, plus one further degree, such as those
+        of `rossby_haurwitz`; other states raise ValueError.
         """
         return sphere_states.exact_motion(self.matrices(x0), t, self.rotation)
 
     def angular_momentum(self, W: Any) -> Floats:
         """Return the angular momentum of the absolute motion, the integral of (x, y, z) omega over the sphere.
 
-        It is constant where the frame does not rotate. Else its part along the axis z is, and the others turn westward
-        in the frame with the angular velocity `rotation`.
+        It is constant if the frame does not rotate. Otherwise its component along the axis z is constant, and the
+        others rotate westward in the frame with the angular velocity `rotation`.
 
         Parameters
         ----------
@@ -254,9 +254,9 @@ class SphereEuler(FluidSystem):
 
     @property
     def integrals(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """Name -> function of states (..., N, N): the parts of the angular momentum that are constant.
+        """Name to function of states (..., N, N): the constant components of the angular momentum.
 
-        These are all three, or in a rotating frame that along z; `integrate` follows them by
+        These are all three, or in a rotating frame the one along z; `integrate` records them with
         ``observe=system.integrals``.
         """
         kept = "z" if self.rotation else "xyz"
@@ -290,14 +290,14 @@ def _unstable_jet() -> Matrix:
 def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """Return the Euler equations of an ideal fluid on the sphere for a vorticity matrix: ``W' = [P, W]``, ``L P = -W``.
 
-    W is the vorticity, a matrix in su(N), and P the stream matrix, L the Laplacian of Hoppe and Yau. All traces of
-    powers of W are kept, which stand for the integrals of powers of the vorticity. The time is that of the Euler
-    equations on the unit sphere, to which the model converges like 1/N^2.
+    W is the vorticity, a matrix in su(N), P the stream matrix, and L the Hoppe-Yau Laplacian. All traces of powers of W
+    are kept, which correspond to the integrals of powers of the vorticity. The time is that of the Euler equations on
+    the unit sphere, to which the model converges like 1/N^2.
 
     Parameters
     ----------
     N : int
-        Size of the matrices, from 2 to 4096: spherical harmonics of the degrees l < N are resolved.
+        Size of the matrices, from 2 to 4096: spherical harmonics of degrees l < N are resolved.
     rotation : float
         Angular velocity of the frame about the axis through the poles. Then W is the absolute vorticity, and
         ``L P = -(W - F)`` with F the matrix of 2 rotation sin(latitude).
@@ -305,8 +305,8 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     Returns
     -------
     SphereEuler
-        With `to_grid`, `modes`, initial states. Energy tr(W* L^-1 W)/2 - tr(F* W)/2: but for a constant
-        the kinetic energy of the relative motion times ``scale^2``. Casimirs tr W^k.
+        With `to_grid`, `modes`, initial states. Energy tr(W* L^-1 W)/2 - tr(F* W)/2: up to a constant the kinetic
+        energy of the relative motion times ``scale^2``. Casimirs tr W^k.
 
     Notes
     -----
@@ -322,5 +322,5 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """
     turning = read_number(rotation, "rotation")
     if abs(turning) > FASTEST:
-        raise ValueError(f"rotation is {turning:g}; give no more than {FASTEST:g}")
+        raise ValueError(f"rotation is {turning:g}; give at most {FASTEST:g} in magnitude")
     return SphereEuler(read_whole(N, "N", 2, LARGEST), turning)

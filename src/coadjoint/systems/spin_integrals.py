@@ -1,4 +1,4 @@
-"""Which components of the total spin do the couplings of a lattice leave constant?"""
+"""Constant components of the total spin of a spin lattice."""
 
 from __future__ import annotations
 
@@ -12,30 +12,18 @@ from coadjoint.systems.quadratic import Quadratic
 
 Floats = npt.NDArray[np.float64]
 
-LARGEST_SQUARE = 64  # spins up to which |sum S|^2, all of whose coordinates couple, is given
-# The total spin along n turns all spins about n; (turn_k)_ab = -eps_kab is the turn about axis k.
+LARGEST_SQUARE = 64  # largest number of spins for which the dense |sum S|^2 is given
+# The total spin along n generates rotations of all spins about n; (turn_k)_ab = -eps_kab generates those about axis k.
 TURNS = np.array(
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
 )
 
 
 def total_spins(sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None) -> dict[str, Any]:
-    """Return the components of the total spin, or its square, that are constant, by name.
+    """Return the constant components of the total spin, or its square, as `Quadratic` by name.
 
-    Parameters
-    ----------
-    sites : int
-        Number of spins.
-    T, K : (..., 3, 3)
-        Tensors of exchange and of single sites, some or one for all.
-    D, B : (..., 3)
-        Dzyaloshinskii-Moriya vectors and fields.
-    uniform : bool or None
-        Whether a field in time, which takes the place of B, is the same for all sites; None without such a field.
-
-    Returns
-    -------
-    dict of str to Quadratic
+    T, K (..., 3, 3) are tensors of exchange and of sites, D, B (..., 3) Dzyaloshinskii-Moriya vectors and fields;
+    `uniform` is whether a time-dependent field in place of B is equal at all sites, None without such a field.
 
     Examples
     --------
@@ -60,14 +48,14 @@ def total_spins(sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform:
 
 
 def _of_tensors(tensors: Floats) -> Floats:
-    """Return rows r with r . n = 0 where all tensors commute with the turn about n."""
+    """Return rows r with r . n = 0 if all tensors commute with the rotation about n."""
     different = np.unique(tensors.reshape(-1, 9), axis=0).reshape(-1, 3, 3)
     commutators = np.einsum("eab,kbc->eack", different, TURNS) - np.einsum("kab,ebc->eack", TURNS, different)
     return _different(commutators.reshape(-1, 3))
 
 
 def _of_vectors(vectors: Floats) -> Floats:
-    """Return rows r with r . n = 0 where all vectors are parallel to n."""
+    """Return rows r with r . n = 0 if all vectors are parallel to n."""
     return _different(np.einsum("kab,eb->eak", TURNS, np.unique(vectors.reshape(-1, 3), axis=0)).reshape(-1, 3))
 
 
@@ -76,9 +64,9 @@ def _different(rows: Floats) -> Floats:
 
 
 def _kernel(rows: Floats) -> Floats:
-    """Return the axes that all rows leave: three, one (its largest entry 1), or none. They never leave two.
+    """Return the axes orthogonal to all rows: three, one (with largest entry 1), or none.
 
-    Turns about two axes make turns about all.
+    There are never two: rotations about two axes generate those about all.
     """
     if not len(rows):
         return np.eye(3)

@@ -25,10 +25,10 @@ from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
-BYTES_PER_SPIN, BYTES_PER_EDGE = 1000, 500  # while the system is made
-MOST_KEPT = 2**16  # numbers that a system keeps as its parameters
+BYTES_PER_SPIN, BYTES_PER_EDGE = 1000, 500  # peak, during construction
+MOST_KEPT = 2**16  # largest number of values stored as parameters
 LARGEST = 1e100
-MOST_FOLLOWED = 682  # spins whose lengths are followed one by one, as `copies` says
+MOST_FOLLOWED = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`
 LEVI_CIVITA = np.zeros((3, 3, 3))
 LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
@@ -38,7 +38,7 @@ SIDE = 18
 
 
 def _vortices() -> Floats:
-    """Return spins in the plane that turn once around each of two sites, and point up there."""
+    """Return spins in the plane that rotate once around each of two sites, and point up there."""
     x, y = np.indices((SIDE, SIDE)) - 0.5 * (SIDE - 1)
     turned, tilt = 0.5 * np.pi, np.zeros_like(x)
     for side in (-3.5, 3.5):
@@ -87,49 +87,50 @@ def spin_lattice(
     """Return classical spins on a lattice or any graph, ``S_i' = S_i cross B_i`` with ``B_i = -dH/dS_i``.
 
     The Landau-Lifshitz equations without damping: copies of so(3), sign +1, and, summed over edges (i, j) and sites i,
-    ``H = sum(-J_ij S_i . T S_j + D_ij . (S_i cross S_j)) - sum(S_i . K S_i + B_i . S_i)``. With J > 0 neighbours want
-    to be parallel. One spin in a field B turns about it by the angle -|B| t.
+    ``H = sum(-J_ij S_i . T S_j + D_ij . (S_i cross S_j)) - sum(S_i . K S_i + B_i . S_i)``. J > 0 is ferromagnetic. One
+    spin in a field B precesses about it by the angle -|B| t.
 
     Parameters
     ----------
     lattice : str or (edges, 2) array of int
         ``"chain"``, ``"ring"``, ``"square"``, ``"triangular"``, ``"honeycomb"``, ``"kagome"``, ``"cubic"`` or
         ``"complete"``; or pairs of sites, from 0, each pair once. ``coadjoint.systems.lattices.graph`` returns the
-        edges in their order.
+        edges in order.
     shape : int or tuple of int
-        The number of cells along each axis; of sites for a complete graph, and where edges are given.
+        Number of cells along each axis; number of sites for a complete graph, and if edges are given.
     periodic : bool or tuple of bool
-        Whether the lattice closes along each axis. A ring always does.
+        Whether the lattice is periodic along each axis. A ring always is.
     exchange : number or (edges,)
-        J, of all edges or of each (energy per spin squared).
+        J, for all edges or for each (energy per spin squared).
     tensor : (3,), (3, 3) or (edges, 3, 3)
-        T: anisotropy of the exchange, its diagonal or all of it; need not be symmetric. A number without unit.
+        T: anisotropy of the exchange, diagonal or full; need not be symmetric. Dimensionless.
     dm : (3,) or (edges, 3)
-        D, the Dzyaloshinskii-Moriya vector, along the edge as it is given (energy per spin squared).
+        D, the Dzyaloshinskii-Moriya vector, for the given direction of the edge (energy per spin squared).
     field : (3,), (sites, 3), or function of the time that returns one of them
-        B, with the gyromagnetic ratio in it (energy per spin). Numba compiles the function.
+        B, including the gyromagnetic ratio (energy per spin). Numba compiles the function.
     on_site : (3,), (3, 3) or (sites, 3, 3)
-        K, its diagonal or all of it, symmetric (energy per spin squared): (0, 0, K) with K > 0 is an easy third axis.
+        K, diagonal or full, symmetric (energy per spin squared): (0, 0, K) with K > 0 is an easy third axis.
 
     Returns
     -------
     LiePoissonSystem
-        State: the spins one after the other, S_i at ``x[3 i : 3 i + 3]`` (angular momentum; an energy divided by it is
-        a frequency, so that spins without unit and energies over hbar give times). Casimirs: ``"|x|^2 [i]"`` of every
-        spin, i from 1, up to 682 spins; above, the sum of all. Integrals: the components of the total spin, or its
-        square, that the couplings leave constant. ``exact(x0, t)`` where all spins couple alike and isotropically (two
-        spins, a ring of three, a complete graph) and the field is the same for all, or where none couple. The group
-        element, for few spins, is the rotation of each. Parameters beyond 65536 numbers, and functions, are not kept.
+        State: the spins in order, S_i at ``x[3 i : 3 i + 3]`` (angular momentum; energies over it are frequencies, so
+        dimensionless spins go with energies over hbar). Casimirs: ``"|x|^2 [i]"`` of every spin, i from 1, up to 682
+        spins; for more, the sum of all. Integrals: the components of the total spin, or its square, that the couplings
+        leave constant. ``exact(x0, t)`` if all spins are coupled equally and isotropically (two spins, a ring of three,
+        a complete graph) in a uniform field, or if none are coupled. The group element, for few spins, is the rotation
+        of each. Parameters of more than 65536 numbers, and functions, are not stored.
 
     Raises
     ------
     TypeError, ValueError
-        An unknown lattice, a wrong shape, edges twice or from a site to itself, or numbers of another shape; by name.
+        An unknown lattice, a wrong shape, duplicate edges, edges from a site to itself, or arrays of the wrong shape.
 
     Notes
     -----
-    Section 4 of Reich (1993): if T, K are diagonal and D is zero, all first components commute, all second and all
-    third ones: a splitting has three parts on any graph. Frank, Huang and Leimkuhler, J. Comput. Phys. 133, 160 (1997).
+    Section 4 of Reich (1993): if T, K are diagonal and D is zero, all first components commute, as do all second and
+    all third ones: a splitting has three parts on any graph. Frank, Huang and Leimkuhler, J. Comput. Phys. 133, 160
+    (1997).
 
     Examples
     --------
@@ -175,7 +176,7 @@ def spin_lattice(
 
 @cache
 def _spins(sites: int) -> LieAlgebra:
-    """Return the algebra of few spins, which does not change, to all of their systems."""
+    """Return the algebra of few spins, cached: one object for all their systems."""
     return copies(catalogue.so(3), sites)
 
 
@@ -219,7 +220,7 @@ def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site:
 
 
 def _kept(lattice: Any, *others: Any) -> dict[str, Any] | None:
-    """Return the parameters as plain numbers and tuples; None where they are many."""
+    """Return the parameters as plain numbers and tuples; None if they are too many."""
     names = ("shape", "periodic", "exchange", "tensor", "dm", "field", "on_site")
     edges = lattice if isinstance(lattice, str) else array_given(lattice, "lattice")
     if sum(np.size(given) for given in (edges, *others)) > MOST_KEPT:

@@ -1,4 +1,4 @@
-"""When do spins precess about their total, and how? The motion in closed form."""
+"""Closed-form precession of spins about their total spin."""
 
 from __future__ import annotations
 
@@ -17,30 +17,9 @@ Floats = npt.NDArray[np.float64]
 def precession(
     sites: int, edges: npt.NDArray[np.int64], J: Floats, T: Floats, K: Floats, B: Floats
 ) -> Callable[..., Any] | None:
-    """Return the closed form of spins without Dzyaloshinskii-Moriya coupling, or None where there is none.
+    """Return the closed form ``exact(x0, t, attitude)`` of spins without Dzyaloshinskii-Moriya coupling, or None.
 
-    Parameters
-    ----------
-    sites, edges : int, (edges, 2) array of int
-        The graph.
-    J : () or (edges,)
-        Exchange.
-    T, K : (..., 3, 3)
-        Tensors of exchange, zero where nothing couples, and of single sites.
-    B : (3,) or (sites, 3)
-        Field.
-
-    Returns
-    -------
-    callable or None
-        ``exact(x0, t, attitude)``.
-
-    Examples
-    --------
-    >>> E = np.eye(3)
-    >>> pair = precession(2, np.array([[0, 1]]), np.array(1.0), E, 0 * E, np.zeros(3))
-    >>> pair([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], np.pi / 2)
-    array([1., 0., 0., 0., 0., 0.])
+    J is () or (edges,), B (3,) or (sites, 3); T, K (..., 3, 3) are tensors of exchange (zero if uncoupled) and sites.
     """
     if np.any(K != K[..., :1, :1] * np.eye(3)):
         return None
@@ -55,7 +34,7 @@ def precession(
 
 
 def _precess(sites: int, strength: float, B: Floats, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Turn all spins about their total, ``S_i' = strength S_i cross S``, and that about the field."""
+    """Rotate all spins about their total, ``S_i' = strength S_i cross S``, and the total about the field."""
     states_alone(attitude, "spin_lattice")
     start, times = start_and_times(x0, t, 3 * sites)
     spins = start.reshape(sites, 3)
@@ -66,13 +45,7 @@ def _precess(sites: int, strength: float, B: Floats, x0: Any, t: Any, attitude: 
 
 
 def turned(spins: Floats, axis: Floats, t: Floats) -> Floats:
-    """Return the solution of ``S' = S cross axis`` at the time t.
-
-    Examples
-    --------
-    >>> turned(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array(np.pi / 2)).round(12)
-    array([ 0., -1.,  0.])
-    """
+    """Return the solution of ``S' = S cross axis`` at time t."""
     rate = np.sqrt(np.sum(axis**2, axis=-1))
     unit = axis / np.where(rate > 0.0, rate, 1.0)[..., None]
     angle = (rate * t)[..., None]

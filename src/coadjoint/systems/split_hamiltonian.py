@@ -1,4 +1,4 @@
-"""The Hamiltonian that is a sum of pieces, each of commuting coordinates."""
+"""Hamiltonians that are sums of functions of commuting coordinates."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from coadjoint.wording import short
 class SplitHamiltonian(Summable):
     """A sum of pieces ``H_a(x[coordinates of a])``, each of coordinates that commute in the algebra.
 
-    Explicit splittings work with it: the gradient of a piece is constant along the flow of that piece, so this flow is
-    known exactly. Whether the coordinates of a piece commute is checked when the system is made.
+    Explicit splittings support it: the gradient of a piece is constant along the flow of that piece, so this flow is
+    known exactly. Whether the coordinates of a piece commute is checked when the system is constructed.
 
     Parameters
     ----------
     pieces : sequence of (coordinates, Hamiltonian)
-        The coordinates of the piece (0-based), and a Hamiltonian of any kind in these coordinates, in their order.
+        The coordinates of the piece (0-based), and a Hamiltonian of any type in these coordinates, in their order.
         Different pieces may share coordinates.
 
     Attributes
@@ -43,11 +43,11 @@ class SplitHamiltonian(Summable):
     ValueError
         A coordinate is negative or occurs twice in a piece, or a Hamiltonian has another number of coordinates.
     TypeError
-        No pieces, or a piece is not such a pair.
+        No pieces, or a piece that is not such a pair.
 
     Notes
     -----
-    Section 4 of Reich (1993) has single coordinates; any function of commuting coordinates does as well, since then
+    Section 4 of Reich (1993) uses single coordinates; the same holds for any function of commuting coordinates, since
     ``sum of (dH/dx_i) e_i`` is constant along its own flow.
 
     Examples
@@ -83,7 +83,7 @@ class SplitHamiltonian(Summable):
         self.timed = any(part.timed for part in self.pieces)
 
     def bind(self, n: int) -> SplitHamiltonian:
-        """Return this Hamiltonian for dimension `n`.
+        """Return this Hamiltonian bound to dimension `n`.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class SplitHamiltonian(Summable):
         return bound
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the sum of the multiples of the pieces.
+        """Return the Hamiltonian multiplied by a factor.
 
         Parameters
         ----------
@@ -124,11 +124,13 @@ class SplitHamiltonian(Summable):
         Raises
         ------
         TypeError
-            A piece is of a kind of the user that has no multiples.
+            A piece is of a user-defined type without multiples.
         """
         for number, piece in enumerate(self.pieces):
             if not isinstance(piece, Summable):
-                raise TypeError(f"piece {number} is {short(piece)}, whose kind has no multiples; multiply it there")
+                raise TypeError(
+                    f"piece {number} is {short(piece)}, whose type cannot be multiplied; multiply the piece itself"
+                )
         result = copy.copy(self)
         result.pieces = tuple(piece.times(factor) for piece in self.pieces if isinstance(piece, Summable))
         return result
@@ -158,7 +160,7 @@ class SplitHamiltonian(Summable):
         return result
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the terms of all pieces in the n coordinates, with the pieces' numbers; must be bound."""
+        """Return the terms of all pieces in the n coordinates, with the numbers of the pieces; must be bound."""
         if self.dim is None:
             raise TypeError("SplitHamiltonian has no dimension yet; bind(n) it first")
         result: list[Term] = []

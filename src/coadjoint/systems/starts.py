@@ -1,4 +1,4 @@
-"""Starts for pictures: states spread over a sphere."""
+"""Initial states for pictures, spread over a sphere."""
 
 from __future__ import annotations
 
@@ -9,18 +9,7 @@ import numpy.typing as npt
 
 
 def over_sphere(count: int, radius: float = 1.0) -> npt.NDArray[np.float64]:
-    """Return points spread over a sphere about evenly, on a spiral of the golden angle.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    radius : float
-        Of the sphere.
-
-    Returns
-    -------
-    ndarray, shape (count, 3)
+    """Return `count` points, (count, 3), distributed about evenly on a sphere, along a spiral of the golden angle.
 
     Examples
     --------

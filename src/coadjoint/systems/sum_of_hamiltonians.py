@@ -1,4 +1,4 @@
-"""Sums of Hamiltonians of any kinds: what ``H1 + H2`` is."""
+"""Sums of Hamiltonians of any types, the result of ``H1 + H2``."""
 
 from __future__ import annotations
 
@@ -21,35 +21,10 @@ from coadjoint.wording import short
 
 
 class SumOfHamiltonians(Summable):
-    """A Hamiltonian that is the sum of others of several kinds; ``H1 + H2`` makes it.
+    """A Hamiltonian that is the sum of others of several types; ``H1 + H2`` makes it.
 
-    A scheme serves it where it serves all of the summands. Explicit splitting takes each summand apart.
-
-    Parameters
-    ----------
-    summands : sequence of Hamiltonians
-        At most one of them a Quadratic or a polynomial, and at most one a SplitHamiltonian; `sum_of` joins others.
-
-    Attributes
-    ----------
-    summands : tuple
-        As given.
-    dim : int or None
-        Number of coordinates; None until it is known of every summand.
-    timed : bool
-        Whether a summand depends on the time.
-
-    Raises
-    ------
-    ValueError
-        The summands have different numbers of coordinates.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.separable import Separable
-    >>> H = Quadratic([1.0, 0.5]) + Separable({1: (np.cosh, np.sinh)})
-    >>> H.value([2.0, 0.0]), H.gradient([2.0, 0.0])
-    (3.0, array([2., 0.]))
+    At most one summand is a Quadratic or a polynomial, and at most one a SplitHamiltonian; `sum_of` joins others. A
+    scheme supports it if it supports every summand. `dim` is None until it is known for every summand.
     """
 
     def __init__(self, summands: Sequence[Any]) -> None:
@@ -62,26 +37,11 @@ class SumOfHamiltonians(Summable):
         self.timed = any(one.timed for one in self.summands)
 
     def bind(self, n: int) -> SumOfHamiltonians:
-        """Return the same sum for dimension n, each summand checked.
-
-        Parameters
-        ----------
-        n : int
-            Number of coordinates.
-
-        Returns
-        -------
-        SumOfHamiltonians
-
-        Raises
-        ------
-        ValueError
-            A summand is of another dimension, or a derivative is wrong.
-        """
+        """Return the sum of the summands bound to dimension n."""
         return SumOfHamiltonians([as_hamiltonian(one, n) for one in self.summands])
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the sum of the multiples of the summands."""
+        """Return the Hamiltonian multiplied by a factor."""
         return type(self)([factor * one for one in self.summands])
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
@@ -105,39 +65,18 @@ class SumOfHamiltonians(Summable):
 
 
 def summands_of(H: HamiltonianLike) -> tuple[HamiltonianLike, ...]:
-    """Return the summands of a sum; any other Hamiltonian is the only one.
-
-    Examples
-    --------
-    >>> summands_of(Quadratic([1.0, 2.0]))
-    (Quadratic([1.0, 2.0]),)
-    """
+    """Return the summands of a sum; for any other Hamiltonian itself."""
     return H.summands if isinstance(H, SumOfHamiltonians) else (H,)
 
 
 def sum_of(first: Any, second: Any) -> Any:
-    """Return the sum of two Hamiltonians, or of one and a number.
+    """Return the sum of two Hamiltonians, or of one and a number, which is a constant.
 
-    Parameters
-    ----------
-    first, second : Hamiltonian or number
-        A number is a constant, which moves nothing.
-
-    Returns
-    -------
-    Quadratic, Polynomial, SplitHamiltonian or SumOfHamiltonians
-        Of the kind of both where they are of one of the first three kinds; a Polynomial of a Quadratic and a
-        Polynomial.
-
-    Raises
-    ------
-    TypeError
-        One of them is no Hamiltonian.
-    ValueError
-        They have different numbers of coordinates.
+    Two of the same type `Quadratic`, `Polynomial` or `SplitHamiltonian` give this type, a Quadratic and a Polynomial a
+    Polynomial, and all others a `SumOfHamiltonians`. Raises ValueError for different numbers of coordinates.
     """
     if any(is_real(one) and one == 0 for one in (first, second)):
-        return second if is_real(first) else first  # as `sum` begins
+        return second if is_real(first) else first  # the start value of `sum`
     simple: Any = None
     split: SplitHamiltonian | None = None
     others: list[Any] = []
@@ -155,7 +94,7 @@ def sum_of(first: Any, second: Any) -> Any:
 
 
 def _each(given: Iterable[Any]) -> Iterable[Any]:
-    """Yield the summands of what is added, a number as a Quadratic and a polynomial as itself."""
+    """Yield the summands, a number as a Quadratic and a polynomial unchanged."""
     for one in given:
         if is_real(one):
             yield Quadratic(0.0, constant=one)
@@ -166,11 +105,11 @@ def _each(given: Iterable[Any]) -> Iterable[Any]:
         elif isinstance(one, Polynomial | Summable) or _of_a_user(one):
             yield one
         else:
-            raise TypeError(f"{short(one)} is no Hamiltonian, and cannot be added to one")
+            raise TypeError(f"{short(one)} is not a Hamiltonian and cannot be added to one; give one, or a number")
 
 
 def _of_a_user(given: Any) -> bool:
-    """Return whether it is a Hamiltonian of a kind that this library does not have."""
+    """Return whether it is a Hamiltonian of a user-defined type."""
     own = type(given).__module__.partition(".")[0] != __name__.partition(".")[0]
     return own and not isinstance(given, type) and isinstance(given, HamiltonianLike)
 

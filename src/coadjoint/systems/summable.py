@@ -1,4 +1,4 @@
-"""Arithmetic with Hamiltonians, ``H1 + H2``, ``H1 - H2``, ``2 * H``, ``H / 2``, ``-H``, by a class to derive from."""
+"""Arithmetic of Hamiltonians: base class with ``H1 + H2``, ``H1 - H2``, ``2 * H``, ``H / 2``, ``-H``."""
 
 from __future__ import annotations
 
@@ -13,25 +13,14 @@ from coadjoint.wording import short
 
 
 class Summable(ABC):
-    """What can be added to another Hamiltonian or to a number, and multiplied by a number."""
+    """Base class of Hamiltonians that can be added to Hamiltonians and numbers, and multiplied by numbers."""
 
-    # So that an array does not take it entry by entry.
+    # Prevents NumPy arrays from broadcasting over it.
     __array_ufunc__ = None
 
     @abstractmethod
     def times(self, factor: Coefficient) -> Self:
-        """Return the multiple of this Hamiltonian.
-
-        Parameters
-        ----------
-        factor : int, float or Fraction
-            Finite.
-
-        Returns
-        -------
-        Hamiltonian
-            Of the same kind.
-        """
+        """Return the Hamiltonian, of the same type, multiplied by a finite int, float or Fraction."""
 
     def __add__(self, other: Any) -> Any:
         from coadjoint.systems.sum_of_hamiltonians import sum_of
@@ -45,9 +34,9 @@ class Summable(ABC):
         return self.times(-1)
 
     def __sub__(self, other: Any) -> Any:
-        # A Polynomial has its own minus sign, and so may have a kind of the user.
+        # Polynomials and user-defined types may have their own negation.
         if not hasattr(type(other), "__neg__"):
-            raise TypeError(f"{short(other)} cannot be subtracted from a Hamiltonian: it has no negative")
+            raise TypeError(f"{short(other)} cannot be subtracted from a Hamiltonian: it has no __neg__")
         return self + -other
 
     def __rsub__(self, other: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A system as a small table, for notebooks."""
+"""HTML tables of systems for notebooks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from coadjoint.systems.quadratic import Quadratic
 from coadjoint.wording import html_table, short
 
 MOST = 6
-"""Casimirs and coordinates that are shown."""
+"""Number of Casimirs and coordinates shown."""
 
 
 def _energy(H: Any) -> str:
@@ -18,18 +18,7 @@ def _energy(H: Any) -> str:
 
 
 def table_of(system: Any, **more: str) -> str:
-    """Return what a system is as a table in HTML: dimension, algebra, Hamiltonian, Casimirs, parameters.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem or ForcedSystem
-        The system.
-    **more : str
-        Further lines.
-
-    Returns
-    -------
-    str
+    """Return an HTML table of a system: dimension, algebra, Hamiltonian, Casimirs, parameters, and further rows `more`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What does a user of a system want to see first? A run and its pictures, as data without Matplotlib."""
+"""Gallery metadata of a ready-made system: an example run and its plots, as data without Matplotlib."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, init=False)
 class Picture:
-    """A kind of picture by its name, with its options.
+    """A kind of picture, by name, with its options.
 
     Parameters
     ----------
     kind : str
-        Such as ``"body axis"``; ``coadjoint.pictures.register.kinds`` has them all.
+        Such as ``"body axis"``; ``coadjoint.pictures.register.kinds`` lists them all.
     **options
-        Of that kind, as its function in the folder ``pictures/kinds`` says.
+        Options of that kind, documented by its function in the folder ``pictures/kinds``.
 
     Examples
     --------
@@ -45,38 +45,38 @@ class Picture:
 
 @dataclass(frozen=True)
 class Telling:
-    """The run of a ready-made system that the gallery shows, and its pictures.
+    """Gallery metadata of a ready-made system: an example run and its pictures.
 
     Parameters
     ----------
     x0 : array_like, shape (n,) or (members, n), or function that returns it
-        A good start; a function where it takes a formula. Of systems of matrices (N, N) or (members, N, N).
+        Initial state; a function if it must be computed. For systems of matrices (N, N) or (members, N, N).
     t_span : (float, float)
         Start and end.
     step : float
-        A step at which the suggested scheme shows the motion truly.
+        A step with which the suggested scheme resolves the motion.
     says : str
-        In one or two sentences what is to be seen; it stands under the picture, and in its place for who cannot see it.
+        Caption of one or two sentences that describes the picture, also used as its alternative text.
     pictures : sequence of Picture
-        What `Solution.plot` draws beside components and drift. Of those that a run cannot show, for its dimension or
-        since no attitude was carried, none is drawn.
+        Pictures that `Solution.plot` draws besides components and drift. Those that a run cannot show, because of its
+        dimension or without attitudes, are omitted.
     components : Picture
-        Which components, or which functions of them, are drawn over time.
+        The components, or functions of them, drawn over time.
     parameters : mapping
-        Of the system, where those by default tell less.
+        Parameters of the system, if the defaults are less suitable.
     attitude : bool
-        Whether the group element is carried.
+        Whether the run computes the group element.
     save_every : int
         As for `integrate`.
     coordinates : sequence of str, or function of the dimension that returns it
         Names of the coordinates, such as ``("E", "P", "D")``; by default those of the basis.
     quantity : str
-        What the coordinates are, for the label of their axis.
+        Physical quantity of the coordinates, for the label of their axis.
 
     Raises
     ------
     TypeError, ValueError
-        A value is none of these.
+        A value has the wrong type or shape.
 
     Examples
     --------
@@ -109,21 +109,21 @@ class Telling:
         keep(self, "pictures", pictures)
         for text, what in ((self.says, "says"), (self.quantity, "quantity")):
             if not isinstance(text, str) or not text:
-                raise TypeError(f"{what} is {short(text)}; give a text")
+                raise TypeError(f"{what} is {short(text)}; give a string")
 
     def start(self) -> npt.NDArray[Any]:
-        """Return the start, or one for each member.
+        """Return the initial state, or one for each member.
 
         Returns
         -------
         ndarray, shape (n,) or (members, n)
         """
         given = self.x0() if callable(self.x0) else self.x0
-        # A complex matrix is read where the run begins.
+        # Complex matrices are validated by the run.
         return np.array(given) if np.iscomplexobj(given) else read_finite(given, "x0")
 
     def names(self, dim: int) -> tuple[str, ...]:
-        """Return the names of so many coordinates, or none where they are not named.
+        """Return the names of `dim` coordinates; empty if they have none.
 
         Parameters
         ----------

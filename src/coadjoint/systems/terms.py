@@ -1,4 +1,4 @@
-"""Of which terms does a Hamiltonian consist? The form that the tables of a scheme are built from."""
+"""Terms of Hamiltonians, the form from which the tables of schemes are built."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from coadjoint.algebra.polynomial import Polynomial
 
 
 class TermReader(Protocol):
-    """What is made from the terms of a Hamiltonian: tables, parts of a splitting."""
+    """Interface of visitors of the terms of a Hamiltonian, which build tables or parts of a splitting."""
 
     def quadratic(self, term: QuadraticTerm) -> Any:
-        """Take a quadratic term."""
+        """Visit a quadratic term."""
 
     def polynomial(self, term: PolynomialTerm) -> Any:
-        """Take a polynomial."""
+        """Visit a polynomial term."""
 
     def function(self, term: FunctionTerm) -> Any:
-        """Take a function of Python."""
+        """Visit a function term."""
 
 
 class Term(Protocol):
-    """What every kind of term says of itself. A `TermReader` makes tables and parts from it."""
+    """Interface of all terms of Hamiltonians."""
 
     @property
     def piece(self) -> int | None:
-        """Number of the piece of a `SplitHamiltonian` that it belongs to."""
+        """Number of its piece of a `SplitHamiltonian`, or None."""
 
     @property
     def constant(self) -> float:
-        """The constant that is added to its value."""
+        """Constant part of the value."""
 
     @property
     def degree(self) -> int | None:
-        """The degree as a polynomial; None where it is no polynomial."""
+        """Degree as a polynomial; None if it is not one."""
 
     @property
     def called(self) -> bool:
-        """Whether it calls functions of the user."""
+        """Whether it calls user functions."""
 
     @property
     def differentiable(self) -> bool:
@@ -51,20 +51,20 @@ class Term(Protocol):
 
     @property
     def multiplications(self) -> int:
-        """Multiplications that a gradient takes, functions not counted."""
+        """Number of multiplications of a gradient, without those of user functions."""
 
     @property
     def form(self) -> QuadraticTerm | None:
-        """The term as a quadratic one; None where it is not quadratic."""
+        """The term as a `QuadraticTerm`; None if it is not quadratic."""
 
     def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
-        """Yield sets of coordinates: second derivatives between two coordinates that share no set are zero."""
+        """Yield sets of coordinates; second derivatives between coordinates that share no set are zero."""
 
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
-        """Return the term of the coordinates `where` as one of all n coordinates, belonging to a piece."""
+        """Return the term of the coordinates `where` as a term of all n coordinates that belongs to a piece."""
 
     def given_to(self, reader: TermReader) -> Any:
-        """Give the term to a reader, in one or several of the kinds that it takes; return what the last one gave."""
+        """Pass the term to a reader, in one or several of its forms; return the last result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +80,9 @@ class QuadraticTerm:
     linear : ndarray of float64, shape (n,)
         Coefficients of the linear part.
     constant : float
-        Moves nothing; kept so that the energy is the one that was given.
+        Has no effect on the motion; part of the energy.
     piece : int or None
-        Number of the piece of a `SplitHamiltonian` that it belongs to.
+        Number of its piece of a `SplitHamiltonian`.
     """
 
     indptr: npt.NDArray[np.int64]
@@ -98,20 +98,20 @@ class QuadraticTerm:
 
     @property
     def multiplications(self) -> int:
-        """One for each entry of M."""
+        """Number of entries of M."""
         return len(self.values)
 
     @property
     def form(self) -> QuadraticTerm:
-        """Itself."""
+        """The term itself."""
         return self
 
     def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
-        """Yield each pair of an entry of M."""
+        """Yield the pair of coordinates of each entry of M."""
         yield from np.stack([self.rows, self.indices], axis=1)
 
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> QuadraticTerm:
-        """Return the entries in their new rows and columns."""
+        """Return the term with its entries in new rows and columns."""
         rows, columns = where[self.rows], where[self.indices]
         order = np.lexsort((columns, rows))
         indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
@@ -120,7 +120,7 @@ class QuadraticTerm:
         return QuadraticTerm(indptr, columns[order], self.values[order], linear, self.constant, piece)
 
     def given_to(self, reader: TermReader) -> Any:
-        """Give it as it is."""
+        """Pass the term to `reader.quadratic`."""
         return reader.quadratic(self)
 
     @cached_property
@@ -151,12 +151,12 @@ class PolynomialTerm:
 
     @property
     def degree(self) -> int:
-        """Of the polynomial."""
+        """Degree of the polynomial."""
         return self.polynomial.degree
 
     @property
     def multiplications(self) -> int:
-        """Each factor of a monomial needs all of its powers."""
+        """Sum over monomials: each factor needs all of its powers."""
         exponents = [[e for e in monomial if e] for monomial in self.polynomial.monomials]
         return sum(len(e) * sum(e) for e in exponents)
 
@@ -175,7 +175,7 @@ class PolynomialTerm:
         return PolynomialTerm(Polynomial(monomials, dim=n), piece)
 
     def given_to(self, reader: TermReader) -> Any:
-        """Give it as it is."""
+        """Pass the term to `reader.polynomial`."""
         return reader.polynomial(self)
 
 
@@ -215,7 +215,7 @@ class FunctionTerm:
 
     @property
     def differentiable(self) -> bool:
-        """Whether a Hessian was given."""
+        """Whether second derivatives were given."""
         return self.hessian is not None
 
     def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
@@ -227,5 +227,5 @@ class FunctionTerm:
         return replace(self, coordinates=where[self.coordinates], piece=piece)
 
     def given_to(self, reader: TermReader) -> Any:
-        """Give it as it is."""
+        """Pass the term to `reader.function`."""
         return reader.function(self)

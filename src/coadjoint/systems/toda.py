@@ -1,4 +1,4 @@
-"""The Toda lattice in Flaschka's variables, open and as a ring."""
+"""The Toda lattice in Flaschka's variables, open and periodic."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
-LONGEST_POLYNOMIALS = 64  # sites; of more, polynomials whose terms count every coordinate are no longer small
-COMPLETE = 8  # sites up to which all traces are given; of more, those of L^3 and L^4
+LONGEST_POLYNOMIALS = 64  # largest number of sites with dense polynomial invariants
+COMPLETE = 8  # largest number of sites with all traces; for more only those of L^3 and L^4
 MOST_BITS = 2**20
 
 
 def _names(springs_less: int, dim: int) -> tuple[str, ...]:
-    """Return b1, b2, ..., a1, a2, ... for so many coordinates."""
+    """Return b1, b2, ..., a1, a2, ... for `dim` coordinates."""
     n = (dim + springs_less) // 2
     return (*(f"b{i + 1}" for i in range(n)), *(f"a{i + 1}" for i in range(dim - n)))
 
 
 def _position(i: int, x: Any) -> Any:
-    """Return where a particle is, from the center of all, in units of 1/beta and with A beta = exp(4) m."""
+    """Return the position of a particle relative to the center of all, in units of 1/beta and for A beta = exp(4) m."""
     bonds = x.shape[-1] // 2
     gaps = 4.0 - 2.0 * np.log(2.0 * np.abs(x[..., bonds + 1 :]))
     places = np.concatenate([np.zeros_like(gaps[..., :1]), np.cumsum(gaps, axis=-1)], axis=-1)
@@ -54,7 +54,7 @@ def _some_velocities(dim: int) -> range:
 
 
 def _bump() -> Floats:
-    """Return a ring of 48 sites at rest that is pressed together around one of them."""
+    """Return a ring of 48 sites at rest, compressed around one of them."""
     a = 0.5 + 0.35 * np.exp(-0.25 * (np.arange(48) - 11.5) ** 2)
     return np.concatenate([np.zeros(48), a])
 
@@ -76,12 +76,12 @@ def toda(sites: int = 4) -> LiePoissonSystem:
     """Return the open Toda lattice in Flaschka's variables, with its exact solution by QR.
 
     Particles of mass m on a line; neighbours at the distance r_i repel each other with the energy ``(A/beta) exp(-beta
-    r_i)``. Then ``b_i = -beta p_i / (2 m)`` and ``a_i = sqrt(A beta / m) exp(-beta r_i / 2) / 2`` obey
-    ``b_i' = 2 (a_i^2 - a_(i-1)^2)``, ``a_i' = a_i (b_(i+1) - b_i)``: all constants are in the state. The particles fly
-    apart: every a_i goes to zero, and the b_i to the eigenvalues of L, the largest first. Sign +1,
+    r_i)``. Then ``b_i = -beta p_i / (2 m)`` and ``a_i = sqrt(A beta / m) exp(-beta r_i / 2) / 2`` satisfy
+    ``b_i' = 2 (a_i^2 - a_(i-1)^2)``, ``a_i' = a_i (b_(i+1) - b_i)``, in which all constants are scaled into the state.
+    The particles disperse: every a_i tends to zero, and the b_i to the eigenvalues of L, the largest first. Sign +1,
     ``H = tr L^2 / 2 = sum b_i^2 / 2 + sum a_i^2``, with the brackets ``{a_i, b_i} = -a_i``, ``{a_i, b_(i+1)} = a_i``
-    (four times the canonical ones, where H is beta^2 / (4 m) times the energy). Two sets that commute, b and a: a
-    splitting has two parts, whatever the length.
+    (four times the canonical ones, for which H is beta^2 / (4 m) times the energy). The b commute, and so do the a: a
+    splitting has two parts for any length.
 
     Parameters
     ----------
@@ -92,18 +92,18 @@ def toda(sites: int = 4) -> LiePoissonSystem:
     -------
     LiePoissonSystem
         State ``(b_1, ..., b_n, a_1, ..., a_(n-1))``, all per unit of time. Casimir: the total momentum, ``tr L``, L the
-        symmetric tridiagonal matrix of diagonal b and off-diagonal a. Integrals: the traces of powers of L, 3 to n up
+        symmetric tridiagonal matrix with diagonal b and off-diagonal a. Integrals: the traces of powers of L, 3 to n up
         to 8 sites, 3 and 4 up to 64. ``exact(x0, t)`` in closed form.
 
     Raises
     ------
     ValueError
-        `sites` is no whole number, or less than two.
+        `sites` is not an integer, or less than two.
 
     Notes
     -----
     Flaschka, Phys. Rev. B 9, 1924 (1974); Symes, Physica D 4, 275 (1982): with ``exp(t L(0)) = Q R`` the lattice is at
-    ``L(t) = Q^T L(0) Q``. The group element means nothing for the particles.
+    ``L(t) = Q^T L(0) Q``. The group element has no meaning for the particles.
 
     Examples
     --------
@@ -140,9 +140,9 @@ def toda(sites: int = 4) -> LiePoissonSystem:
     )
 )
 def toda_ring(sites: int = 4) -> LiePoissonSystem:
-    """Return the Toda lattice on a ring in Flaschka's variables.
+    """Return the periodic Toda lattice in Flaschka's variables.
 
-    As `toda`, with one more spring, a_n from the last particle to the first: ``b_1' = 2 (a_1^2 - a_n^2)``, and
+    As `toda`, with one more bond, a_n between the last particle and the first: ``b_1' = 2 (a_1^2 - a_n^2)``, and
     ``a_n' = a_n (b_1 - b_n)``. The motion is bounded. Sign +1, H = sum b_i^2 / 2 + sum a_i^2.
 
     Parameters
@@ -154,17 +154,17 @@ def toda_ring(sites: int = 4) -> LiePoissonSystem:
     -------
     LiePoissonSystem
         State ``(b_1, ..., b_n, a_1, ..., a_n)``, all per unit of time. Casimirs: the total momentum, ``tr L``, and the
-        product of the a_i, which is the length of the ring (beyond 64 sites its logarithm, for it underflows).
-        Integrals: as for `toda`, L with a_n in the corners.
+        product of the a_i, which determines the length of the ring (beyond 64 sites its logarithm, because the product
+        underflows). Integrals: as for `toda`, L with a_n in the corners.
 
     Raises
     ------
     ValueError
-        `sites` is no whole number, or less than two.
+        `sites` is not an integer, or less than two.
 
     Notes
     -----
-    Toda, Theory of Nonlinear Lattices (1989). The solution in theta functions (Kac and van Moerbeke 1975) is not here.
+    Toda, Theory of Nonlinear Lattices (1989). The solution in theta functions (Kac and van Moerbeke 1975) is omitted.
 
     Examples
     --------
@@ -219,27 +219,9 @@ def _log_product_gradient(x: Any) -> Any:
 
 
 def traces(n: int, ring: bool) -> dict[str, Polynomial]:
-    """Return traces of powers of L as polynomials in the b and a: independent integrals beside H and the Casimirs.
+    """Return traces of powers of L, independent integrals besides H and the Casimirs, as polynomials in the b and a.
 
-    Parameters
-    ----------
-    n : int
-        Number of sites.
-    ring : bool
-        Whether the last site has a spring to the first.
-
-    Returns
-    -------
-    dict of str to Polynomial
-
-    Notes
-    -----
-    The trace of L^k is the sum over closed walks of k steps on the lattice, of the entries of L on their way.
-
-    Examples
-    --------
-    >>> traces(3, ring=False)["tr L^3"]
-    x1^3 + 3*x1*x4^2 + x2^3 + 3*x2*x4^2 + 3*x2*x5^2 + x3^3 + 3*x3*x5^2
+    The trace of L^k is the sum over closed walks of k steps on the lattice of the product of entries of L.
     """
     if n > LONGEST_POLYNOMIALS:
         return {}
@@ -268,34 +250,10 @@ def traces(n: int, ring: bool) -> dict[str, Polynomial]:
 
 
 def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the open lattice at given times, every digit of it right.
+    """Return the state (2 n - 1,) or (k, 2 n - 1) of the open lattice at given times, correct to all digits.
 
-    Parameters
-    ----------
-    n : int
-        Number of sites.
-    x0 : (2 n - 1,)
-        ``(b_1, ..., b_n, a_1, ..., a_(n-1))`` at time zero.
-    t : float or (k,)
-        One time, or several.
-    attitude : bool
-        Refused where it is not False.
-
-    Returns
-    -------
-    (2 n - 1,) or (k, 2 n - 1) array
-
-    Raises
-    ------
-    ValueError
-        A shape is wrong, or a number not finite, or t so long that more than 2^20 bits were needed.
-    TypeError
-        The attitude was asked for.
-
-    Notes
-    -----
-    With ``exp(t L) = Q R`` also ``exp(2 t L) = R^T R`` and ``L(t) = R L R^-1``: R by Cholesky, in balls, with as many
-    bits as the answer needs. The work grows as n^3 for each time.
+    With ``exp(t L) = Q R``, ``exp(2 t L) = R^T R`` and ``L(t) = R L R^-1``: R by Cholesky in ball arithmetic of
+    adaptive precision. Costs n^3 for each time. Raises ValueError if t would need more than 2^20 bits.
 
     Examples
     --------
@@ -309,7 +267,7 @@ def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
 
 
 def _at(n: int, start: Floats, time: float) -> Floats:
-    """Return the state at one time, with more bits until the balls around it are smaller than its rounding."""
+    """Return the state at one time; the precision is increased until the balls are smaller than float64 rounding."""
     from flint import arb, ctx
 
     size = float(np.abs(start).max())
@@ -320,7 +278,7 @@ def _at(n: int, start: Floats, time: float) -> Floats:
         raise ValueError(
             f"t is {time:g}, too long for the closed form from so large a state; integrate, or start later"
         )
-    bits = 96 + int(turns / 8)  # often enough; they double where it is not
+    bits = 96 + int(turns / 8)  # usually sufficient, otherwise doubled
     while bits <= MOST_BITS:
         with ctx.workprec(bits):
             state = _by_cholesky(n, [arb(v) for v in start.tolist()], arb(time))
@@ -332,12 +290,12 @@ def _at(n: int, start: Floats, time: float) -> Floats:
 
 
 def _known(q: Any) -> bool:
-    """Say whether a ball is known to 60 bits, or is exact."""
+    """Return whether a ball is accurate to 60 bits, or exact."""
     return bool(q.is_exact() or q.rel_accuracy_bits() > 60)
 
 
 def _by_cholesky(n: int, x: list[Any], time: Any) -> list[Any]:
-    """Return the state as balls, or nothing where there are not enough bits for a pivot."""
+    """Return the state as balls; empty if the precision is insufficient for a pivot."""
     from flint import arb_mat
 
     b, a = x[:n], x[n:]

@@ -1,4 +1,4 @@
-"""Ideal fluids on the torus by the sine bracket: Zeitlin's model."""
+"""Quantized ideal fluids on the torus with the sine bracket: Zeitlin's model."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ Matrix = npt.NDArray[np.complex128]
 
 
 class TorusEuler(FluidSystem):
-    """A fluid on the torus of side 2 pi, with the ways between matrices, Fourier modes and grids.
+    """A fluid on the torus of side 2 pi, with conversions between matrices, Fourier modes and grids.
 
     The vorticity is ``omega(x, y) = sum of w_n exp(i (n1 x - n2 y))``: with this sign of n2 the equation of the modes
-    is the Euler equation ``d omega/dt + u . grad omega = 0`` with x to the right, y up, vorticity counterclockwise, and
-    time in its own units as N grows. W is ``-i N/(4 pi) sum of w_n T_n``.
+    converges, as N grows, to the Euler equation ``d omega/dt + u . grad omega = 0`` in physical time, with x to the
+    right, y up and vorticity positive counterclockwise. W is ``-i N/(4 pi) sum of w_n T_n``.
     """
 
     states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
@@ -41,13 +41,13 @@ class TorusEuler(FluidSystem):
         return modes_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
-        """Return the matrix W of modes.
+        """Return the matrix W from Fourier modes.
 
         Parameters
         ----------
         modes : mapping or (..., N, N) array
-            ``(n1, n2) -> w``, from -(N - 1)/2 to (N - 1)/2; those that are missing are conjugates, or zero. Or an array
-            as `mode_array` returns it.
+            ``(n1, n2) -> w``, from -(N - 1)/2 to (N - 1)/2; missing ones are conjugates, or zero. Or an array in the
+            form of `mode_array`.
 
         Returns
         -------
@@ -62,7 +62,7 @@ class TorusEuler(FluidSystem):
         return self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
 
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
-        """Return the modes of a matrix W, those that are not zero to round-off."""
+        """Return the modes of a matrix W that are nonzero beyond round-off."""
         N = self.algebra.N
         w = modes_of_matrix(self.matrices(W))
         n, size = representatives(N), np.abs(w).max(initial=0.0)
@@ -71,12 +71,12 @@ class TorusEuler(FluidSystem):
         }
 
     def grid(self, shape: Any = None) -> tuple[Floats, Floats]:
-        """Return x and y of a grid, from 0 to 2 pi without the last point.
+        """Return x and y of a grid, from 0 to 2 pi without the end point.
 
         Parameters
         ----------
         shape : (int, int), optional
-            Numbers of points along x and y; without it (N, N), the smallest grid that holds all modes.
+            Numbers of points along x and y; by default (N, N), the smallest grid that resolves all modes.
 
         Returns
         -------
@@ -92,7 +92,7 @@ class TorusEuler(FluidSystem):
         return torus_grid.coordinates(nx), torus_grid.coordinates(ny)
 
     def to_grid(self, W: Any, shape: Any = None) -> Floats:
-        """Return the values of the field of matrices at the points of a grid, exactly, of any shape.
+        """Return the values of the field of matrices at the points of a grid of any shape, exactly.
 
         Parameters
         ----------
@@ -115,26 +115,26 @@ class TorusEuler(FluidSystem):
         return torus_grid.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
 
     def from_grid(self, values: Any) -> Matrix:
-        """Return the matrix of a field that is given at the points of a grid, without its mean.
+        """Return the matrix of a field given at the points of a grid; the mean is removed.
 
         Parameters
         ----------
         values : (..., nx, ny) array
-            Of a finer or a coarser grid: modes that the grid does not resolve stay zero, those that N does not are left
-            out. Exact where the field has no |n1| from nx/2 on, and no |n2| from ny/2 on.
+            Values on a grid of any shape: modes that it does not resolve are zero, those that N does not resolve are
+            dropped. Exact for fields with |n1| < nx/2 and |n2| < ny/2.
 
         Returns
         -------
         (..., N, N) array
         """
-        # the mean is a multiple of the unit, which is no part of the algebra
+        # the mean is a multiple of the unit matrix, which is not in the algebra
         return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         x, y = torus_grid.recognized(first, "x"), torus_grid.recognized(second, "y")
         w = self.mode_array(self.from_grid(np.asarray(values)[..., ::x, ::y]))
         n = representatives(self.algebra.N)
-        # the first point is not at 0
+        # shift, since the first point is not at 0
         w *= np.exp(-1j * n * first[::x][0])[:, None] * np.exp(1j * n * second[::y][0])
         return self.algebra.projected(matrix_of_modes(w))
 
@@ -181,7 +181,7 @@ class TorusEuler(FluidSystem):
 
 
 def round_off(value: complex, size: float) -> complex:
-    """Return a number without parts that are rounding of numbers of a size."""
+    """Return a number with its parts that are round-off relative to `size` set to zero."""
     real, imaginary = (part if abs(part) > 1e-15 * size else 0.0 for part in (value.real, value.imag))
     return complex(round(real / size, 15) * size, round(imaginary / size, 15) * size)
 
@@ -214,7 +214,8 @@ def torus_euler(N: int = 33) -> TorusEuler:
 
     ``w_n' = sum over m of N/(2 pi) sin(2 pi (m x n)/N) w_m w_(n-m) / |m|^2`` for the Fourier modes w_n of the
     vorticity, m x n = m1 n2 - m2 n1, modes counted mod N.
-    As N grows that is the Euler equation of a torus of side 2 pi, in its own time; `TorusEuler` has the conventions.
+    As N grows it converges to the Euler equation on a torus of side 2 pi, in physical time; `TorusEuler` documents the
+    conventions.
 
     Parameters
     ----------
@@ -244,7 +245,7 @@ def torus_euler(N: int = 33) -> TorusEuler:
     squares = (n[:, None] ** 2 + n[None, :] ** 2).astype(float)  # [d, n1]
     with np.errstate(divide="ignore"):
         by_mode = np.where(squares == 0.0, 0.0, -1.0 / squares)
-    # along the diagonal d the mode n1 turns by 2 n1 from entry to entry
+    # along the diagonal d the phase of mode n1 advances by 2 n1 from entry to entry
     spectrum = np.empty((N, N))
     spectrum[:, (2 * np.arange(N)) % N] = by_mode
     return TorusEuler(

@@ -1,4 +1,4 @@
-"""Is a quantity of a size whose products stay within float64? Else other units are asked for."""
+"""Validation of physical parameters whose products must stay within float64."""
 
 from __future__ import annotations
 
@@ -10,31 +10,7 @@ LARGEST = 1e30
 
 
 def read_in_range(value: Any, what: str, zero: bool = False) -> float:
-    """Return a positive number between 1e-30 and 1e30; or zero, if that is allowed.
-
-    Parameters
-    ----------
-    value : object
-        What was given.
-    what : str
-        What it is called in messages.
-    zero : bool
-        Whether zero is allowed.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    TypeError, ValueError
-        Something else.
-
-    Examples
-    --------
-    >>> read_in_range(2, "mass"), read_in_range(0, "gravity", zero=True)
-    (2.0, 0.0)
-    """
+    """Return a positive number between 1e-30 and 1e30, or zero if that is allowed; `what` is its name in messages."""
     if zero and read_number(value, what) == 0.0:
         return 0.0
     number = read_positive(value, what)

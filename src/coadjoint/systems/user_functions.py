@@ -1,4 +1,4 @@
-"""Are the Python functions that a user gave usable, and do they agree with one another?"""
+"""Validation of user functions: arguments, values at sample points, and consistency of derivatives."""
 
 from __future__ import annotations
 
@@ -23,16 +23,7 @@ SAMPLE_TIME = 0.625
 
 @dataclass(frozen=True)
 class MultipleOf:
-    """A multiple of a function of the user, which is compiled where the function is.
-
-    Parameters
-    ----------
-    function : callable
-        Of (x) or (x, t).
-    factor : int or float
-        Finite.
-    scalar : bool
-        Whether the function returns a number, rather than an array or a list.
+    """A multiple of a user function of (x) or (x, t), compiled if the function is; `scalar` if it returns a number.
 
     Examples
     --------
@@ -45,21 +36,14 @@ class MultipleOf:
     scalar: bool
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return the multiple at x, or at x and t."""
+        """Return the multiple of the value at x, or at x and t."""
         found = self.function(*arguments)
         return self.factor * (found if self.scalar else np.asarray(found))
 
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """A function of x together with its formula, which the kernels evaluate without compiling the function.
-
-    Parameters
-    ----------
-    function : callable
-        Of (x).
-    forms : Forms
-        The same function as tables.
+    """A function of x with the same function as tables, which the kernels evaluate without compiling the function.
 
     Examples
     --------
@@ -78,7 +62,7 @@ class Formula:
 
 
 def forms_of(function: Any) -> Forms | None:
-    """Return the tables of a `Formula` or of a multiple of one, None for any other function."""
+    """Return the tables of a `Formula` or of a multiple of one; None for any other function."""
     if isinstance(function, Formula):
         return function.forms
     forms = forms_of(function.function) if isinstance(function, MultipleOf) else None
@@ -86,13 +70,13 @@ def forms_of(function: Any) -> Forms | None:
 
 
 def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
-    """Return the `MultipleOf` a function; None stays None, and a fraction is rounded, since functions give floats."""
+    """Return the `MultipleOf` a function, or None for None; a fraction is rounded, since functions return floats."""
     factor = factor if isinstance(factor, int) else float(factor)
     return None if function is None else MultipleOf(function, factor, scalar)
 
 
 def takes_time(function: Callable[..., Any], name: str) -> bool:
-    """Return whether `function` is one of ``(x, t)`` rather than ``(x)``; refuse anything else.
+    """Return whether `function` takes ``(x, t)`` rather than ``(x)``; raise TypeError otherwise.
 
     A second argument counts as the time if it has no default, or if its name is ``t``
     (``lambda x, m=m: ...`` is a function of x alone).
@@ -104,12 +88,12 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     if isinstance(function, np.ufunc):
         count = function.nin
     elif isinstance(function, types.BuiltinFunctionType):
-        count = 1  # of the math module: some have no signature, and none knows the time
+        count = 1  # functions of the math module: some have no signature, and none takes the time
     else:
         try:
             signature = inspect.signature(getattr(function, "py_func", function))
         except (TypeError, ValueError):
-            raise TypeError(f"{name} does not say which arguments it takes; give a function of (x) or (x, t)") from None
+            raise TypeError(f"{name} has no signature; give a function of (x) or (x, t)") from None
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         places = [p for p in signature.parameters.values() if p.kind in positional]
         required = [p for p in places if p.default is inspect.Parameter.empty]
@@ -124,7 +108,7 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
 
 
 def callable_when_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a Python function that others may call where Numba compiles them; without Numba as it is.
+    """Return a Python function that compiled functions can call, compiled by Numba; without Numba unchanged.
 
     Examples
     --------
@@ -140,7 +124,7 @@ def callable_when_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> None:
-    """Refuse what cannot be called with so many arguments, such as ``"x, h"``; what has no signature is believed.
+    """Raise TypeError if a function cannot be called with arguments such as ``"x, h"``; one without a signature passes.
 
     Examples
     --------
@@ -157,7 +141,7 @@ def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> 
 
 
 def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
-    """Return whether all the named functions (None is left out) take the time; refuse a mixture."""
+    """Return whether all named functions (ignoring None) take the time; raise TypeError for a mixture."""
     timed = {name: takes_time(function, name) for name, function in functions.items() if function is not None}
     if len(set(timed.values())) > 1:
         with_time = next(name for name, flag in timed.items() if flag)
@@ -167,14 +151,14 @@ def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
 
 
 def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
-    """Return seeded points of different kinds: mixed signs, all positive, small, and larger than one."""
+    """Return seeded sample points of different kinds: mixed signs, all positive, small, and larger than one."""
     draw = np.random.default_rng(SEED).uniform(0.25, 1.0, size=(4, n))
     signs = np.where(np.random.default_rng(SEED + 1).uniform(size=n) < 0.5, -1.0, 1.0)
     return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]]
 
 
 def evaluate(function: Callable[..., Any], x: Any, timed: bool) -> npt.NDArray[np.float64] | Exception:
-    """Return the function's value at a sample point, or what it raised: the point may lie outside its domain."""
+    """Return the value of a function at a sample point, or its exception: the point may lie outside its domain."""
     with np.errstate(all="ignore"):
         try:
             result = function(x, SAMPLE_TIME) if timed else function(x)
@@ -194,26 +178,10 @@ def check_derivative(
     n: int | None,
     timed: bool,
 ) -> None:
-    """Refuse a `derivative` of the wrong shape, or that contradicts the central difference of `function`.
+    """Raise an error if `derivative` has the wrong shape, or disagrees with the central difference of `function`.
 
-    Parameters
-    ----------
-    function, derivative : callable
-        Functions of x (of a number if `n` is None).
-    names : (str, str)
-        What the two are called in a message.
-    shapes : (tuple, tuple)
-        The shapes that they must return; the derivative's last axis is that of x.
-    n : int or None
-        Number of coordinates; None for a function of a number.
-    timed : bool
-        Both take ``(x, t)``.
-
-    Notes
-    -----
-    With steps e and e/2 the central differences d(e), d(e/2) have truncation errors c e^2 and c e^2/4 up to higher
-    orders, hence |d(e) - d(e/2)| estimates 3/4 of the first; the round-off is u |f| / e. The factor 16 and 2^10 leave
-    room for higher orders and for a function that loses ten bits. Points where any value is not finite say nothing.
+    The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
+    u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits. Non-finite points are skipped.
     """
     seen, failure = False, ""
     for x in sample_points(1 if n is None else n):

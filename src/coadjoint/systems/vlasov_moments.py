@@ -1,4 +1,4 @@
-"""Vlasov-Poisson as finitely many moments of the distribution."""
+"""The Vlasov-Poisson equation, truncated to finitely many moments of the distribution."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ _MOMENT = re.compile(r"\bx([0-9,]+)\b")
     )
 )
 def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> LiePoissonSystem:
-    """Return particles of mass 1 in a line as moments ``x_ij = <q^i p^j>``, ``H = x02/2 + V(x20, x40, ...)``.
+    """Return particles of mass 1 on a line as moments ``x_ij = <q^i p^j>``, ``H = x02/2 + V(x20, x40, ...)``.
 
-    The Vlasov equation for a distribution that is symmetric about the origin, its moments above a degree set to zero,
-    which keeps the bracket. Sign +1: ``x_ij' = i x_(i-1)(j+1) - j sum over k of k dV/dx_k0 x_(i+k-1)(j-1)``. An
-    external potential W(q) is V = <W>, linear in the moments; the field of the particles themselves adds products of
-    moments. Degree 2 is the envelope of a beam.
+    The Vlasov equation for a distribution symmetric about the origin; moments above a degree are set to zero, which
+    keeps the bracket. Sign +1: ``x_ij' = i x_(i-1)(j+1) - j sum over k of k dV/dx_k0 x_(i+k-1)(j-1)``. An external
+    potential W(q) is V = <W>, linear in the moments; the self-consistent field adds products of moments. Degree 2 is
+    the envelope of a beam.
 
     Parameters
     ----------
     degree : int
-        The highest degree of the moments, even, from 2 to 100.
+        Highest degree of the moments, even, from 2 to 100.
     potential : str, Polynomial, or Hamiltonian of another kind
         V, an energy, of the moments x20, x40, ...: text such as ``"1/2*x20 + 0.1*x20^2"``, or a Hamiltonian of
         degree / 2 coordinates.
@@ -61,21 +61,21 @@ def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> Lie
     -------
     LiePoissonSystem
         State: the moments x20, x11, x02, x40, x31, ..., weighted by mass: length^i velocity^j. Casimirs: those of
-        ``moments(degree)``; <qq><pp> - <qp>^2, the squared emittance, for degree 2. Integrals: where V is linear, the
-        moments ``"<h^m>"`` of powers of the energy h = p^2/2 + W of one particle, without the degrees that are zero.
-        ``exact(x0, t)`` where V is a multiple of x20. For degree 2 there is a group element, a linear map of (q, p).
-        Parameters are kept where V is text.
+        ``moments(degree)``; <qq><pp> - <qp>^2, the squared emittance, for degree 2. Integrals: if V is linear, the
+        moments ``"<h^m>"`` of powers of the energy h = p^2/2 + W of one particle, truncated to the degree.
+        ``exact(x0, t)`` if V is a multiple of x20. For degree 2 there is a group element, a linear map of (q, p).
+        Parameters are stored if V is text.
 
     Raises
     ------
     TypeError, ValueError
-        A degree that is odd, or a potential in other moments or in another number of coordinates.
+        An odd degree, or a potential in other moments or in another number of coordinates.
 
     Notes
     -----
     Channell and Scovel, Physica D 50, 80 (1991); Scovel and Weinstein, Comm. Pure Appl. Math. 47, 683 (1994).
-    Moments of q commute, and so do those of p: a splitting has two parts. No distribution has the moments that are set
-    to zero: runs say how moments move near x0, not for ever.
+    Moments of q commute, and so do those of p: a splitting has two parts. No distribution has vanishing higher moments,
+    so runs approximate the moments near x0 only, not for long times.
 
     Examples
     --------
@@ -131,7 +131,7 @@ def _read(text: str, count: int) -> Polynomial:
         return f"x{power // 2}"
 
     if len(text) > MOST_LETTERS:
-        raise ValueError(f"potential has {len(text)} letters; give at most {MOST_LETTERS}")
+        raise ValueError(f"potential has {len(text)} characters; give at most {MOST_LETTERS}")
     try:
         return read_polynomial(_MOMENT.sub(place, text), count)
     except ValueError as reason:
@@ -148,7 +148,7 @@ def _single(V: Polynomial) -> Phase:
 
 
 def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> dict[str, Quadratic]:
-    """Return the moments of powers of h as linear functions of the state; what is above the degree is zero."""
+    """Return the moments of powers of h as linear functions of the state, truncated to the degree."""
     place = {pair: k for k, pair in enumerate(powers)}
     found, power = {}, dict(h)
     for m in range(2, degree // 2 + 1):
@@ -166,7 +166,7 @@ def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> d
 
 
 def _linear_flow(stiffness: float, powers: list[tuple[int, int]], x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return moments under q'' = -stiffness q: every particle goes through the same linear map."""
+    """Return the moments under q'' = -stiffness q, where every particle undergoes the same linear map."""
     states_alone(attitude, "vlasov_moments")
     start, times = start_and_times(x0, t, len(powers))
     place = {pair: k for k, pair in enumerate(powers)}

@@ -208,7 +208,7 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
     assert np.abs(found - W).max() < 1e-11 * np.abs(W).max()
     with pytest.raises(ValueError, match="has the axis 'time' too"):
         TURNING.from_file(tmp_path / "field.nc")
-    with pytest.raises(ValueError, match=r"no variable 'vx', but \['vo'\]"):
+    with pytest.raises(ValueError, match=r"no variable 'vx'; choose one of \['vo'\]"):
         TURNING.from_file(tmp_path / "field.nc", variable="vx")
     with pytest.raises(ValueError, match="no axis 'level'"):
         TURNING.from_file(tmp_path / "field.nc", select={"level": 0})
@@ -230,7 +230,7 @@ def test_fields_of_the_torus_in_netcdf(tmp_path):
     [
         (np.linspace(75, -75, 9), np.arange(0, 360, 20.0), "those of no known grid"),
         (np.linspace(90, -90, 9), np.linspace(0, 360, 19), "without the first one again"),
-        (np.linspace(90, -90, 9), np.arange(0, 180, 20.0), "all around in one turn"),
+        (np.linspace(90, -90, 9), np.arange(0, 180, 20.0), "not equally spaced over 2 pi"),
     ],
 )
 def test_other_grids_are_refused(latitude, longitude, said, tmp_path):

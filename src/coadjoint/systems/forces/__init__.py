@@ -1,6 +1,7 @@
 """Forces, which act in addition to the Hamiltonian: damping, torques, heat baths (``co.forces``).
 
-A force breaks the structure, and says what it keeps. ``system.with_forces(force, ...)`` is the system with it.
+A force breaks the Lie-Poisson structure and declares what it keeps. ``system.with_forces(force, ...)`` adds it to a
+system.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.forces.viscosity import Viscosity as Viscosity
 
 
-if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+if not TYPE_CHECKING:  # type checkers resolve the names statically and report unknown ones
 
     def __getattr__(name: str) -> Any:
         if name not in _HOME:

@@ -1,4 +1,4 @@
-"""What every force is: a flow of its own, what that keeps, and how the kernels read it."""
+"""Base class of forces: the flow, the invariants that it keeps, and the interface to the kernels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LONGEST = 80
 
 
 class Noise(NamedTuple):
-    """A noise by its amplitude, its seed and the stream of its first member; and sets of directions that commute."""
+    """A noise: amplitude, seed, stream of the first member, and sets of commuting directions."""
 
     amplitude: float
     seed: int
@@ -24,49 +24,49 @@ class Noise(NamedTuple):
 
 
 class ForceReader(Protocol):
-    """What takes a force apart: the tables of the kernels."""
+    """The interface through which a force describes itself to the tables of the kernels."""
 
     def damping(self, rate: NDArray[Any], toward: NDArray[Any]) -> Any:
-        """Take x' = -rate (x - toward); rate is a number, (n,) or (n, n)."""
+        """Register x' = -rate (x - toward); rate is a number, (n,) or (n, n)."""
 
     def constant(self, torque: NDArray[Any]) -> Any:
-        """Take x' = torque, (n,)."""
+        """Register x' = torque, (n,)."""
 
     def function(self, torque: Callable[..., Any], arguments: str) -> Any:
-        """Take x' = torque, a function of "t", "x" or "x, t"."""
+        """Register x' = torque, a function of "t", "x" or "x, t"."""
 
     def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> Any:
-        """Take x' = sign J(x) (P sign J(x) grad H + amplitude L noise); P and L are numbers, (n,) or (n, n)."""
+        """Register x' = sign J(x) (P sign J(x) grad H + amplitude L noise); P, L are numbers, (n,) or (n, n)."""
 
     def flow(self, function: Callable[..., Any]) -> Any:
-        """Take a flow, a function of (x, t, tau)."""
+        """Register a flow, a function of (x, t, tau)."""
 
     def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layer: int) -> Any:
-        """Take c' = -rate c of some modes of a matrix, less those of one at rest; lists over diagonals."""
+        """Register c' = -rate (c - c of `still`) for modes of a matrix; lists over diagonals."""
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:
-        """Take the same with noise of these amplitudes."""
+        """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
 
 
 class Force(ABC):
     """A force, which acts in addition to the Hamiltonian: its flow, and which invariants it changes.
 
-    `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one of a function.
-    A force of your own kind derives from one of them, or from this class.
+    `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one from a
+    function. Derive custom forces from one of these classes or from this one.
     """
 
     casimirs: ClassVar[bool] = False
     """Whether every Casimir is kept, to round-off."""
 
     reversible: ClassVar[bool] = True
-    """Whether it may run backward."""
+    """Whether it can run backward in time."""
 
     random: ClassVar[bool] = False
-    """Whether it is a noise, so that it has no field."""
+    """Whether it is random, and therefore has no field."""
 
     @property
     def label(self) -> str:
-        """Its name in balances and messages."""
+        """Name in balances and messages."""
         return type(self).__name__
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class Force(ABC):
 
     @abstractmethod
     def check(self, system: Any) -> None:
-        """Raise an error for a system on which the force cannot act.
+        """Raise an error if the force cannot act on a system.
 
         Parameters
         ----------
@@ -87,17 +87,17 @@ class Force(ABC):
         Raises
         ------
         ValueError, TypeError
-            What does not fit.
+            The force and the system do not match; the message names the mismatch.
         """
 
     @abstractmethod
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        """Return what the force adds to x'.
+        """Return the contribution of the force to x'.
 
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
-            What it acts on.
+            The system.
         x : (n,) array
             The state.
         t : number
@@ -110,21 +110,21 @@ class Force(ABC):
         Raises
         ------
         TypeError
-            It is a noise.
+            The force is random.
         """
 
     @abstractmethod
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        """Return the state that the force alone reaches after a time, computed in Python.
+        """Return the flow of the force alone over a time tau, computed in Python.
 
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
-            What it acts on.
+            The system.
         x : (n,) array
             The state.
         t, tau : number
-            The time at the start, and how long; negative for backward.
+            Initial time and duration; a negative duration runs backward.
 
         Returns
         -------
@@ -133,18 +133,18 @@ class Force(ABC):
 
     @abstractmethod
     def given_to(self, reader: ForceReader, system: Any) -> Any:
-        """Pass the force to the compiled loops, in one of the forms that they have.
+        """Describe the force to the compiled loops, in one of the forms that they support.
 
         Parameters
         ----------
         reader : ForceReader
-            What reads it.
+            The receiver of the description.
         system : LiePoissonSystem or PoissonSystem
-            What it acts on.
+            The system.
         """
 
     def parameters(self) -> Mapping[str, Any]:
-        """Return the parameters by name; a force that is a dataclass is made again from them."""
+        """Return the parameters by name, from which a dataclass force can be constructed again."""
         if not is_dataclass(self):
             return {}
         return {field.name: getattr(self, field.name) for field in fields(self)}

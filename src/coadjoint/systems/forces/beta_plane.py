@@ -15,23 +15,23 @@ from coadjoint.systems.matrices.torus_modes import representatives
 
 @dataclass(frozen=True)
 class BetaPlane(ModeRates):
-    """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves, exactly dispersed.
+    """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves with the exact dispersion.
 
-    The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
-    ``sigma = -beta n1/|n|^2``, and goes to the west for a positive beta, x being eastward and y northward. Energy and
-    enstrophy are kept. The term is that of the continuous fluid: it belongs to no Hamiltonian of the matrix model,
-    whose bracket it breaks, and it changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the
-    frame does the same within the model: ``sphere_euler(rotation=...)``.
+    The mode n rotates by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
+    ``sigma = -beta n1/|n|^2``, and travels to the west for a positive beta, with x eastward and y northward. Energy and
+    enstrophy are kept. The term is that of the continuous fluid: it derives from no Hamiltonian of the matrix model,
+    breaks its bracket, and changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame has
+    this effect within the model: ``sphere_euler(rotation=...)``.
 
     Parameters
     ----------
     beta : float
-        The gradient of the Coriolis parameter, in inverse time and length, of either sign.
+        Gradient of the Coriolis parameter (1/(length time)), of either sign.
 
     Raises
     ------
     ValueError, TypeError
-        No finite number.
+        `beta` is not a finite number.
 
     References
     ----------

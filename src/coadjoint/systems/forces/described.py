@@ -1,4 +1,4 @@
-"""Forces by their names, as configuration files and records have them."""
+"""Forces by name, as in configuration files and records."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def get(name: str, /, **parameters: Any) -> Force:
     name : str
         One of `names`.
     **parameters
-        Those of the force; what is left out has its default.
+        Parameters of the force; omitted ones take their defaults.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def get(name: str, /, **parameters: Any) -> Force:
     Raises
     ------
     ValueError, TypeError
-        No such force or parameter (the nearest name is given), or a value is wrong.
+        Unknown force or parameter (the message suggests the nearest name), or an invalid value.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def get(name: str, /, **parameters: Any) -> Force:
 
 
 def from_description(description: Mapping[str, Any]) -> Force:
-    """Return the force that a mapping describes, as a configuration file does: its name, and its parameters beside it.
+    """Return the force described by a mapping of its name and parameters, as in a configuration file.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def from_description(description: Mapping[str, Any]) -> Force:
     Raises
     ------
     ValueError, TypeError
-        As `get`; and if there is no name.
+        As for `get`, or the name is missing.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def from_description(description: Mapping[str, Any]) -> Force:
     name = parameters.pop("name", None)
     if not isinstance(name, str):
         raise ValueError(
-            f"{short(dict(description))} is no force; give its name and parameters, such as name = 'LinearDamping', "
+            f"{short(dict(description))} is not a force; give its name and parameters, such as name = 'LinearDamping', "
             "rate = 0.1"
         )
     return get(name, **parameters)

@@ -1,4 +1,4 @@
-"""Damping that stays on the coadjoint orbit."""
+"""Double-bracket damping, which stays on the coadjoint orbit."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ MOST_TERMS = 60
 
 @dataclass(frozen=True)
 class DoubleBracketDamping(Force):
-    """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy, keeps every Casimir.
+    """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy and keeps every Casimir.
 
-    For spins (copies of so(3), with H = -B.S and the like) this is the damping of Landau and Lifshitz,
-    ``S' = -alpha S x (S x B)`` with B = -grad H. For the form of Gilbert with damping a multiply the Hamiltonian by
+    For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
+    ``S' = -alpha S x (S x B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
     1/(1 + a^2), and take alpha = a. For fluids it is the selective decay of energy at constant vorticity. The energy
-    falls at the rate ``alpha f.P f``, f the Hamiltonian part of x'.
+    decreases at the rate ``alpha f.P f``, f the Hamiltonian part of x'.
 
-    Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric, with every Casimir to round-off.
+    Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric, keeping Casimirs to round-off.
 
     Parameters
     ----------
     alpha : float
         Strength, zero or positive.
     metric : float, (n,) or (n, n) array_like
-        P, symmetric and positive semidefinite. One is right where the invariant form of the algebra is the sum of
-        squares, as for spins and so(n).
+        P, symmetric and positive semidefinite. Use 1 if the invariant form of the algebra is the sum of squares, as for
+        spins and so(n).
 
     Raises
     ------
     ValueError, TypeError
-        Negative, or of another shape, or no finite numbers.
+        A value is negative, not finite, or of the wrong shape.
 
     References
     ----------
@@ -49,7 +49,7 @@ class DoubleBracketDamping(Force):
 
     Examples
     --------
-    A spin in a field along the third axis turns into it, ``S_3 = tanh(alpha B t)``, and keeps its length:
+    A spin aligns with a field along the third axis, ``S_3 = tanh(alpha B t)``, and keeps its length:
 
     >>> import coadjoint as co
     >>> field = co.Polynomial({(0, 0, 1): -1.0})
@@ -110,7 +110,7 @@ class DoubleBracketDamping(Force):
         return reader.on_orbit(self.alpha * np.asarray(self.metric), root, self.noise(system))
 
     def noise(self, system: Any) -> Noise | None:
-        """Return the noise that belongs to the damping; none by default."""
+        """Return the noise that accompanies the damping; none by default."""
         return None
 
 
@@ -120,7 +120,7 @@ def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
 
 
 def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
-    """Return exp(D_v) x, D_v x = sign J(x) v, by its series in substeps."""
+    """Return exp(D_v) x, D_v x = sign J(x) v, by its power series in substeps."""
     D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
     pieces = max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
     for _ in range(pieces):

@@ -1,4 +1,4 @@
-"""Friction of fluids on sphere and torus, the same or another one for each scale."""
+"""Scale-dependent friction of fluids on the sphere and the torus."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
 
 @dataclass(frozen=True)
 class Friction(ModeRates):
-    """Friction that depends on the scale, for a fluid of matrices: ``W' = -rate(l) W`` on the degree l, solved exactly.
+    """Scale-dependent friction of a fluid of matrices: ``W' = -rate(l) W`` on the degree l, solved exactly.
 
-    Choose it for drag on large scales alone, or for a filter. Where all scales have the same rate `LinearDamping` takes
-    less time, for `Viscosity` is a class of its own.
+    Choose it for drag on large scales only, or as a filter. If all scales have the same rate, `LinearDamping` is
+    cheaper; for viscous damping use `Viscosity`.
 
     Parameters
     ----------
     rate : float, or callable
-        Rates, in inverse time, or a function of one number: of the degree l on the sphere, of the wave number |n| on
-        the torus. A mode of rate zero is left alone to the last bit. A function is called once for each scale, and need
-        not be compiled.
+        Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number |n| on the torus.
+        A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
     layer : {"vorticity", "carried"}
-        The field on which it acts; of one matrix the vorticity.
+        The field on which it acts; "vorticity" if the state is one matrix.
 
     Raises
     ------
     ValueError, TypeError
-        No finite number, or a function of something else.
+        `rate` is neither a finite number nor a function of one number.
 
     Examples
     --------

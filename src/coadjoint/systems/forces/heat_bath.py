@@ -19,22 +19,22 @@ LARGEST_SEED = 2**62
 
 @dataclass(frozen=True)
 class HeatBath(DoubleBracketDamping):
-    """A heat bath for spins, and for any coadjoint orbit: damping, and the noise of its temperature.
+    """A heat bath for spins, and for any coadjoint orbit: damping and thermal noise.
 
     ``dx = sign J(x) (grad H dt + alpha P sign J(x) grad H dt + sqrt(2 alpha kT) L o dW)`` in the sense of Stratonovich,
-    with L L^T = P and independent Wiener processes W. The stationary density on an orbit is that of Boltzmann,
-    exp(-H/kT), with respect to the symplectic volume of the orbit: for spins the surface of their spheres. In the form
-    of Gilbert with damping a, where H was multiplied by 1/(1 + a^2), multiply the temperature by that too.
+    with L L^T = P and independent Wiener processes W. The stationary density on an orbit is the Boltzmann distribution,
+    exp(-H/kT), with respect to the symplectic volume of the orbit: for spins the area on their spheres. In Gilbert's
+    form with damping a, where H is multiplied by 1/(1 + a^2), multiply the temperature by the same factor.
 
     The flow is half of the noise, the midpoint rule of the damping, and half of the noise, all by exponentials on the
-    orbit: every Casimir is kept to round-off, for every draw. Directions of the noise that commute move together, with
-    the exact law, and the sets of them follow each other symmetrically. So averages have an error of the second order
-    in the step, where the stochastic midpoint rule, which takes all directions at once, has one of the first. The noise
-    is never iterated on, and no increment has to be cut off.
+    orbit: every Casimir is kept to round-off, in every realization. Commuting noise directions are applied together,
+    with the exact distribution, and the sets of them are composed symmetrically. So averages have an error of second
+    order in the step, whereas the stochastic midpoint rule, which takes all directions at once, has order one. The
+    noise enters no iteration, and increments need no truncation.
 
-    The noise is a function of the seed, the number of the member and the time, and of nothing else: the same on any
-    number of threads, with or without other members, however often the run is cut. Two spans that follow each other
-    have different noise. A run backward is refused.
+    The noise is a function of the seed, the number of the member and the time only: it does not depend on the number of
+    threads, on other members, or on how often a run is interrupted and resumed. Consecutive spans have different noise.
+    Runs backward in time raise an error.
 
     Parameters
     ----------
@@ -45,15 +45,15 @@ class HeatBath(DoubleBracketDamping):
     temperature : float
         Boltzmann's constant times the temperature, in units of the energy; zero or positive.
     seed : int
-        Of the noise, from 0 to 2^62. Give one: there is no default, so that no two runs share a noise by accident.
+        Seed of the noise, from 0 to 2^62. It is required, so that no two runs share a noise by accident.
     stream : int
-        The member m of a run has the noise number ``stream + m`` of the seed. With stream=m a member alone has the bits
-        that it has as number m of an ensemble.
+        Member m of a run has the noise number ``stream + m`` of the seed. With stream=m a single run is bit-identical
+        to member m of an ensemble.
 
     Raises
     ------
     ValueError, TypeError
-        Negative, or of another shape, or no finite numbers; no seed.
+        A value is negative, not finite, or of the wrong shape; or the seed is missing.
 
     References
     ----------
@@ -96,11 +96,11 @@ class HeatBath(DoubleBracketDamping):
 
     @property
     def amplitude(self) -> float:
-        """The factor of the Wiener processes, sqrt(2 alpha kT)."""
+        """Factor of the Wiener processes, sqrt(2 alpha kT)."""
         return float(np.sqrt(2.0 * self.alpha * self.temperature))
 
     def noise(self, system: Any) -> Noise | None:
-        """Return the noise of the temperature; none at zero."""
+        """Return the thermal noise; None at temperature zero."""
         if self.amplitude == 0.0:
             return None
         return Noise(self.amplitude, self.seed, self.stream, commuting_sets(system.algebra, self.metric))
@@ -112,7 +112,7 @@ class HeatBath(DoubleBracketDamping):
         return self._shaken(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
 
     def _shaken(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
-        """Return the state after half of the noise, set by set; in the second half the other way."""
+        """Apply half of the noise, set by set; the second half uses the reverse order."""
         noise = self.noise(system)
         if noise is None:
             return x
@@ -126,25 +126,7 @@ class HeatBath(DoubleBracketDamping):
 
 
 def commuting_sets(algebra: Any, metric: Plain) -> tuple[tuple[int, ...], ...]:
-    """Return the directions of a noise as sets that commute: of the basis, first fit; else one column of the root each.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra.
-    metric : float, (n,) or (n, n)
-        Of the damping that belongs to the noise.
-
-    Returns
-    -------
-    tuple of tuple of int
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> commuting_sets(co.algebras.copies(co.algebras.so(3), 2), 1.0)
-    ((0, 3), (1, 4), (2, 5))
-    """
+    """Partition noise directions into commuting sets: basis elements by first fit, else one column of the root each."""
     root = root_of(metric, "metric")
     if root.ndim == 2:
         return tuple((a,) for a in range(algebra.dim) if np.any(root[:, a]))

@@ -1,4 +1,4 @@
-"""Linear damping towards a state."""
+"""Linear damping towards a given state."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from coadjoint.systems.forces.matrices import (
 
 @dataclass(frozen=True)
 class LinearDamping(Force):
-    """Linear damping towards a state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
+    """Linear damping towards a given state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
 
-    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also for a rate that is large against the step. It
-    breaks energy and Casimirs. Where the length of a spin is to stay, take `DoubleBracketDamping`.
+    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also if rate times step is large. It keeps neither
+    energy nor Casimirs. To keep the length of a spin use `DoubleBracketDamping`.
 
     Parameters
     ----------
     rate : float, (n,) or (n, n) array_like
-        Rates, in inverse time. A matrix need not be symmetric. Negative rates feed.
+        Rates (1/time). A matrix need not be symmetric. Negative rates amplify.
     toward : float, (n,) or (N, N) array_like
-        The state where the damping vanishes; a number stands for all coordinates. Of a `MatrixSystem` it is a matrix,
-        or zero, and the rate a number.
+        The state where the damping vanishes; a number applies to all coordinates. For a `MatrixSystem` it is a matrix
+        or zero, and the rate is a number.
 
     Raises
     ------
     ValueError, TypeError
-        Of another shape, or no finite numbers.
+        A value is not finite or of the wrong shape.
 
     Examples
     --------
-    A symmetric body whose spin about its axis dies out:
+    A symmetric body whose spin about its axis decays:
 
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 1, 2)).with_forces(co.forces.LinearDamping(0.1))
@@ -61,8 +61,8 @@ class LinearDamping(Force):
     def check(self, system: Any) -> None:
         if moves_matrices(system) and np.ndim(self.rate):
             raise ValueError(
-                f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, and "
-                "Friction has rates of their own for scales"
+                f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "
+                "Friction for scale-dependent rates"
             )
         check_dimension(self.rate, "rate of LinearDamping", system)
         check_state(self.toward, "toward of LinearDamping", system)
@@ -76,7 +76,7 @@ class LinearDamping(Force):
         rate, away = np.asarray(self.rate), np.asarray(x) - numbers_of(self.toward, system)
         if rate.ndim == 2:
             n = len(rate)
-            # The last column of this exponential is what the flow does to a state, less the state.
+            # The last column of this exponential is the displacement of the state by the flow.
             whole = np.zeros((n + 1, n + 1))
             whole[:n, :n], whole[:n, n] = -tau * rate, -tau * (rate @ away)
             return np.asarray(x + expm(whole)[:n, n])

@@ -1,4 +1,4 @@
-"""Rates and metrics of forces: a number, a diagonal, or a matrix; read, kept as plain numbers, applied."""
+"""Rates and metrics of forces (number, diagonal or matrix): validation, storage as plain numbers, application."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Plain = float | tuple[Any, ...]
 
 
 def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
-    """Return a number, a vector or a square matrix as floats in tuples, or refuse it.
+    """Validate a number, a vector or a square matrix, and return it as floats in nested tuples.
 
     Examples
     --------
@@ -33,14 +33,14 @@ def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) 
 
 
 def read_state(given: Any, what: str, number: bool = False) -> Any:
-    """Return a vector, or a state of a system of matrices, in tuples; where that is asked for a number as well.
+    """Validate a vector or a matrix state (with `number` also a scalar), and return it as nested tuples.
 
     Examples
     --------
     >>> read_state([[0, 1j], [1j, 0]], "torque")
     ((0j, 1j), (1j, 0j))
     """
-    if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # as records have it
+    if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # the form used in records
         given = read_finite(given["real"], what) + 1j * read_finite(given["imaginary"], what)
     matrix = array_given(given, what, "iufc")
     if matrix.ndim not in (2, 3):
@@ -52,12 +52,12 @@ def read_state(given: Any, what: str, number: bool = False) -> Any:
 
 
 def moves_matrices(system: Any) -> bool:
-    """Return whether a state of a system is a matrix."""
+    """Return whether the state of a system is a matrix."""
     return hasattr(system, "from_vector")
 
 
 def check_state(given: Any, what: str, system: Any) -> None:
-    """Refuse a state that is none of a system; a number that stands for all coordinates must be zero for matrices."""
+    """Raise an error if a state does not belong to a system; a scalar must be zero for systems of matrices."""
     shape = np.shape(given)
     if moves_matrices(system):
         if shape or given != 0.0:
@@ -69,14 +69,14 @@ def check_state(given: Any, what: str, system: Any) -> None:
 
 
 def numbers_of(given: Any, system: Any) -> NDArray[np.float64]:
-    """Return a state as its numbers, (n,)."""
+    """Return a state as a vector of real numbers, (n,)."""
     if moves_matrices(system) and np.ndim(given):
         return np.asarray(system.read(given))
     return np.asarray(np.broadcast_to(np.asarray(given, dtype=np.float64), (system.dim,)))
 
 
 def sample_states(system: Any) -> list[NDArray[Any]]:
-    """Return seeded states of different kinds, as functions of a user take them."""
+    """Return seeded sample states of different kinds, in the form in which user functions take them."""
     points = sample_points(system.dim)
     return [system.algebra.projected(system.from_vector(x)) for x in points] if moves_matrices(system) else points
 
@@ -86,31 +86,22 @@ def _in_tuples(entry: Any) -> Any:
 
 
 def check_dimension(given: Plain, what: str, system: Any) -> None:
-    """Refuse a vector or a matrix of another dimension than that of a system."""
+    """Raise an error if a vector or matrix does not have the dimension of a system."""
     shape = np.shape(given)
     if shape and shape[0] != system.dim:
         raise ValueError(f"{what} has the shape {shape}; {system.name} has dimension {system.dim}")
 
 
 def applied(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
-    """Return a number, a diagonal or a matrix times y."""
+    """Return the product of a number, a diagonal or a matrix with y."""
     array = np.asarray(matrix)
     return array @ y if array.ndim == 2 else array * y
 
 
 def root_of(metric: Plain, what: str) -> NDArray[np.float64]:
-    """Return L with L L^T = P: roots of a number or a diagonal, or a lower triangle, found in a fixed order.
+    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor of fixed order of summation.
 
-    Raises
-    ------
-    ValueError
-        P is not symmetric, or not positive semidefinite.
-
-    Examples
-    --------
-    >>> root_of(((4.0, 2.0), (2.0, 5.0)), "metric")
-    array([[2., 0.],
-           [1., 2.]])
+    Raises ValueError unless P is symmetric positive semidefinite.
     """
     P = np.array(metric, dtype=np.float64)
     size = np.max(np.abs(P))

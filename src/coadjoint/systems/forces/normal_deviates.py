@@ -1,4 +1,4 @@
-"""The normal deviates of the kernels, read in NumPy: the same numbers."""
+"""NumPy implementation of the normal deviates of the kernels."""
 
 from __future__ import annotations
 
@@ -9,28 +9,10 @@ from numpy.typing import NDArray
 
 
 def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:
-    """Return independent normal deviates, a function of the seed, the stream, the moment and the part alone.
+    """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part.
 
-    Parameters
-    ----------
-    seed, stream : int
-        From 0 to 2^63 - 1.
-    moment : float
-        A time.
-    part : int
-        Of what begins at that time.
-    count : int
-        How many.
-
-    Returns
-    -------
-    ndarray, shape (count,)
-        By Philox4x64-10 and the inverse of the distribution function, to round-off those of the kernels.
-
-    Examples
-    --------
-    >>> normal_deviates(1, 0, 0.5, 0, 5)[:3].tolist() == normal_deviates(1, 0, 0.5, 0, 3).tolist()
-    True
+    By Philox4x64-10 and the inverse distribution function; equal to those of the kernels to round-off. `part` numbers
+    the draws that begin at the same time.
     """
     from scipy.special import ndtri
 
@@ -40,9 +22,9 @@ def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int
 
 
 def words_of(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.uint64]:
-    """Return the random bits behind the deviates, 64 for each."""
+    """Return the random words of the deviates, 64 bits each."""
     (when,) = struct.unpack("<Q", struct.pack("<d", moment + 0.0))
-    # NumPy raises the counter by one before its first block.
+    # NumPy increments the counter before its first block.
     counter = (((part << 192) | (stream << 128) | (when << 64)) - 1) % (1 << 256)
     words = np.random.Philox(key=seed, counter=counter).random_raw(-(-count // 4) * 4)
     return np.asarray(words[:count], dtype=np.uint64)

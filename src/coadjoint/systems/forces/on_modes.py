@@ -1,4 +1,4 @@
-"""What forces on modes of a matrix have in common: each mode has a rate, or a noise, of its own."""
+"""Base classes of forces on the modes of a matrix, each of which has its own rate or noise."""
 
 from __future__ import annotations
 
@@ -17,13 +17,7 @@ PerMode = list[NDArray[Any]]
 
 
 def modes_of(system: Any, what: str) -> ModeBasis:
-    """Return the modes of a system; refuse one that has none.
-
-    Raises
-    ------
-    ValueError
-        It has none.
-    """
+    """Return the modes of a system; raise ValueError if it has none."""
     found = mode_basis_of(system)
     if found is None:
         raise ValueError(
@@ -34,13 +28,7 @@ def modes_of(system: Any, what: str) -> ModeBasis:
 
 
 def by_scale(given: float | Callable[[Any], Any], scales: NDArray[np.float64], what: str) -> NDArray[np.float64]:
-    """Return a number for each mode: the given one, or that of a function of degrees or wave numbers.
-
-    Raises
-    ------
-    ValueError, TypeError
-        The function returns something else, or numbers that are not finite.
-    """
+    """Return a number for each mode: a constant, or a validated function of the degrees or wave numbers."""
     if not callable(given):
         return np.full(scales.shape, given)
     found = {scale: read_number(given(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
@@ -48,16 +36,16 @@ def by_scale(given: float | Callable[[Any], Any], scales: NDArray[np.float64], w
 
 
 class OnLayer(Force):
-    """A force on the modes of one field: on the vorticity, unless it says otherwise."""
+    """A force on the modes of one field, by default the vorticity."""
 
     layer: str
 
     def read_layer(self) -> None:
-        """Check which field it is."""
+        """Validate the field."""
         object.__setattr__(self, "layer", read_choice(self.layer, f"layer of {self.label}", LAYERS))
 
     def place(self, system: Any) -> int:
-        """Return where the field stands in a state."""
+        """Return the index of the field in a state."""
         return place_of_layer(system, self.layer)
 
     def matrix(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
@@ -66,43 +54,28 @@ class OnLayer(Force):
         return np.asarray(state if state.ndim == 2 else state[self.place(system)])
 
     def moved(self, system: Any, W: NDArray[Any]) -> NDArray[Any]:
-        """Return the numbers of a state of which the field is this one, and others are zero."""
+        """Return the vector of a state with this field, and zero in the others."""
         state = np.zeros(system.shape, dtype=W.dtype)
         state[self.place(system) if state.ndim == 3 else ...] = W
         return np.asarray(system.to_vector(state))
 
 
 class ModeRates(OnLayer):
-    """A force under which every mode moves by itself, ``c' = -rate c``, exactly; a complex rate turns it.
+    """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase.
 
-    On a rotating sphere, whose state is the absolute vorticity, c is that of the relative one.
+    On a rotating sphere, whose state is the absolute vorticity, c is the mode of the relative vorticity.
     """
 
     @abstractmethod
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        """Return the rates of modes of a diagonal.
-
-        Parameters
-        ----------
-        modes : ModeBasis
-            The modes of the system.
-        d : int
-            The diagonal.
-        numbers : (k,) array
-            Those of the modes.
-
-        Returns
-        -------
-        (k,) array
-            Real or complex.
-        """
+        """Return the real or complex rates, (k,), of the modes `numbers`, (k,), of diagonal d."""
 
     def check(self, system: Any) -> None:
         self._chosen(modes_of(system, self.label))
         self.place(system)
 
     def _chosen(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
-        """Return the numbers of the modes that the force moves, and their rates, diagonal after diagonal."""
+        """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
         numbers, rates = [], []
         for d in range(modes.diagonals):
             every = modes.numbers(d)
@@ -124,7 +97,7 @@ class ModeRates(OnLayer):
         return self.moved(system, modes.matrix(moved, chosen))
 
     def _still(self, system: Any) -> NDArray[Any] | None:
-        """Return the state that is at rest in the frame, where that is not zero."""
+        """Return the state at rest in the frame, or None if it is zero."""
         absolute = getattr(system, "absolute", None)
         if absolute is None or self.layer != "vorticity":
             return None

@@ -1,4 +1,4 @@
-"""A force that is given as the function of its flow."""
+"""A force given by the function of its flow."""
 
 from __future__ import annotations
 
@@ -21,31 +21,32 @@ MOMENT = 2.0**-12
 
 @dataclass(frozen=True)
 class OwnForce(Force):
-    """A force of your own, given as the function of its flow.
+    """A custom force, given by the function of its flow.
 
-    Choose it where the flow is known in closed form, or where no other force fits. A torque that is known only as a
-    function of the state is a `Torque`.
+    Choose it if the flow is known in closed form, or if no other force fits. For a torque known only as a function of
+    the state use `Torque`.
 
     Parameters
     ----------
     function : callable
-        Pure function of ``(x, t, tau)``: where the force alone moves the state x, shape (n,) or (N, N), from the time
-        t on in the time tau, which is negative in runs backward. Compiled by Numba. For a time zero it returns x.
+        Pure function of ``(x, t, tau)`` that returns the flow of the force: the state reached from x, shape (n,) or
+        (N, N), at time t after the duration tau, which is negative in runs backward. For tau = 0 it returns x. Compiled
+        by Numba.
     name : str
-        What it is called in balances and messages.
+        Name in balances and messages.
     keeps_casimirs : bool
-        Whether it keeps every Casimir; then none is balanced for it.
+        Whether it keeps every Casimir; balances then omit the Casimirs for it.
     backward : bool
-        Whether it may run backward.
+        Whether it can run backward in time.
 
     Raises
     ------
     TypeError, ValueError
-        No such function, or no name.
+        Not a function of these arguments, or not a valid name.
 
     Examples
     --------
-    Friction that grows with the square of the momentum, on each axis, ``x_i' = -|x_i| x_i``:
+    Friction quadratic in the momentum along each axis, ``x_i' = -|x_i| x_i``:
 
     >>> import coadjoint as co
     >>> import numpy as np
@@ -71,17 +72,17 @@ class OwnForce(Force):
 
     @property
     def label(self) -> str:
-        """The name that was given."""
+        """The given name."""
         return self.name
 
     @property
     def casimirs(self) -> bool:  # type: ignore[override]
-        """As it was given."""
+        """Whether every Casimir is kept, as given by `keeps_casimirs`."""
         return self.keeps_casimirs
 
     @property
     def reversible(self) -> bool:  # type: ignore[override]
-        """As it was given."""
+        """Whether it can run backward in time, as given by `backward`."""
         return self.backward
 
     def check(self, system: Any) -> None:
@@ -91,7 +92,7 @@ class OwnForce(Force):
             try:
                 with np.errstate(all="ignore"):
                     found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (MOMENT, 0.0))
-            except Exception as error:  # at a point outside its domain a function of the user may raise anything
+            except Exception as error:  # outside its domain a user function may raise anything
                 failure = in_one_line(str(error), 200)
                 continue
             for result in (found, still):
@@ -103,12 +104,12 @@ class OwnForce(Force):
                 if moves_matrices(system) and np.all(np.isfinite(result)):
                     system.read(result, f"what the flow of {self.name} returns")
             if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
-                raise ValueError(f"the flow of {self.name} moves a state in no time; for tau = 0 it must return x")
+                raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x then")
             return
         raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        """Return the derivative of the flow at the start, by Richardson's central differences.
+        """Return the derivative of the flow at tau = 0, by Richardson-extrapolated central differences.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""White noise on a band of scales of a fluid."""
+"""White-noise forcing of a band of scales of a fluid."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, str
 
 @dataclass(frozen=True)
 class RandomForcing(OnLayer):
-    """White noise in time on a band of scales of a fluid of matrices, which adds energy at a known mean rate.
+    """White noise in time on a band of scales of a fluid of matrices, with a known mean rate of energy input.
 
-    Every mode of the band, its real and its imaginary part by themselves, has a Wiener process of its own, and all have
-    the same share of the energy: the noise is isotropic. Its flow has the exact law, since nothing else moves W in it.
-    The mean of the energy, as ``system.energy`` has it, grows by `energy_rate` per time, that of
-    ``tr W^2 = sum of |W_ij|^2`` by twice that times the mean eigenvalue of minus the Laplacian over the band.
+    The real and the imaginary part of every mode of the band have independent Wiener processes, with equal shares of
+    the energy: the noise is isotropic. Its flow is exact in distribution.
+    The mean of the energy, as returned by ``system.energy``, grows at `energy_rate`; that of
+    ``tr W^2 = sum of |W_ij|^2`` grows at twice that times the mean eigenvalue of minus the Laplacian over the band.
 
     Parameters
     ----------
     energy_rate : float
-        Mean rate, not negative, of the energy of the system over time.
+        Mean rate of energy input (energy/time), not negative.
     band : (float, float)
-        Lowest and highest degree l, or wave number |n|, both of which belong to it.
+        Lowest and highest degree l, or wave number |n|, inclusive.
     seed : int
-        The same seed gives the same noise, in any company; from 0 to 2^62.
+        Seed of the noise, from 0 to 2^62; the noise does not depend on other forces or members.
     stream : int
-        That of the first member; member m of an ensemble has the noise of ``stream + m``.
+        Stream of the first member; member m of an ensemble has the noise of ``stream + m``.
     layer : {"vorticity", "carried"}
-        The field on which it acts; of one matrix the vorticity.
+        The field on which it acts; "vorticity" if the state is one matrix.
 
     Raises
     ------
     ValueError, TypeError
-        A negative rate, no band, or no seed.
+        A negative rate, an invalid band, or an invalid seed.
 
     Examples
     --------
@@ -84,16 +84,16 @@ class RandomForcing(OnLayer):
         raise TypeError("RandomForcing is a noise, which has no field; it feeds energy in at energy_rate")
 
     def _chosen(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
-        """Return the numbers of the modes in the band, and their amplitudes, diagonal after diagonal.
+        """Return the numbers of the modes in the band, and their amplitudes, by diagonal.
 
-        Of waves of the main diagonal those of n1 > 0 are taken, the others being their conjugates.
+        On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
         """
         numbers: list[Numbers] = []
         energies: PerMode = []
         stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
         self.place(system)
         if stream is None:
-            raise ValueError(f"the carried field of {system.name} has no energy, which RandomForcing is to feed in")
+            raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
         waves, parts = modes.kind == Waves.kind, 0
         for d in range(modes.diagonals):
             every = modes.numbers(d)
@@ -107,7 +107,7 @@ class RandomForcing(OnLayer):
             raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")
         if not all(np.all(energy > 0.0) for energy in energies):
             raise ValueError(f"the energy of {system.name} is not positive in the band {self.band} of RandomForcing")
-        # energy |c|^2 / 2 for each part: the real one, and the imaginary one where there are two
+        # energy |c|^2 / 2 for each part: real, and imaginary if there are two
         return numbers, [np.sqrt(2.0 * self.energy_rate / parts / energy) for energy in energies]
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""A torque: constant, or a function of time, or of state and time."""
+"""A torque: constant, or a function of time, of the state, or of both."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from coadjoint.systems.forces.matrices import check_state, moves_matrices, numbe
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
 from coadjoint.wording import shown_fields
 
-# Nodes and weights of Gauss' formula with five points on (-1, 1).
+# Nodes and weights of the five-point Gauss-Legendre rule on (-1, 1).
 NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)
 WEIGHTS = (0.23692688505618908, 0.47862867049936647, 0.5688888888888889, 0.47862867049936647, 0.23692688505618908)
 
 
 @dataclass(frozen=True)
 class Torque(Force):
-    """A torque in the frame of the body, ``x' = N``: a thruster, a motor, a control law, radiation pressure.
+    """A torque in the body frame, ``x' = N``: a thruster, a motor, a control law, radiation pressure.
 
-    The flow of a constant torque is exact. That of a function of time is its integral by Gauss' formula with five
-    points, exact for polynomials of degree nine. That of a function of the state is a step of the classical method of
-    Runge and Kutta, whose error is of the fifth order in the step, below that of the splitting.
+    The flow of a constant torque is exact. That of a function of time is its integral by the five-point Gauss-Legendre
+    rule, exact for polynomials of degree nine. That of a function of the state is a step of the classical fourth-order
+    Runge-Kutta method, whose local error is of fifth order in the step, below that of the splitting.
 
-    A function is pure, and is compiled by Numba as those of a `Hamiltonian` are.
+    A function must be pure; Numba compiles it, as those of a `Hamiltonian`.
 
     Parameters
     ----------
     torque : (n,) or (N, N) array_like, or callable
         The torque, or a function of ``t``, of ``x``, or of ``(x, t)`` that returns it, shape (n,). A function of one
-        argument is one of the time where that argument is named ``t``. Of a `MatrixSystem` the torque and x are
-        matrices (N, N), and the torque one of the algebra.
+        argument is a function of time if that argument is named ``t``. For a `MatrixSystem` the torque and x are
+        matrices (N, N), and the torque lies in the algebra.
 
     Raises
     ------
     ValueError, TypeError
-        Of another shape, no finite numbers, or a function of other arguments.
+        Values that are not finite or of the wrong shape, or a function of other arguments.
 
     Examples
     --------
@@ -63,12 +63,12 @@ class Torque(Force):
         return shown_fields(self)
 
     def _arguments(self) -> str:
-        """Return what the function takes: "t", "x" or "x, t"."""
+        """Return the arguments of the function: "t", "x" or "x, t"."""
         if takes_time(self.torque, "the torque"):
             return "x, t"
         try:
             first = next(iter(inspect.signature(getattr(self.torque, "py_func", self.torque)).parameters), "x")
-        except ValueError:  # a function of Python itself, which knows no time
+        except ValueError:  # a built-in function without a signature takes no time
             first = "x"
         return "t" if first == "t" else "x"
 
@@ -81,7 +81,7 @@ class Torque(Force):
             try:
                 with np.errstate(all="ignore"):
                     value = self.torque(*_given(arguments, x, SAMPLE_TIME))
-            except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # perhaps outside its domain
+            except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
                 failure = in_one_line(str(reason), 200)
                 continue
             if moves_matrices(system):

@@ -1,4 +1,4 @@
-"""Viscosity of fluids on sphere and torus."""
+"""Viscosity of fluids on the sphere and the torus."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ HIGHEST = 32
 
 @dataclass(frozen=True)
 class Viscosity(ModeRates):
-    """Viscosity, or hyperviscosity, of a fluid of matrices: ``W' = -nu A^power W``, A minus the Laplacian.
+    """Viscosity or hyperviscosity of a fluid of matrices: ``W' = -nu A^power W``, A minus the Laplacian.
 
     On the torus A is |n|^2 on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the rate
-    of strain: a solid rotation has no strain, is spared, and the angular momentum is kept. With ``rotation=True`` it is
-    l(l + 1), and rotations decay, as it is of a carried field, where it is diffusion, or resistivity. The flow is exact
-    in every mode, however large the rate.
+    of strain: a solid rotation has no strain and does not decay, so the angular momentum is kept. With
+    ``rotation=True``, and for a carried field (diffusion, resistivity), it is l(l + 1), and solid rotations decay. The
+    flow is exact in every mode, for any rate.
 
     Parameters
     ----------
     nu : float
-        Viscosity, not negative: in squared lengths per time for ``power=1``, the radius of the sphere and the length of
-        the torus over 2 pi being the unit.
+        Viscosity, not negative (length^2/time for ``power=1``); the unit of length is the radius of the sphere, or the
+        side of the torus over 2 pi.
     power : int
-        1 of viscosity, more of hyperviscosity, up to 32.
+        1 for viscosity, 2 to 32 for hyperviscosity.
     rotation : bool
-        Of the sphere: whether solid rotations decay as well.
+        On the sphere: whether solid rotations decay as well.
     layer : {"vorticity", "carried"}
-        The field on which it acts; of one matrix the vorticity.
+        The field on which it acts; "vorticity" if the state is one matrix.
 
     Raises
     ------
     ValueError, TypeError
-        A number that is none of these.
+        An argument has the wrong type or is out of range.
 
     References
     ----------
@@ -79,5 +79,5 @@ class Viscosity(ModeRates):
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         spared = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
-        with np.errstate(over="ignore"):  # what decays at an infinite rate is gone
+        with np.errstate(over="ignore"):  # modes of infinite rate become zero
             return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - spared) ** self.power)

@@ -1,4 +1,4 @@
-"""What the fluids on sphere and torus have in common: modes, grids, spectra and initial states."""
+"""Base class of ideal fluids on the sphere and the torus: modes, grids, spectra and initial states."""
 
 from __future__ import annotations
 
@@ -16,19 +16,18 @@ Complexes = npt.NDArray[np.complex128]
 
 
 class FluidSystem(MatrixSystem):
-    """An ideal fluid on a closed surface, with the ways between matrices W, modes of the vorticity and grids.
+    """An ideal fluid on a closed surface, with conversions between matrices W, modes of the vorticity and grids.
 
-    The vorticity is counted counterclockwise, seen from outside of the sphere, or from above the torus with x to the
+    The vorticity is positive counterclockwise, seen from outside the sphere, or from above the torus with x to the
     right and y up. A state W is a vorticity in physical units: lengths are those of the unit sphere, or of a torus of
     side 2 pi, and the time of ``W' = [P, W]`` is the time of ``d omega/dt + u . grad omega = 0``.
 
-    The ways between W, modes and grids are linear, and serve every scalar field. The initial states
-    (`random`, `blobs`, `patches`, `zonal_jet`, ...) are those of the vorticity that is seen on the rotating sphere:
-    they return ``absolute(W)``.
+    The conversions are linear and apply to every scalar field. The initial states (`random`, `blobs`, `patches`,
+    `zonal_jet`, ...) describe the vorticity relative to a rotating sphere and return ``absolute(W)``.
     """
 
     states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
-    """Methods that make a state; configuration files name them."""
+    """Methods that return a state, available by name in configuration files."""
 
     random = initial_states.random
     blobs = initial_states.blobs
@@ -37,19 +36,19 @@ class FluidSystem(MatrixSystem):
 
     @abstractmethod
     def mode_array(self, W: Any) -> Complexes:
-        """Return the modes of matrices (..., N, N) as an array (..., N, N), which `from_modes` takes.
+        """Return the modes of matrices (..., N, N) as an array (..., N, N), which `from_modes` accepts.
 
         On the sphere its entry [l, m], m >= 0, is the coefficient of Y_lm; on the torus the entry [n1, n2] is w_n, both
-        counted mod N.
+        indices mod N.
         """
 
     @abstractmethod
     def from_modes(self, modes: Any) -> Complexes:
-        """Return W of modes, a mapping or an array as `mode_array` returns it."""
+        """Return the matrix W of modes, given as a mapping or as an array in the form of `mode_array`."""
 
     @abstractmethod
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
-        """Return the modes of one matrix W, those that are not zero to round-off."""
+        """Return the modes of one matrix W that are nonzero beyond round-off."""
 
     @abstractmethod
     def grid(self, shape: Any = None) -> tuple[Floats, Floats]:
@@ -61,63 +60,63 @@ class FluidSystem(MatrixSystem):
 
     @abstractmethod
     def from_grid(self, values: Any) -> Complexes:
-        """Return W of the values of a field at the points of a grid, without its mean."""
+        """Return the matrix W of the values of a field at the points of a grid; the mean is removed."""
 
     @property
     @abstractmethod
     def area(self) -> float:
-        """That of the surface."""
+        """Area of the surface."""
 
     @property
     @abstractmethod
     def complete_degree(self) -> int:
-        """The largest degree, or wave number, of which every mode is resolved."""
+        """Largest degree, or wave number, of which every mode is resolved."""
 
     @property
     @abstractmethod
     def degrees(self) -> npt.NDArray[np.int64]:
-        """Of each entry of `mode_array` the degree l, or the wave number |n|, rounded; 0 where nothing stands."""
+        """Degree l, or wave number |n| rounded, of each entry of `mode_array`; 0 for unused entries."""
 
     @property
     @abstractmethod
     def eigenvalues(self) -> Floats:
-        """Of each entry of `mode_array` that of minus the Laplacian, l(l + 1) or |n|^2."""
+        """Eigenvalue of minus the Laplacian for each entry of `mode_array`, l(l + 1) or |n|^2."""
 
     @property
     @abstractmethod
     def squares(self) -> Floats:
-        """Of each entry of `mode_array` what its absolute square adds to the integral of the square of the field."""
+        """Weight of the absolute square of each entry of `mode_array` in the integral of the squared field."""
 
     @abstractmethod
     def random_modes(self, rng: np.random.Generator, last: int) -> Complexes:
-        """Return a mode array of independent normal numbers of variance one for all degrees up to the last one."""
+        """Return a mode array of independent standard normal numbers for all degrees up to `last`."""
 
     @abstractmethod
     def point_modes(self, places: Floats, strengths: Floats) -> Complexes:
-        """Return the mode array of a sum of delta functions at places (k, 2) with strengths (k,)."""
+        """Return the mode array of a sum of delta functions at points (k, 2) with strengths (k,)."""
 
     @abstractmethod
     def disc_profile(self, radius: float) -> Floats:
-        """Return what multiplies the modes of a delta function to make a disc of value one about its point."""
+        """Return the factors from the modes of a delta function to those of a disc of value one about its point."""
 
     @abstractmethod
     def read_places(self, places: Any, what: str) -> Floats:
-        """Return places (k, 2) on the surface, checked."""
+        """Validate points (k, 2) on the surface."""
 
     @abstractmethod
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Complexes:
-        """Return W of values at the points of a grid that is told by its coordinates, in radians."""
+        """Return W of values at the points of a grid given by its coordinates, in radians."""
 
     def relative(self, W: Any) -> Complexes:
-        """Return the matrix of the vorticity that is seen in the rotating frame, from that of the absolute one, W."""
+        """Return the matrix of the vorticity relative to the rotating frame, from the absolute one, W."""
         return np.array(self.matrices(W))
 
     def absolute(self, W: Any) -> Complexes:
-        """Return the state W of a vorticity that is seen in the rotating frame: the inverse of `relative`."""
+        """Return the state W of a vorticity relative to the rotating frame; inverse of `relative`."""
         return np.array(self.matrices(W))
 
     def energy_spectrum(self, W: Any) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Return the kinetic energy of the flow, degree by degree, the integral of |u|^2/2 over the surface.
+        """Return the kinetic energy of the flow by degree, the integral of |u|^2/2 over the surface.
 
         Parameters
         ----------
@@ -127,24 +126,23 @@ class FluidSystem(MatrixSystem):
         Returns
         -------
         degrees : (k,) array
-            Degrees l of the sphere; wave numbers of the torus, of which each has the modes with |n| from k - 1/2 to
-            k + 1/2.
+            Degrees l on the sphere; wave numbers k on the torus, each with the modes of |n| from k - 1/2 to k + 1/2.
         energy : (..., k) array
         """
         return self.spectrum_of_modes(self.mode_array(self.relative(W)), self.energy_weights)
 
     def enstrophy_spectrum(self, W: Any) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Return the enstrophy degree by degree, the integral of omega^2/2 over the surface, as `energy_spectrum`."""
+        """Return the enstrophy by degree, the integral of omega^2/2 over the surface, as `energy_spectrum`."""
         return self.spectrum_of_modes(self.mode_array(self.relative(W)), 0.5 * self.squares)
 
     @property
     def energy_weights(self) -> Floats:
-        """Of each entry of `mode_array` what its absolute square adds to the kinetic energy."""
+        """Weight of the absolute square of each entry of `mode_array` in the kinetic energy."""
         inside = self.degrees > 0
         return np.where(inside, 0.5 * self.squares / np.where(inside, self.eigenvalues, 1.0), 0.0)
 
     def spectrum_of_modes(self, modes: Complexes, weights: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Return degrees from 1 on, and the sums over each of the weighted absolute squares of modes (..., N, N)."""
+        """Return the degrees from 1, and the sums over each of the weighted absolute squares of modes (..., N, N)."""
         number = self.degrees.ravel()
         count = int(number.max()) + 1
         each = weights * (modes.real**2 + modes.imag**2)

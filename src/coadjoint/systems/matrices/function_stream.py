@@ -1,4 +1,4 @@
-"""A stream that is a function of the user: P = f(W) or f(W, t), linear or not."""
+"""A stream given by a user function, P = f(W) or f(W, t), linear or nonlinear."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ Matrix = npt.NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class FunctionStream:
-    """P = f(W), or f(W, t), by a Python function of one matrix.
+    """P = f(W), or f(W, t), given by a Python function of one matrix.
 
-    Compiled loops call machine code where Numba compiles the function, else Python.
+    Compiled loops call machine code if Numba can compile the function, otherwise Python.
 
     Parameters
     ----------
     function : callable
-        Of a matrix (N, N), real or complex as the algebra is, or of a matrix and the time; pure.
+        Pure function of a matrix (N, N), real or complex like the algebra, or of a matrix and the time.
     traceless : tuple of (int, int)
-        Blocks, from which row to which, whose matrices have trace zero. The stages of a step have a trace there, which
-        is taken off before the function is called: only so is a step a Poisson map.
+        Ranges of rows of the blocks whose matrices have trace zero. The stages of a step have a trace there, which is
+        removed before the function is called: otherwise a step would not be a Poisson map.
 
     Raises
     ------
     TypeError
-        No such function.
+        Not a function of these arguments.
 
     Examples
     --------
@@ -69,12 +69,12 @@ class FunctionStream:
         return found
 
     def checked(self, P: Any, W: Matrix) -> Matrix:
-        """Return what the function returned, as a matrix like W; refuse something else.
+        """Validate the returned value, and return it as a matrix like W.
 
         Raises
         ------
         TypeError
-            Of another shape, or no numbers of the kind that W has.
+            Another shape, or another type of numbers than that of W.
         """
         right = "iufc" if np.iscomplexobj(W) else "iuf"
         found = array_given(P, "what the stream returns", right)

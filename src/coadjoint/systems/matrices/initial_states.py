@@ -1,4 +1,4 @@
-"""Initial states of fluids, each by one line: random fields, blobs, patches, files. Methods of every `FluidSystem`."""
+"""Initial states of fluids (random fields, blobs, patches, files), as methods of every `FluidSystem`."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 WIDEST = 1e100
-"""Widths beyond this one smooth away as much as this one does, and have no square in float64."""
+"""Upper limit of widths, whose squares would overflow; the smoothing is already complete."""
 USUAL = (2, 10)
-"""First and last degree of a random field of which nothing else is said."""
+"""First and last degree of a random field by default."""
 
 
 def random(
@@ -37,22 +37,22 @@ def random(
 ) -> Complexes:
     """Return the state of a random smooth vorticity with a given spectrum.
 
-    The modes of a degree point in a random direction, evenly distributed; how much a degree has is not random. Numbers
-    are drawn degree by degree, so that one seed is one field for every N that resolves it.
+    The vector of the modes of each degree has a uniformly distributed random direction and a prescribed length. Numbers
+    are drawn degree by degree, so a seed determines the same field for every N that resolves it.
 
     Parameters
     ----------
     seed : int
-        Of NumPy's default generator.
+        Seed of NumPy's default generator.
     degrees : (int, int), optional
-        First and last degree, on the torus wave number, that is not zero. Without it 2 to 10, or as far as N reaches;
-        with a spectrum all that has.
+        First and last degree (on the torus wave number) that is not zero. By default 2 to 10, or up to the largest
+        that N resolves; with a spectrum all degrees of it.
     spectrum : callable or array_like, optional
-        The energy of each degree: ``spectrum(l)`` of an array of degrees, or ``spectrum[l]``. Without it every mode has
+        The energy of each degree: ``spectrum(l)`` of an array of degrees, or ``spectrum[l]``. By default every mode has
         the same share of the enstrophy.
     energy, enstrophy : float, optional
-        The field is multiplied so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value.
-        Without both, and without a spectrum, the vorticity has a root mean square of 1.
+        The field is scaled so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value.
+        With neither, and without a spectrum, the vorticity has a root mean square of 1.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def random(
     Raises
     ------
     TypeError, ValueError
-        Degrees that N does not resolve, a spectrum that is negative or zero, energy and enstrophy together.
+        Degrees that N does not resolve, a spectrum that is negative or zero, or both energy and enstrophy given.
 
     Examples
     --------
@@ -89,20 +89,20 @@ def random(
 
 
 def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
-    """Return the state of round blobs of vorticity: what is left of point vortices when they have diffused for a while.
+    """Return the state of round blobs of vorticity, diffused point vortices.
 
-    On the torus, and near enough on the sphere, each is a Gaussian. The vorticity of a flow on a closed surface has no
-    mean: strength over area is taken off everywhere, so that the total is zero.
+    On the torus, and approximately on the sphere, each is a Gaussian. The vorticity of a flow on a closed surface has
+    zero mean: strength over area is subtracted everywhere.
 
     Parameters
     ----------
     places : (k, 2) array_like
         Latitudes and longitudes in radians; x and y on the torus.
     strengths : float or (k,) array_like
-        Circulations: the integral of the vorticity of each blob.
+        Circulations, the integrals of the vorticity of each blob.
     widths : float or (k,) array_like
-        Standard deviations in radians. A narrow one shows as ripples: take pi over the largest degree
-        that N resolves, or more.
+        Standard deviations in radians. Narrow blobs cause ripples: use at least pi over the largest degree that N
+        resolves.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comp
 def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
     """Return the state of round patches of constant vorticity.
 
-    The mean of the vorticity is taken off everywhere, so that the total is zero.
+    The mean of the vorticity is subtracted, so that the total is zero.
 
     Parameters
     ----------
@@ -137,10 +137,10 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     radii : float or (k,) array_like
         Distances from centre to edge along the surface, in radians, below pi.
     vorticities : float or (k,) array_like
-        What they have inside.
+        Vorticities inside the patches.
     edge : float, optional
-        Standard deviation of the Gaussian by which edges are smoothed, in radians; without it pi over the largest
-        degree that N resolves. Zero gives the ripples of a cut series.
+        Standard deviation of the Gaussian that smooths edges, in radians; by default pi over the largest degree that N
+        resolves. Zero leaves the ripples of a truncated series.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     """
     sigma = np.pi / system.complete_degree if edge is None else read_number(edge, "edge")
     if sigma < 0.0:
-        raise ValueError(f"edge is {sigma:g}; give a width from 0 up")
+        raise ValueError(f"edge is {sigma:g}; give a width of at least 0")
     names = "patches", "vorticities", "radii"
     found = _sum_about_points(system, names, places, vorticities, radii, system.disc_profile, sigma)
     return system.absolute(system.from_modes(found))
@@ -171,18 +171,18 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
 def from_file(
     system: FluidSystem, path: str | Path, *, variable: str | None = None, select: Mapping[str, int] | None = None
 ) -> Complexes:
-    """Return the state that is read from a file.
+    """Return the state read from a file.
 
     Parameters
     ----------
     path : str or Path
-        ``.npy``: a complex (N, N) array is a state W as it is; a real array holds values of the vorticity at the points
-        of a grid, as `from_grid` takes them. ``.nc``: NetCDF with two coordinates, latitude and longitude in degrees or
-        radians in any order and direction, on the torus x and y.
+        ``.npy``: a complex (N, N) array is a state W; a real array contains values of the vorticity at the points of a
+        grid, as for `from_grid`. ``.nc``: NetCDF with two coordinates, latitude and longitude in degrees or radians in
+        any order and direction, on the torus x and y.
     variable : str, optional
-        Of NetCDF, where it has several.
+        Variable of the NetCDF file, if it has several.
     select : mapping of str to int, optional
-        Of NetCDF the place along each further axis, such as ``{"time": -1}``.
+        Index along each further axis of the NetCDF variable, such as ``{"time": -1}``.
 
     Returns
     -------
@@ -191,9 +191,9 @@ def from_file(
     Raises
     ------
     OSError, TypeError, ValueError
-        The file is not there, or holds nothing of that kind.
+        The file does not exist, or does not contain such data.
     MissingPackageError
-        NetCDF without xarray and h5netcdf.
+        xarray or h5netcdf is needed for NetCDF and is not installed.
     """
     values, coordinates = read_field(path, variable, select)
     if np.iscomplexobj(values):
@@ -212,7 +212,7 @@ def _sum_about_points(
     profile: Callable[[float], Any],
     edge: float | None = None,
 ) -> Complexes:
-    """Return modes of fields about points; of blobs the size is the width, of patches the radius."""
+    """Return the modes of fields about points; `sizes` are the widths of blobs or the radii of patches."""
     points = system.read_places(places, f"places of {names[0]}")
     factors, extents = (
         _one_each(given, len(points), name) for given, name in zip((strengths, sizes), names[1:], strict=True)
@@ -274,7 +274,7 @@ def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
 
 def _scaled(system: FluidSystem, modes: Complexes, energy: Any, enstrophy: Any) -> Complexes:
     if energy is not None and enstrophy is not None:
-        raise ValueError("energy and enstrophy are both given; one of them says how strong the field is")
+        raise ValueError("energy and enstrophy are both given; give only one of them")
     if energy is None and enstrophy is None:
         return modes
     wanted = read_positive(energy, "energy") if enstrophy is None else read_positive(enstrophy, "enstrophy")

@@ -1,4 +1,4 @@
-"""The energy of a matrix system: of its stream, or by a function of the user that the stream must be the slope of."""
+"""Energy of a matrix system, from its stream or by a user function whose gradient is the stream."""
 
 from __future__ import annotations
 
@@ -20,22 +20,14 @@ Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 ROUNDED = 1e-12
-"""Times N: by so much, of the sizes in the problem, two sides of an identity may differ by rounding."""
+"""Times N: relative tolerance for round-off in identities."""
 DIFFERENCE = 2.0**-17
 AGREEMENT = 2.0**-24
-"""Of the sizes: what a central difference may miss, by the third derivative and by rounding."""
+"""Relative tolerance of a central difference, for truncation and round-off."""
 
 
 class MatrixEnergy:
-    """The energy of a matrix system as runs ask for it: of a state as a row of numbers.
-
-    Attributes
-    ----------
-    timed : bool
-        Whether it depends on the time.
-    dim : int
-        How many numbers a state has.
-    """
+    """The energy of a matrix system as a function of states as vectors of `dim` numbers, in the form that runs use."""
 
     def __init__(self, system: MatrixSystem) -> None:
         self._system, self.dim, self.timed = system, system.dim, system.timed
@@ -48,17 +40,17 @@ class MatrixEnergy:
         return self
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> float:
-        """Return it."""
+        """Return H(x, t)."""
         return float(self._system.energy(x, t))
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        """Return its derivatives by the numbers of a state, of its projection on the algebra."""
+        """Return the derivatives with respect to the numbers of a state, projected on the algebra."""
         system = self._system
         P = system.stream_of(system.matrices(x), t)
         return system.energy_sign * system.to_vector(system.algebra.dual(P))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        """Return the second derivatives; refuse where the stream is a function that is not linear."""
+        """Return the second derivatives; raise TypeError if the stream is a nonlinear function."""
         system = self._system
         if not system.linear_stream:
             raise TypeError(
@@ -68,12 +60,12 @@ class MatrixEnergy:
         return system.energy_sign * system.to_vector(system.algebra.dual(system.slope_of(rows, t))).T
 
     def terms(self) -> tuple[Any, ...]:
-        """Return none: the kernels read the stream."""
+        """Return no terms: the kernels evaluate the stream."""
         return ()
 
 
 def checked_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
-    """Return a function for the energy, of the same arguments as the stream; refuse something else."""
+    """Validate a function for the energy, which must have the same arguments as the stream."""
     if energy is None:
         return None
     if takes_time(energy, "energy") != timed:
@@ -85,7 +77,7 @@ def checked_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
 
 
 def samples(system: MatrixSystem) -> list[Matrix]:
-    """Return matrices of the algebra, seeded, of size one."""
+    """Return seeded sample matrices of the algebra, of norm one."""
     rng, shape = np.random.default_rng(1), system.algebra.shape
     drawn = [rng.standard_normal(shape) + 1j * system.complex * rng.standard_normal(shape) for _ in range(2)]
     found = [system.algebra.projected(one) for one in drawn]
@@ -94,12 +86,9 @@ def samples(system: MatrixSystem) -> list[Matrix]:
 
 @QUIET
 def check_stream(system: MatrixSystem) -> None:
-    """Refuse a stream that leaves the algebra, and one that is not what the energy says, at sample matrices.
+    """Raise ValueError if, at sample matrices, the stream leaves the algebra or is inconsistent with the energy.
 
-    Raises
-    ------
-    ValueError
-        Of a linear stream: not symmetric, or not linear. With a function for the energy: not its slope.
+    Without a function for the energy the stream must be linear and symmetric; otherwise it must be its gradient.
     """
     A, B = samples(system)
     P, rounded, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDED * system.algebra.N, system.algebra
@@ -114,7 +103,7 @@ def check_stream(system: MatrixSystem) -> None:
     if not off <= rounded * size:
         raise ValueError(
             "the stream is not linear: stream((A + B)/2) is not the mean of stream(A), stream(B) at sample matrices; "
-            "give energy=, the function whose slope it is"
+            "give energy=, the function whose gradient it is"
         )
     sizes = float(np.sum(np.abs(P.T * B.T)) + np.sum(np.abs(Q * A)))
     if not abs(algebra.pairing(P, B) - algebra.pairing(A, Q)) <= rounded * sizes:
@@ -132,13 +121,13 @@ def _check_slope(system: MatrixSystem, A: Matrix, B: Matrix) -> None:
     size = float(np.sum(np.abs(P) * np.abs(B.T))) + abs(ahead)
     if np.isfinite(seen) and not abs(seen - told) <= AGREEMENT * system.algebra.N * size:
         raise ValueError(
-            f"the stream is not the slope of the energy: along a sample matrix the energy rises by {seen:.6g}, and "
-            f"energy_sign <stream, .> is {told:.6g}"
+            f"the stream is not the gradient of the energy: along a sample matrix the derivative of the energy is "
+            f"{seen:.6g}, and energy_sign <stream, .> is {told:.6g}; correct one of them"
         )
 
 
 def _number(value: Any) -> float:
-    """Return what a function for the energy returned; NaN where that is outside of its domain."""
+    """Return the value of a function for the energy; NaN outside its domain."""
     if not is_real(value):
         raise TypeError(f"energy returns {short(value)} at a sample matrix; it must return one real number")
     try:

@@ -1,4 +1,4 @@
-"""Isospectral motions of matrices, W' = [P, W], P a function of W, linear or not."""
+"""Isospectral systems of matrices, W' = [P, W], with P a linear or nonlinear function of W."""
 
 from __future__ import annotations
 
@@ -27,45 +27,46 @@ Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 POWERS = 5
-"""So many powers of W have their traces followed: the first that do not vanish."""
+"""Number of powers of W whose traces are recorded: the first that do not vanish."""
 MOST_POWERS = 64
 DIGITS = 1e-9
-"""Of the largest eigenvalue: real parts that differ by less stand side by side in the spectrum."""
+"""Relative to the largest eigenvalue: real parts that differ by less are treated as equal in sorting."""
 
 
 class MatrixSystem:
     """A system whose state is a matrix W in a Lie algebra of matrices, ``W' = [P, W]`` with P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
-    The spectrum of W is constant; its invariants are followed as traces of powers, at the saved points.
+    The spectrum of W is constant; runs record its invariants as traces of powers, at the saved points.
 
     Parameters
     ----------
     algebra : MatrixAlgebra
-        Where W lives.
+        The algebra of W.
     stream : Stream or callable
-        P of W: a symmetric linear map, such as `Weights`; or a function of a matrix (N, N), or of a matrix and the
-        time. A function must be linear and symmetric, or the slope of `energy`.
+        P as a function of W: a symmetric linear map, such as `Weights`; or a function of a matrix (N, N), or of a
+        matrix and the time. A function must be linear and symmetric, or the gradient of `energy`.
     linear : array_like, shape (N, N), optional
         A constant matrix of the algebra that is added to P.
     energy : callable, optional
         H without the term of `linear`, a function of a matrix (and the time, if the stream is): ``energy_sign P`` is
-        its slope in the pairing of the algebra. Without it ``H = energy_sign (<P, W>/2 + <linear, W>)``.
+        its gradient in the pairing of the algebra. By default ``H = energy_sign (<P, W>/2 + <linear, W>)``.
     energy_sign : {1, -1}
-        Of the energy.
+        Sign of the energy.
     name : str
-        For messages.
+        Name in messages.
     parameters : mapping, optional
-        What makes a ready-made system again.
+        Parameters for which ``co.systems.get(name, **parameters)`` makes this system again.
     exact : callable, optional
-        ``exact(W0, t)``.
+        Closed form ``exact(W0, t)``, if known.
     powers : int
-        How many traces of powers of W are followed, of each block of a sum, and no more than are independent.
+        Number of traces of powers of W to record, for each block of a sum; at most as many as are independent.
 
     Raises
     ------
     TypeError, ValueError
-        Something else was given, or at sample points the stream leaves the algebra, or is not what the energy says.
+        An argument of the wrong type or shape, or a stream that at sample points leaves the algebra or is inconsistent
+        with the energy.
 
     Examples
     --------
@@ -147,12 +148,12 @@ class MatrixSystem:
 
     @property
     def integrals(self) -> dict[str, Any]:
-        """Name -> further constants of motion: none is known for every such system."""
+        """Name to further constants of motion; empty for a general matrix system."""
         return {}
 
     @property
     def linear_stream(self) -> bool:
-        """Whether the stream is known to be linear: there is no function for the energy."""
+        """Whether the stream is known to be linear, which holds if no function is given for the energy."""
         return self.energy_function is None
 
     @property
@@ -162,14 +163,14 @@ class MatrixSystem:
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:
-        """Name -> function of W, shape (..., N, N), or of its numbers: the traces of its powers."""
+        """Name to function of W, shape (..., N, N), or of its vectors: the traces of powers."""
         return dict(traces_of(self.algebra, self.powers, self.matrices, self.to_vector))
 
     @cached_property
     def in_numbers(self) -> MatrixSystem:
-        """The same system with vectors as states, as `to_vector` makes them, for functions that need coordinates.
+        """The same system with vectors as states, in the form of `to_vector`, for functions that need coordinates.
 
-        Any row of numbers stands for the nearest matrix of the algebra.
+        A vector represents the nearest matrix of the algebra.
         """
         seen = copy.copy(self)
         seen.shape = (self.dim,)
@@ -177,17 +178,17 @@ class MatrixSystem:
         return seen
 
     def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
-        """Return stream(W) for matrices (..., N, N)."""
+        """Return stream(W) for matrices (..., N, N), without the constant term."""
         return np.asarray(self.stream(W, t) if self.timed else self.stream(W))  # type: ignore[call-arg]
 
     def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
-        """Return P = stream(W) + linear, of matrices (..., N, N)."""
+        """Return P = stream(W) + linear for matrices (..., N, N)."""
         P = self.slope_of(self.matrices(W), t)
         return P if self.linear is None else P + self.linear
 
     @property
     def quadratic_casimirs(self) -> tuple[str, ...]:
-        """Names of the quadratic Casimirs for which runs record the work of forces: tr W^2, with one block."""
+        """Names of the quadratic Casimirs for which runs record the work of forces: tr W^2 if there is one block."""
         return tuple(name for name in ("tr W^2", "Re tr W^2") if name in self.casimirs)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
@@ -199,13 +200,13 @@ class MatrixSystem:
         return self.algebra.bracket(Y, X)
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
-        """Return W' of matrices (..., N, N), or of rows of their numbers, in the same form."""
+        """Return W' for matrices (..., N, N) or vectors, in the same form."""
         W = self.matrices(x)
         found = self.algebra.bracket(self.stream_of(W, t), W)
         return self.to_vector(found) if self.is_in_numbers(x) else found
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
-        """Return H of matrices (..., N, N), or of rows of their numbers."""
+        """Return H of matrices (..., N, N) or of vectors."""
         W, pairing = self.matrices(x), self.algebra.pairing
         if self.energy_function is None:
             found = 0.5 * self.energy_sign * pairing(self.slope_of(W, t), W)
@@ -218,22 +219,22 @@ class MatrixSystem:
         return float(found) if np.ndim(found) == 0 else found
 
     def structure_matrix(self, x: Any) -> Floats:
-        """Return J of a state, (n, n) for its n numbers: x' = J(x) grad H(x), on the algebra and zero beside it."""
+        """Return J, (n, n), of a state as a vector: x' = J(x) grad H(x) on the algebra, zero on its complement."""
         check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
         moved = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
         return self.energy_sign * self.to_vector(moved).T
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
-        """Return the traces of powers at matrices (..., N, N), or at rows of their numbers.
+        """Return the traces of powers of matrices (..., N, N), or of vectors.
 
-        Where the form of W makes it skew-Hermitian these are traces of -i W, which are real.
+        If the algebra is skew-Hermitian these are traces of powers of -i W, which are real.
         """
         return values_of(self.casimirs, self.matrices(x))
 
     def spectrum(self, x: Any) -> npt.NDArray[Any]:
-        """Return the eigenvalues of matrices (..., N, N), shape (..., N): of -i W, real and rising, if W is
-        skew-Hermitian; else of W, complex, by rising real parts and then imaginary ones.
+        """Return the eigenvalues of matrices (..., N, N), shape (..., N): of -i W, real and ascending, if W is
+        skew-Hermitian; otherwise of W, complex, sorted by real and then by imaginary parts.
 
         Examples
         --------
@@ -252,32 +253,32 @@ class MatrixSystem:
         return np.take_along_axis(found, order, axis=-1)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
-        """Return the solution in closed form; refuse where none is known."""
+        """Return the closed-form solution; raise TypeError if none is known."""
         return np.asarray(solution_of(self._exact, self.name)(x0, t))
 
     def to_vector(self, W: Any) -> Floats:
-        """Return matrices (..., N, N) as rows of numbers: entry by entry, real and imaginary parts."""
+        """Return matrices (..., N, N) as vectors: entry by entry, real and imaginary parts."""
         W = np.ascontiguousarray(W, dtype=np.complex128 if self.complex else np.float64)
         return W.view(np.float64).reshape(*W.shape[:-2], self.dim)
 
     def from_vector(self, x: Any) -> Matrix:
-        """Return rows of numbers as matrices."""
+        """Return vectors as matrices."""
         found = np.ascontiguousarray(x, dtype=np.float64)
         lead = found.shape[:-1]
         return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.algebra.shape)
 
     def is_in_numbers(self, x: Any) -> bool:
-        """Return whether states are rows of numbers, rather than matrices."""
+        """Return whether states are vectors rather than matrices."""
         shape = array_given(x, "a state", "iufc").shape
         return len(shape) > 0 and shape[-1] == self.dim
 
     def matrices(self, x: Any) -> Matrix:
-        """Return matrices as they are, and rows of numbers as the nearest matrices of the algebra.
+        """Return matrices unchanged, and vectors as the nearest matrices of the algebra.
 
         Raises
         ------
         TypeError, ValueError
-            No numbers, or of another shape.
+            Not numbers, or the wrong shape.
         """
         if self.is_in_numbers(x):
             return self.algebra.projected(self.from_vector(x), spared=SPARED)
@@ -292,7 +293,7 @@ class MatrixSystem:
             raise no_numbers(x, "a state") from None
 
     def read(self, given: Any, what: str = "x0") -> Floats:
-        """Return checked initial states as vectors, one for a state and several for members."""
+        """Validate initial states, and return them as vectors: one for a state, several for members."""
         if self.shape == self.algebra.shape:
             return self.to_vector(self.algebra.read(given, what))
         rows = read_numbers(given, what)
@@ -302,5 +303,5 @@ class MatrixSystem:
         return self.to_vector(self.algebra.projected(self.from_vector(rows), spared=SPARED))
 
     def states(self, rows: Floats) -> Matrix:
-        """Return rows of numbers as the states of this system: matrices."""
+        """Return vectors as states of this system, which are matrices."""
         return self.from_vector(rows) if self.shape == self.algebra.shape else rows

@@ -1,4 +1,4 @@
-"""The modes of fluids on sphere and torus as vectors along the diagonals of W: which there are, and their entries."""
+"""Modes of fluids on the sphere and the torus as vectors along the diagonals of W."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ Numbers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ModeBasis(ABC):
-    """Orthonormal modes of skew-Hermitian matrices (N, N), on diagonals d from the main one on.
+    """Orthonormal modes of skew-Hermitian matrices (N, N), by diagonals from the main one; the lower half follows.
 
-    The other half of a matrix follows from these. ``kind`` is the code `ModeKind` of the kernels, ``scale`` the name of
-    what a mode's scale is counted by.
+    ``kind`` is the code `ModeKind` of the kernels, ``scale`` the name of the number that measures the scale of a mode.
     """
 
     N: int
@@ -36,7 +35,7 @@ class ModeBasis(ABC):
     @property
     @abstractmethod
     def diagonals(self) -> int:
-        """How many diagonals have modes."""
+        """Number of diagonals with modes."""
 
     @abstractmethod
     def numbers(self, d: int) -> Numbers:
@@ -44,7 +43,7 @@ class ModeBasis(ABC):
 
     @abstractmethod
     def eigenvalues(self, d: int, numbers: Numbers) -> Floats:
-        """Return those of minus the Laplacian."""
+        """Return the eigenvalues of minus the Laplacian."""
 
     @abstractmethod
     def scales(self, d: int, numbers: Numbers) -> Floats:
@@ -56,20 +55,20 @@ class ModeBasis(ABC):
 
     @abstractmethod
     def table(self, chosen: Sequence[Numbers]) -> Floats:
-        """Return what the kernels read of chosen modes, diagonal after diagonal, as ``matrices/modes.hpp`` says."""
+        """Return the table of chosen modes for the kernels, by diagonal; ``matrices/modes.hpp`` describes it."""
 
     @abstractmethod
     def places(self, d: int) -> tuple[Numbers, Numbers]:
-        """Return rows and columns of the entries of a diagonal."""
+        """Return the rows and columns of the entries of a diagonal."""
 
     def coefficients(self, W: npt.NDArray[Any], d: int, numbers: Numbers) -> Complexes:
-        """Return those of modes of a diagonal in W."""
+        """Return the coefficients in W of modes of a diagonal."""
         return np.asarray(np.conj(self.vectors(d, numbers)) @ W[self.places(d)], dtype=np.complex128)
 
     def matrix(self, coefficients: Sequence[Complexes], chosen: Sequence[Numbers]) -> Complexes:
-        """Return the matrix of coefficients of chosen modes, diagonal after diagonal, with its lower half.
+        """Return the full matrix of coefficients of chosen modes, by diagonal.
 
-        On the main diagonal the real parts are left out.
+        Real parts on the main diagonal are dropped.
         """
         W = np.zeros((self.N, self.N), dtype=np.complex128)
         for d, (c, numbers) in enumerate(zip(coefficients, chosen, strict=True)):
@@ -86,14 +85,14 @@ class ModeBasis(ABC):
 
 @dataclass(frozen=True)
 class Harmonics(ModeBasis):
-    """Those of the sphere, T_lm of `spherical_modes`, on the diagonal m."""
+    """Modes of the sphere, T_lm of `spherical_modes`, on the diagonal m."""
 
     kind = "HARMONICS"
     scale = "degree l"
 
     @property
     def diagonals(self) -> int:
-        """N."""
+        """Number of diagonals, N."""
         return self.N
 
     def numbers(self, d: int) -> Numbers:
@@ -133,14 +132,14 @@ class Harmonics(ModeBasis):
 
 @dataclass(frozen=True)
 class Waves(ModeBasis):
-    """Those of the torus, T_n of `torus_modes`, on the cyclic diagonal n2; the number is n1 mod N."""
+    """Modes of the torus, T_n of `torus_modes`, on the cyclic diagonal n2, numbered by n1 mod N."""
 
     kind = "WAVES"
     scale = "wave number |n|"
 
     @property
     def diagonals(self) -> int:
-        """(N + 1)/2: the others have conjugate modes."""
+        """Number of diagonals, (N + 1)/2; the others have the conjugate modes."""
         return (self.N + 1) // 2
 
     def numbers(self, d: int) -> Numbers:
@@ -169,11 +168,11 @@ class Waves(ModeBasis):
 
 
 LAYERS = ("vorticity", "carried")
-"""Of a system of two fields: the one that moves the flow, and the one that is carried by it."""
+"""Fields of a two-layer system: the vorticity, and the field carried by the flow."""
 
 
 def place_of_layer(system: Any, layer: str) -> int:
-    """Return where a layer stands in a state; refuse one that the system does not have."""
+    """Return the index of a layer in a state; raise an error if the system does not have it."""
     if len(system.shape) == 3:
         return 1 - LAYERS.index(layer)
     if layer != "vorticity":
@@ -182,7 +181,7 @@ def place_of_layer(system: Any, layer: str) -> int:
 
 
 def mode_basis_of(system: Any) -> ModeBasis | None:
-    """Return the modes of a system of matrices: those of its stream, or None where it has no others than entries.
+    """Return the modes of a matrix system, from its stream; None if its modes are the entries.
 
     Examples
     --------
@@ -199,7 +198,7 @@ def mode_basis_of(system: Any) -> ModeBasis | None:
 
 
 def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Floats:
-    """Return by what a stream multiplies modes.
+    """Return the eigenvalues of a stream on modes.
 
     Examples
     --------
@@ -218,7 +217,7 @@ def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Fl
 
 
 def _shift(stream: DiagonalSolve) -> float | None:
-    """Return what the equations of a stream have beside the Laplacian of Hoppe and Yau, or None: it is another one."""
+    """Return the shift of the equations of a stream from the Hoppe-Yau Laplacian, or None if they differ otherwise."""
     N = len(stream.main)
     main, beside = laplacian(N)
     apart = (stream.main - main)[np.add.outer(np.arange(N), np.arange(N)) < N]

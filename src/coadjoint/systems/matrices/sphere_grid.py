@@ -1,4 +1,4 @@
-"""Latitude-longitude grids on the sphere: values from coefficients of spherical harmonics, and back."""
+"""Latitude-longitude grids on the sphere: synthesis from and analysis into spherical harmonics."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
-"""Rows of latitude that are equally spaced with the poles, without the poles, or the nodes of Gauss."""
+"""Rows of latitude: equally spaced with the poles, equally spaced without them, Gauss-Legendre nodes."""
 LARGEST = 2**16
 
 
 def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tuple[int, int]:
-    """Return the numbers of rows and columns of a grid.
+    """Validate the numbers of rows and columns of a grid.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tu
 
 
 def usual_shape(N: int) -> tuple[int, int]:
-    """Return the smallest grid, with the poles, that holds all degrees below N, with an even number of columns.
+    """Return the smallest grid with poles and an even number of columns that resolves all degrees below N.
 
     Examples
     --------
@@ -50,24 +50,12 @@ def usual_shape(N: int) -> tuple[int, int]:
 
 
 def resolved(points: str, rows: int) -> int:
-    """Return the largest degree that a grid with so many rows tells from all lower ones.
-
-    Examples
-    --------
-    >>> resolved("clenshaw-curtis", 17), resolved("fejer", 17)
-    (15, 16)
-    """
+    """Return the largest degree that a grid with this number of rows resolves."""
     return rows - 2 if points == "clenshaw-curtis" else rows - 1
 
 
 def latitudes(points: str, rows: int) -> Floats:
-    """Return the latitudes of the rows in radians, from north to south.
-
-    Examples
-    --------
-    >>> (latitudes("clenshaw-curtis", 3) * 2 / np.pi).round(12) + 0.0
-    array([ 1.,  0., -1.])
-    """
+    """Return the latitudes of the rows in radians, from north to south."""
     points = read_choice(points, "points", GRIDS)
     if points == "gauss-legendre":
         return np.arcsin(np.polynomial.legendre.leggauss(rows)[0])[::-1].copy()
@@ -76,18 +64,12 @@ def latitudes(points: str, rows: int) -> Floats:
 
 
 def longitudes(columns: int, first: float = 0.0) -> Floats:
-    """Return the longitudes of the columns in radians, eastward.
-
-    Examples
-    --------
-    >>> longitudes(4) / np.pi
-    array([0. , 0.5, 1. , 1.5])
-    """
+    """Return the longitudes of the columns in radians, eastward."""
     return first + 2 * pi * np.arange(columns) / columns
 
 
 def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
-    """Return values (..., rows, columns) of the field with coefficients c (..., N, N), ``c[l, m]``, at grid points."""
+    """Return values (..., rows, columns) of the field with coefficients ``c[l, m]``, (..., N, N), at grid points."""
     code = GRIDS[read_choice(points, "points", GRIDS)]
     need("a grid on the sphere", "ducc0")
     from ducc0.sht import synthesis_2d
@@ -105,24 +87,10 @@ def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
 
 
 def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Complexes:
-    """Return c (..., N, N) of a field that is given at grid points, for all degrees that both N and the grid resolve.
+    """Return c (..., N, N), ``c[l, m]``, of real values (..., rows, columns), for all degrees that N and grid resolve.
 
-    Parameters
-    ----------
-    values : (..., rows, columns) array
-        Real; rows from north to south, columns eastward.
-    N : int
-        Degrees below N are kept.
-    points : str
-        One of `GRIDS`.
-    first : float
-        Longitude of the first column, in radians.
-
-    Returns
-    -------
-    (..., N, N) array
-        ``c[l, m]``; the mean, c[0, 0], among them. Exact where the field has no degree above `resolved`, and no order
-        above (columns - 1)/2.
+    Rows go from north to south, columns eastward from the longitude `first` in radians; `points` is one of `GRIDS`.
+    Exact for degrees up to `resolved` and orders up to (columns - 1)/2.
     """
     code = GRIDS[read_choice(points, "points", GRIDS)]
     need("a grid on the sphere", "ducc0")
@@ -147,7 +115,7 @@ def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Com
 
 
 def read_values(values: Any, what: str = "values") -> Floats:
-    """Return real, finite values on a grid, (..., rows, columns)."""
+    """Validate real, finite values on a grid, (..., rows, columns)."""
     field = read_numbers(array_given(values, what), what)
     if field.ndim < 2:
         raise ValueError(f"{what} has the shape {field.shape}; give (..., rows, columns)")
@@ -156,7 +124,7 @@ def read_values(values: Any, what: str = "values") -> Floats:
 
 
 def of_points(places: Floats, strengths: Floats, N: int) -> Complexes:
-    """Return c (N, N) of a sum of delta functions at places (k, 2), latitudes and longitudes, with strengths (k,)."""
+    """Return c (N, N) of a sum of delta functions at points (k, 2), latitudes and longitudes, with strengths (k,)."""
     need("fields about points on the sphere", "ducc0")
     from ducc0.sht import adjoint_synthesis_general
 
@@ -191,7 +159,7 @@ def cap_profile(radius: float, N: int) -> Floats:
 
 
 def read_places(places: Any, what: str) -> Floats:
-    """Return latitudes and longitudes (k, 2) in radians.
+    """Validate latitudes and longitudes (k, 2) in radians.
 
     Examples
     --------
@@ -208,26 +176,18 @@ def read_places(places: Any, what: str) -> Floats:
 
 
 def recognized(rows: Floats, columns: Floats) -> tuple[int, str, int]:
-    """Return 1 or -1 for rows from north to south or back, the kind of points, and the same for columns.
+    """Return the direction of rows (1 from north to south, else -1), the kind of points, and the direction of columns.
 
-    Raises
-    ------
-    ValueError
-        The rows are those of none of the `GRIDS`, or the columns not equally spaced all around.
-
-    Examples
-    --------
-    >>> recognized(-latitudes("fejer", 4), longitudes(6, -np.pi))
-    (-1, 'fejer', 1)
+    Raises ValueError if the rows are those of none of the `GRIDS`, or the columns not equally spaced around the sphere.
     """
     if rows.ndim != 1 or columns.ndim != 1 or min(len(rows), len(columns)) < 3:
-        raise ValueError("a grid on the sphere needs three rows and columns at least, and a coordinate of each")
+        raise ValueError("a grid on the sphere needs at least three rows and columns, and a coordinate of each")
     north, east = (-1 if rows[0] < rows[-1] else 1), (-1 if columns[0] > columns[-1] else 1)
-    # what a file keeps of a coordinate may be float32, in degrees
+    # coordinates in files may be float32 in degrees
     near = 1e-5
     wanted = longitudes(len(columns), float(columns[::east][0]))
     if np.abs(columns[::east] - wanted).max() > near:
-        raise ValueError("the longitudes are not equally spaced, all around in one turn without the first one again")
+        raise ValueError("the longitudes are not equally spaced over 2 pi; give one period without its end point")
     for points in GRIDS:
         if np.abs(rows[::north] - latitudes(points, len(rows))).max() <= near:
             return north, points, east
@@ -235,7 +195,7 @@ def recognized(rows: Floats, columns: Floats) -> tuple[int, str, int]:
 
 
 def _triangle(l_most: int, m_most: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the degrees and orders of the coefficients in the order of ducc0: by orders."""
+    """Return the degrees and orders of the coefficients in the order of ducc0, by orders."""
     m, l = np.divmod(np.arange((m_most + 1) * (l_most + 1)), l_most + 1)
     inside = l >= m
     return l[inside], m[inside]

@@ -1,4 +1,4 @@
-"""Flows that are known on the sphere: waves of Rossby and Haurwitz with their exact motion, and a zonal jet."""
+"""Known flows on the sphere: Rossby-Haurwitz waves with their exact motion, and a zonal jet."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 ROUNDED = 1e-12
-"""Of the largest coefficient: what is smaller is taken for rounding."""
+"""Relative to the largest coefficient: smaller ones are treated as round-off."""
 BUMP = (1 / 3, 1 / 15)
-"""How wide the disturbance of the jet is in longitude and in latitude, in radians."""
+"""Widths of the perturbation of the jet in longitude and latitude, in radians."""
 JET = (pi / 7, 5 * pi / 14)
 
 
@@ -36,10 +36,10 @@ def rossby_haurwitz(
     wave: float = 1.0,
     longitude: float = 0.0,
 ) -> Complexes:
-    """Return the state of a wave of Rossby and Haurwitz: solid rotation and one spherical harmonic.
+    """Return the state of a Rossby-Haurwitz wave: solid rotation and one spherical harmonic.
 
-    It is an exact solution for every N: the pattern turns eastward with the angular velocity
-    ``zonal - 2 (zonal + rotation)/(l(l + 1))`` and keeps its form; `exact` returns it.
+    It is an exact solution for every N: the pattern rotates eastward with the angular velocity
+    ``zonal - 2 (zonal + rotation)/(l(l + 1))`` without change of form; `exact` returns it.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def rossby_haurwitz(
     wave : float
         Root mean square of the vorticity of the wave.
     longitude : float
-        Where the wave has a maximum, in radians; for order 0 not used.
+        Longitude of a maximum of the wave, in radians; unused for order 0.
 
     Returns
     -------
@@ -82,10 +82,10 @@ def zonal_jet(
     perturbation: float = 0.01,
     longitude: float = 0.0,
 ) -> Complexes:
-    """Return the state of an eastward jet between two latitudes, with a small disturbance that lets it break up.
+    """Return the state of an eastward jet between two latitudes, with a small perturbation that makes it break up.
 
-    The jet is that of Galewsky, Scott and Polvani, smooth and zero outside of the band. The disturbance is a bump
-    of vorticity in the middle of the jet.
+    The jet is that of Galewsky, Scott and Polvani, smooth, and zero outside the band. The perturbation is a bump of
+    vorticity in the middle of the jet.
 
     Parameters
     ----------
@@ -94,10 +94,10 @@ def zonal_jet(
     band : (float, float)
         Southern and northern edge, in radians.
     perturbation : float
-        Largest vorticity of the bump, as a part of ``speed`` over half the width of the band; with zero the flow is
+        Largest vorticity of the bump, as a fraction of ``speed`` over half the width of the band; with zero the flow is
         steady.
     longitude : float
-        That of the bump, in radians.
+        Longitude of the bump, in radians.
 
     Returns
     -------
@@ -106,12 +106,12 @@ def zonal_jet(
     Raises
     ------
     MissingPackageError
-        Without ducc0.
+        ducc0 is not installed.
 
     Notes
     -----
-    J. Galewsky, R. K. Scott, L. M. Polvani, Tellus A 56 (2004) 429. There the height of the fluid is disturbed, here
-    the vorticity.
+    J. Galewsky, R. K. Scott, L. M. Polvani, Tellus A 56 (2004) 429, who perturb the height of the fluid instead of the
+    vorticity.
     """
     south, north = _read_band(band)
     fast, part = read_positive(speed, "speed"), read_number(perturbation, "perturbation")
@@ -141,29 +141,10 @@ def _read_band(band: Any) -> tuple[float, float]:
 
 
 def exact_motion(W: Complexes, t: Any, rotation: float) -> Complexes:
-    """Return the exact motion of a state of the degree 1 and one further degree, or of a zonal flow.
+    """Return the exact motion, (N, N) or (k, N, N), of a zonal flow, or of a state of degree 1 and one further degree.
 
-    With A the part of degree 1 about any axis, F that of the rotation of the frame and
-    ``k = 1/(l(l + 1)) - 1/2``, W is turned by ``exp(t F/2) exp(t k A)``: the frame turns backward, and the pattern
-    about the axis of A.
-
-    Parameters
-    ----------
-    W : (N, N) array
-        The state at time 0.
-    t : float or (k,) array
-        Times.
-    rotation : float
-        Angular velocity of the frame.
-
-    Returns
-    -------
-    (N, N) or (k, N, N) array
-
-    Raises
-    ------
-    ValueError
-        No closed form is known: there are two further degrees, and the flow is not zonal.
+    With A the part of degree 1, F that of the rotation of the frame and ``k = 1/(l(l + 1)) - 1/2``, W is conjugated by
+    ``exp(t F/2) exp(t k A)``: the frame rotates backward, and the pattern about the axis of A. Else raises ValueError.
     """
     times, N = read_finite(t, "t"), W.shape[-1]
     if W.ndim != 2 or times.ndim > 1:
@@ -189,7 +170,7 @@ def exact_motion(W: Complexes, t: Any, rotation: float) -> Complexes:
 
 
 def _components(W: Complexes, N: int) -> Floats:
-    """Return a in W = sum a_b S_b + further degrees, for matrices (..., N, N)."""
+    """Return a in W = sum a_b S_b + higher degrees, for matrices (..., N, N)."""
     squared = N * (N * N - 1) / 12
     return np.asarray(np.einsum("aij,...ij->...a", np.conj(np.stack(generators(N))), W).real / squared)
 
@@ -211,7 +192,7 @@ def angular_momentum(W: Any) -> Floats:
 
 @dataclass(frozen=True)
 class MomentumAlong:
-    """The angular momentum along an axis, "x", "y" or "z", as a function of states (..., N, N).
+    """The angular momentum along the axis "x", "y" or "z", as a function of states (..., N, N).
 
     Examples
     --------

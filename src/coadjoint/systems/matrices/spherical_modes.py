@@ -1,16 +1,16 @@
 """Spherical harmonics as matrices: the coefficients of a vorticity on the sphere, and its matrix W.
 
-The vorticity is ``omega = sum over l, m of c_lm Y_lm`` with orthonormal spherical harmonics that have the phase of
-Condon and Shortley, so that c_l(-m) = (-1)^m conj(c_lm) where it is real. Its matrix is
+The vorticity is ``omega = sum over l, m of c_lm Y_lm`` with orthonormal spherical harmonics in the phase convention of
+Condon and Shortley; c_l(-m) = (-1)^m conj(c_lm) for a real field. Its matrix is
 ``W = i S sum of c_lm T_lm`` with ``S^2 = N (N^2 - 1)/(16 pi)``, where tr(T_lm* T_l'm') = 1 or 0:
 
-- T_lm, m >= 0, is real and stands on the diagonal of the entries (i, i + m); i = 0 is the north pole;
-- on each diagonal it is an eigenvector of the Laplacian of Hoppe and Yau, with the eigenvalue l(l + 1);
+- T_lm, m >= 0, is real and lies on the diagonal of the entries (i, i + m); i = 0 is the north pole;
+- on each diagonal it is an eigenvector of the Hoppe-Yau Laplacian, with the eigenvalue l(l + 1);
 - ``T_l(-m) = (-1)^m`` times the transpose of T_lm;
 - the coordinates x, y, z of the sphere have the matrices -S_1, -S_2, -S_3 of `hoppe_yau.generators`.
 
-W is ``(i/hbar)`` times the Hermitian matrix that stands for omega, ``hbar = 2/sqrt(N^2 - 1)``, and [P, W] is then the
-matrix of ``{psi, omega}`` but for O(1/N^2): ``W' = [P, W]`` is the Euler equation of the unit sphere in its own time,
+W is ``(i/hbar)`` times the Hermitian matrix that represents omega, ``hbar = 2/sqrt(N^2 - 1)``, and [P, W] is then the
+matrix of ``{psi, omega}`` up to O(1/N^2): ``W' = [P, W]`` is the Euler equation of the unit sphere in physical time,
 ``d omega/dt + u . grad omega = 0`` with ``u = r x grad psi``, ``laplacian psi = omega``.
 """
 
@@ -32,22 +32,16 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 KEPT = 2**32
-"""So many bytes of matrix harmonics are kept, some N^3/6 numbers for N; more are made again each time."""
+"""Cache size in bytes for matrix harmonics, about N^3/6 numbers for N; beyond it they are recomputed on each use."""
 
 
 def scale(N: int) -> float:
-    """Return S in ``W = i S sum c_lm T_lm``: integrals over the sphere are traces over S^2.
-
-    Examples
-    --------
-    >>> round(scale(3) ** 2 * np.pi, 12)
-    1.5
-    """
+    """Return S in ``W = i S sum c_lm T_lm``: integrals over the sphere are traces over S^2."""
     return sqrt(N * (N * N - 1) / (16 * pi))
 
 
 class _Shelf:
-    """The harmonics of one N that were made last, by order."""
+    """Cache of the most recent harmonics, of a single N, by order."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -71,10 +65,10 @@ _SHELF = _Shelf()
 
 
 def harmonics(N: int, m: int) -> Floats:
-    """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle: it is even or odd with l - m.
+    """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle; the parity is that of l - m.
 
-    The place times T_lm is a sum of its neighbours in l, with positive factors that rise and fall with l. Such a
-    recurrence is stable from either end to where they are largest.
+    The position along the diagonal times T_lm is a sum of its neighbours in l, with positive factors that rise and fall
+    with l. Such a recurrence is stable from either end up to the maximum.
     """
     n, m2 = N - m, m * m
     check_room(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
@@ -95,9 +89,9 @@ def harmonics(N: int, m: int) -> Floats:
 
 
 def _recurrence(places: Floats, beside: Floats) -> Floats:
-    """Return v, one row more than `beside`, of ``place v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
+    """Return v, one row more than `beside`, with ``place v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
 
-    Columns begin with a positive number, and end with entries of the size of 1 where they have grown.
+    Columns begin with a positive number, and are scaled so that growing ones end with entries of order 1.
     """
     v = np.ones((len(beside) + 1, len(places)))
     for k in range(len(beside)):
@@ -114,14 +108,14 @@ def _recurrence(places: Floats, beside: Floats) -> Floats:
 
 
 def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:
-    """Return the entries (i, i + m) of sum over l of c_l T_lm from c, shape (..., N - m)."""
+    """Return the entries (i, i + m) of sum over l of c_l T_lm, from c of shape (..., N - m)."""
     V, n = _SHELF.get(N, m), N - m
     even, odd = _times(c[..., ::2], V[::2]), _times(c[..., 1::2], V[1::2])
     return np.concatenate([even + odd, (even - odd)[..., : n // 2][..., ::-1]], axis=-1)
 
 
 def along_diagonal(d: Complexes, N: int, m: int) -> Complexes:
-    """Return c of entries (i, i + m): the inverse of `diagonal_of`."""
+    """Return c of entries (i, i + m); inverse of `diagonal_of`."""
     V, n = _SHELF.get(N, m), N - m
     half = n - n // 2
     upper, lower = d[..., :half], d[..., ::-1][..., :half]
@@ -140,27 +134,7 @@ def _times(x: Complexes, T: Floats) -> Complexes:
 
 
 def matrix_of_harmonics(c: Complexes) -> Complexes:
-    """Return W of coefficients of a real vorticity.
-
-    Parameters
-    ----------
-    c : (..., N, N) array
-        ``c[l, m]``, m >= 0; entries with m > l or l = 0 are not read.
-
-    Returns
-    -------
-    (..., N, N) array
-        Skew-Hermitian, of trace zero.
-
-    Examples
-    --------
-    The field z is sqrt(4 pi/3) Y_10:
-
-    >>> c = np.zeros((3, 3), dtype=complex)
-    >>> c[1, 0] = np.sqrt(4 * np.pi / 3)
-    >>> bool(np.abs(matrix_of_harmonics(c) - 1j * np.diag([1, 0, -1])).max() < 1e-15)
-    True
-    """
+    """Return W, (..., N, N), of coefficients ``c[l, m]``, m >= 0, of a real vorticity; m > l and l = 0 are ignored."""
     N = c.shape[-1]
     factor = 1j * scale(N)
     W = np.zeros(c.shape, dtype=np.complex128)
@@ -177,7 +151,7 @@ def matrix_of_harmonics(c: Complexes) -> Complexes:
 
 
 def harmonics_of_matrix(W: Any) -> Complexes:
-    """Return c of W, shape (..., N, N): the inverse of `matrix_of_harmonics`, zero where m > l."""
+    """Return c of W, shape (..., N, N), zero for m > l; inverse of `matrix_of_harmonics`."""
     W = np.asarray(W, dtype=np.complex128)
     N = W.shape[-1]
     factor = -1j / scale(N)
@@ -190,20 +164,9 @@ def harmonics_of_matrix(W: Any) -> Complexes:
 
 
 def read_harmonics(given: Any, N: int) -> Complexes:
-    """Return c (..., N, N) from a mapping of (l, m) to a coefficient, or from such an array.
+    """Validate a mapping of (l, m) to a coefficient, or an array, and return c (..., N, N).
 
-    Parameters
-    ----------
-    given : mapping or (..., N, N) array
-        In a mapping that of -m is ``(-1)^m`` times the conjugate where it is missing.
-    N : int
-        Size of the matrices.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Neither of them, a degree that is not resolved, (0, 0), an order above the degree, or coefficients of no real
-        field.
+    A missing coefficient of -m is ``(-1)^m`` times the conjugate. Raises ValueError if the field would not be real.
 
     Examples
     --------
@@ -234,7 +197,7 @@ def read_harmonics(given: Any, N: int) -> Complexes:
         try:
             other = complex(given.get((l, -m), mirrored))
         except (TypeError, ValueError, OverflowError):
-            continue  # refused in its turn
+            continue  # reported at its own key
         if abs(other - mirrored) > 1e-12 * abs(number):
             raise ValueError(
                 f"modes ({l}, {m}) and ({l}, {-m}) do not belong to a real vorticity: c_l(-m) = (-1)^m conj(c_lm)"
@@ -259,7 +222,7 @@ def _read_array(given: Any, N: int) -> Complexes:
 
 
 def as_mapping(c: Complexes) -> dict[tuple[int, int], complex]:
-    """Return coefficients (N, N) as a mapping of (l, m), m from -l to l, without those that are round-off."""
+    """Return coefficients (N, N) as a mapping of (l, m), m from -l to l, without round-off."""
     found: dict[tuple[int, int], complex] = {}
     for l, m in np.argwhere(np.abs(c) > 1e-14 * np.abs(c).max(initial=0.0)).tolist():
         number = complex(c[l, m])

@@ -1,4 +1,4 @@
-"""Streams: linear maps from a matrix W to P in W' = [P, W], which act on the diagonals of W or on its entries."""
+"""Streams: linear maps from W to P in W' = [P, W] that act on the diagonals or the entries of W."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ Matrix = npt.NDArray[Any]
 class Stream(Protocol):
     """A symmetric linear map of matrices.
 
-    ``kind`` and ``table`` are for the kernels: one of the codes `StreamKind`, and its numbers as
-    ``matrices/stream.hpp`` describes them.
+    ``kind`` is one of the codes `StreamKind` of the kernels, and ``table`` its numbers, described in
+    ``matrices/stream.hpp``.
     """
 
     @property
     def kind(self) -> str:
-        """The code of the kernels."""
+        """Code of the kernels."""
 
     @property
     def table(self) -> Floats:
-        """What the kernels read."""
+        """Numbers for the kernels."""
 
     def __call__(self, W: Matrix) -> Matrix:
         """Return P."""
@@ -37,21 +37,21 @@ class Stream(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DiagonalSolve:
-    """P solves a symmetric tridiagonal equation on each diagonal of a skew-Hermitian matrix.
+    """P solves a symmetric tridiagonal system for each diagonal of a skew-Hermitian matrix.
 
     Parameters
     ----------
     main : (N, N)
-        ``main[i, m]`` stands on the diagonal of the equation of diagonal m, for the entry (i, i + m); unused beyond it.
+        ``main[i, m]`` is the diagonal coefficient of the system of diagonal m for the entry (i, i + m); unused beyond.
     beside : (N, N)
         ``beside[i, m]`` couples the entries (i - 1, i - 1 + m) and (i, i + m).
     factor : float
-        P is multiplied by it.
+        Factor of P.
 
     Notes
     -----
-    Where the equation of the main diagonal is singular, by the matrices that are multiples of the unit, P has trace
-    zero, and does not see the trace of W: the stages of a step have one.
+    If the system of the main diagonal is singular, with multiples of the unit matrix as its kernel, P has trace zero
+    and does not depend on the trace of W, which the stages of a step have.
     """
 
     main: Floats
@@ -84,7 +84,7 @@ class DiagonalSolve:
         below, inverse = self.table.reshape(2, N, N)
         P, unseen = np.zeros_like(W), inverse[N - 1, 0] == 0.0
         diagonal, mean = np.arange(N), np.trace(W, axis1=-2, axis2=-1) / N
-        # Row by row, all diagonals at once.
+        # Vectorized over the diagonals.
         for i in range(N):
             P[..., i, i:] = W[..., i, i:]
             if i:
@@ -111,7 +111,7 @@ class DiagonalSolve:
 
 
 def _mirrored(upper: Matrix) -> Matrix:
-    """Return a skew-Hermitian matrix from its upper triangle; the diagonal stays as it is."""
+    """Return a skew-Hermitian matrix from its upper triangle; the diagonal is kept."""
     above = np.triu(upper, 1)
     return np.asarray(upper - np.conj(np.swapaxes(above, -1, -2)))
 
@@ -124,7 +124,7 @@ class Circulants:
     ----------
     spectrum : (N, N)
         ``spectrum[d, k]``: the factors of the discrete Fourier transform of diagonal d, the entries (a, a + d mod N),
-        even in k, and the same for d and N - d; zero where nothing is left of a mode.
+        even in k, and equal for d and N - d; zero for modes in the kernel.
     """
 
     spectrum: Floats
@@ -146,11 +146,11 @@ class Circulants:
         return self._scaled(W, self.spectrum)
 
     def inverse(self, P: Matrix) -> Matrix:
-        """Return W of P, without the modes of which nothing is left."""
+        """Return W of P; modes in the kernel of the stream are dropped."""
         return self.inverted()(P)
 
     def inverted(self) -> Circulants:
-        """Return the stream that is the inverse of this one, zero where this is."""
+        """Return the inverse stream, zero on the kernel of this one."""
         with np.errstate(divide="ignore"):
             return Circulants(np.where(self.spectrum == 0.0, 0.0, 1.0 / self.spectrum))
 
@@ -166,19 +166,7 @@ class Circulants:
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """W of P: the inverse of a stream on diagonals, which multiplies where that solves.
-
-    Parameters
-    ----------
-    of : DiagonalSolve
-        The other one.
-
-    Examples
-    --------
-    >>> solve = DiagonalSolve(np.full((2, 2), 4.0), np.zeros((2, 2)))
-    >>> Inverse(solve)(np.array([[0.0, 1.0], [-1.0, 0.0]])).tolist()
-    [[0.0, 4.0], [-4.0, 0.0]]
-    """
+    """The inverse of a `DiagonalSolve`: W of P by tridiagonal products."""
 
     of: DiagonalSolve
     table: Floats = field(init=False, repr=False)
@@ -237,6 +225,6 @@ class Weights:
         return self.weights * W
 
     def inverse(self, P: Matrix) -> Matrix:
-        """Return W of P, without the entries of which nothing is left."""
+        """Return W of P; entries of weight zero are dropped."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.weights == 0.0, 0.0, P / self.weights)

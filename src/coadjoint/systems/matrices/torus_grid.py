@@ -1,4 +1,4 @@
-"""Grids on the torus of side 2 pi: values from Fourier modes, and modes of values."""
+"""Grids on the torus of side 2 pi: values from Fourier modes, and modes from values."""
 
 from __future__ import annotations
 
@@ -18,18 +18,12 @@ Complexes = npt.NDArray[np.complex128]
 
 
 def coordinates(count: int) -> Floats:
-    """Return equally spaced points from 0 to 2 pi, without the last one.
-
-    Examples
-    --------
-    >>> coordinates(4) / np.pi
-    array([0. , 0.5, 1. , 1.5])
-    """
+    """Return `count` equally spaced points from 0, without 2 pi."""
     return 2 * pi * np.arange(count) / count
 
 
 def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
-    """Return values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))`` at grid points, of any shape.
+    """Return the values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))`` at the points of any grid.
 
     Parameters
     ----------
@@ -49,14 +43,14 @@ def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
     check_room(48 * int(np.prod(lead)) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
     n = representatives(w.shape[-1])
     folded = np.zeros((*lead, *shape), dtype=np.complex128)
-    # modes that a coarse grid does not tell apart have the same values there
+    # modes that alias on a coarse grid have the same values there
     places: Any = np.index_exp[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
     np.add.at(folded, places, w)
     return np.asarray(np.fft.ifft2(folded).real * (shape[0] * shape[1]))
 
 
 def modes_of(values: Floats, N: int) -> Complexes:
-    """Return w (..., N, N) of values (..., nx, ny), all modes that both N and the grid resolve; w[0, 0] is the mean."""
+    """Return w (..., N, N) of values (..., nx, ny), all modes that N and the grid resolve; w[0, 0] is the mean."""
     shape = values.shape[-2:]
     n = representatives(N)
     found = np.fft.fft2(values) / (shape[0] * shape[1])
@@ -66,7 +60,7 @@ def modes_of(values: Floats, N: int) -> Complexes:
 
 
 def of_points(places: Floats, strengths: Floats, N: int) -> Complexes:
-    """Return w (N, N) of a sum of delta functions at places (k, 2) with strengths (k,)."""
+    """Return w (N, N) of a sum of delta functions at points (k, 2) with strengths (k,)."""
     n = representatives(N)
     along = np.exp(-1j * np.multiply.outer(places[:, 0], n)) * strengths[:, None]
     across = np.exp(1j * np.multiply.outer(places[:, 1], n))
@@ -90,7 +84,7 @@ def disc_profile(radius: float, length: Floats) -> Floats:
 
 
 def read_places(places: Any, what: str) -> Floats:
-    """Return x and y (k, 2)."""
+    """Validate points x and y, (k, 2)."""
     found = read_finite(places, what)
     if found.ndim != 2 or found.shape[1] != 2:
         raise ValueError(f"{what} has the shape {found.shape}; give (k, 2), x and y in each row")
@@ -98,21 +92,10 @@ def read_places(places: Any, what: str) -> Floats:
 
 
 def recognized(first: Floats, name: str) -> int:
-    """Return 1 or -1 for a coordinate that rises or falls in equal steps once around.
-
-    Raises
-    ------
-    ValueError
-        It does neither.
-
-    Examples
-    --------
-    >>> recognized(coordinates(5)[::-1], "x")
-    -1
-    """
+    """Return 1 for a coordinate increasing in equal steps once around, -1 if decreasing; else raise ValueError."""
     if first.ndim == 1 and len(first) > 1:
         step = 2 * pi / len(first) * (1 if first[-1] > first[0] else -1)
-        # what a file keeps of a coordinate may be float32
+        # coordinates in files may be float32
         if np.abs(first - first[0] - step * np.arange(len(first))).max() <= 1e-5:
             return 1 if step > 0 else -1
-    raise ValueError(f"{name} is not equally spaced, once around 2 pi without the first point again")
+    raise ValueError(f"{name} is not equally spaced over 2 pi; give one period without its end point")

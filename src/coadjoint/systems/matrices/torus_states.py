@@ -1,4 +1,4 @@
-"""Flows that are known on the torus: two jets, one against the other."""
+"""Known flows on the torus: two opposite jets."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Complexes = npt.NDArray[np.complex128]
 def zonal_jet(
     system: TorusEuler, speed: float = 1.0, *, width: float = 0.3, perturbation: float = 0.01, waves: int = 2
 ) -> Complexes:
-    """Return the state of two jets along x, eastward at y = pi/2 and westward at 3 pi/2, slightly disturbed.
+    """Return the state of two jets along x, eastward at y = pi/2 and westward at 3 pi/2, slightly perturbed.
 
-    Their speed is ``speed / cosh(y/width)^2``, as Bickley's, with the distance y from the middle, repeated around the
-    torus.
+    They are Bickley jets, ``speed / cosh(y/width)^2`` with the distance y from the middle, periodic on the torus.
 
     Parameters
     ----------
     speed : float
         Largest speed.
     width : float
-        In radians, up to 0.5.
+        Width in radians, at most 0.5.
     perturbation : float
-        Largest vorticity of a disturbance along both jets, as a part of ``speed/width``; zero leaves a steady flow.
+        Largest vorticity of the perturbation of both jets, as a fraction of ``speed/width``; with zero the flow is
+        steady.
     waves : int
-        How many waves the disturbance has along x.
+        Number of waves of the perturbation along x.
 
     Returns
     -------
@@ -49,17 +49,17 @@ def zonal_jet(
     """
     fast, thickness = read_positive(speed, "speed"), read_positive(width, "width")
     if thickness > 0.5:
-        raise ValueError(f"width is {thickness:g}; the two jets are apart up to 0.5")
+        raise ValueError(f"width is {thickness:g}; give at most 0.5, so that the jets do not overlap")
     part = read_number(perturbation, "perturbation")
     along = read_whole(waves, "waves", 1, system.complete_degree)
     x, y = system.grid((4 * along, max(256, 4 * system.algebra.N)))
     field = np.zeros((len(x), len(y)))
     for sign, middle in ((1, pi / 2), (-1, 3 * pi / 2)):
         for turn in (-2 * pi, 0.0, 2 * pi):
-            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused as values on the grid
+            with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are reported by from_grid
                 away = (y - middle + turn) / thickness
                 bell = 1 / np.cosh(away) ** 2
-                # of the speed u along x the vorticity is -du/dy
+                # the vorticity of the speed u along x is -du/dy
                 field += sign * fast / thickness * 2 * np.tanh(away) * bell
                 field += part * fast / thickness * np.cos(along * x)[:, None] * bell
     return system.absolute(system.from_grid(field))

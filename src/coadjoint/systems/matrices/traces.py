@@ -1,4 +1,4 @@
-"""The Casimirs of matrices: traces of powers, block by block."""
+"""Casimirs of matrices: traces of powers, by blocks."""
 
 from __future__ import annotations
 
@@ -17,24 +17,9 @@ Matrix = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class Trace:
-    """The trace of a power of a block of W, real: of -i W where W is skew-Hermitian by its form.
+    """The real trace of a power of a block of W (of -i W if the algebra is skew-Hermitian), or its imaginary part.
 
-    Parameters
-    ----------
-    name : str
-        Such as "tr W^2".
-    place : slice
-        The rows of the block.
-    kind : Kind
-        Of the block.
-    power : int
-        The power.
-    imaginary : bool
-        Whether it is the imaginary part.
-    matrices : callable
-        Makes matrices of what is given: of matrices, or of rows of their numbers.
-    numbers : callable
-        Makes the numbers of a matrix.
+    `matrices` and `numbers` convert states to matrices and matrices to vectors; `place` is the slice of the rows.
     """
 
     name: str
@@ -49,15 +34,15 @@ class Trace:
         return self.name
 
     def __call__(self, x: Any) -> Any:
-        """Return it at matrices (..., N, N), or at their numbers (..., n)."""
+        """Return the trace for matrices (..., N, N) or vectors (..., n)."""
         base = self._base(self.matrices(x))
         return self.of(np.linalg.matrix_power(base, self.power - 1), base)
 
     def gradient(self, x: Any) -> Any:
-        """Return the derivatives by the numbers of a state."""
+        """Return the derivatives with respect to the numbers of a state."""
         W = self.matrices(x)
         slope = self.power * np.linalg.matrix_power(self._base(W), self.power - 1)
-        # d tr B^k = k tr(B^(k-1) dB), and the numbers of A* times those of B add up to Re tr(A B).
+        # d tr B^k = k tr(B^(k-1) dB); the dot product of the numbers of A* and B is Re tr(A B).
         slope = slope * (-1j if self.kind.conjugate else 1.0) * (-1j if self.imaginary else 1.0)
         found = np.zeros_like(W)
         found[..., self.place, self.place] = np.conj(np.swapaxes(slope, -1, -2))
@@ -68,15 +53,14 @@ class Trace:
         return -1j * part if self.kind.conjugate else part
 
     def of(self, power: Matrix, base: Matrix) -> Any:
-        """Return it from the power below and the block; the trace of a product needs no product."""
+        """Return the trace from the block and its power below; the trace of a product needs no matrix product."""
         products = power * np.swapaxes(base, -1, -2)
         found = products.reshape(*products.shape[:-2], base.shape[-1] ** 2).sum(axis=-1)
         return found.imag if self.imaginary else found.real
 
 
 def traces_of(algebra: MatrixAlgebra, count: int, matrices: Any, numbers: Any) -> dict[str, Trace]:
-    """Return the Casimirs of an algebra: the first `count` traces of each block that do not vanish, and no more than
-    are independent.
+    """Return the Casimirs of an algebra: the first `count` nonvanishing, independent traces of each block.
 
     Examples
     --------
@@ -98,7 +82,7 @@ def traces_of(algebra: MatrixAlgebra, count: int, matrices: Any, numbers: Any) -
 
 
 def values_of(traces: dict[str, Trace], W: Matrix) -> dict[str, Any]:
-    """Return all of them at matrices (..., N, N), the powers of a block one from the other."""
+    """Return all traces for matrices (..., N, N), with successive powers of each block."""
     found: dict[str, Any] = {}
     place: slice | None = None
     for name, trace in traces.items():

@@ -1,4 +1,4 @@
-"""Two fields on one flow: a vorticity, and a field that it carries, which may act back on it."""
+"""Two-layer systems: a vorticity and a field carried by its flow, which may act back on it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class TwoLayerEnergy(MatrixEnergy):
-    """The energy of two layers, whose slope has J by the carried field and P by the vorticity."""
+    """The energy of two layers, whose gradient is J by the carried field and P by the vorticity."""
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         system = self._system
@@ -37,28 +37,28 @@ class TwoLayerEnergy(MatrixEnergy):
 class TwoLayerSystem(MatrixSystem):
     """Two matrices, a carried field Theta and a vorticity W: ``Theta' = [P, Theta]``, ``W' = [P, W] + [J, Theta]``.
 
-    P = stream(W) and J = second_stream(Theta), or zero where the field is passive. A state is an array (2, N, N),
+    P = stream(W) and J = second_stream(Theta), or zero if the field is passive. A state is an array (2, N, N),
     ``[0]`` Theta and ``[1]`` W: the Lie-Poisson equation of the semidirect product of the algebra with its dual. With
-    dual numbers, eps^2 = 0, X = Theta + eps W and Y = P + eps J, it is ``X' = [Y, X]``. So the spectrum of Theta is
-    kept, and ``tr W Theta^k``; of a passive field that of W as well.
+    dual numbers, eps^2 = 0, X = Theta + eps W and Y = P + eps J, it is ``X' = [Y, X]``. So the spectrum of Theta and
+    ``tr W Theta^k`` are kept; for a passive field also the spectrum of W.
 
     Parameters
     ----------
     algebra : MatrixAlgebra
-        Where both matrices live, skew-Hermitian.
+        The algebra of both matrices, skew-Hermitian.
     stream : Stream
         A symmetric linear map from W to P.
     second_stream : Stream, optional
-        A symmetric linear map from Theta to J; none of a passive field.
+        A symmetric linear map from Theta to J; omit it for a passive field.
     energy_sign : {1, -1}
-        Of the energy ``energy_sign (<P, W> + <J, Theta>)/2``.
+        Sign of the energy ``energy_sign (<P, W> + <J, Theta>)/2``.
     name, parameters, powers
-        As of `MatrixSystem`; `powers` is how many invariants of each kind are followed.
+        As for `MatrixSystem`; `powers` is the number of invariants of each kind to record.
 
     Raises
     ------
     TypeError, ValueError
-        Something else was given.
+        An argument of the wrong type, or an algebra that is not skew-Hermitian.
 
     Notes
     -----
@@ -95,7 +95,7 @@ class TwoLayerSystem(MatrixSystem):
         if second_stream is not None:
             if not isinstance(second_stream, Stream):
                 raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
-            # the same checks as of the first one
+            # the same checks as for the first stream
             MatrixSystem(algebra, second_stream, name=f"the second stream of {name}")
         self.second_stream = second_stream
         self.shape = (2, *algebra.shape)
@@ -104,12 +104,12 @@ class TwoLayerSystem(MatrixSystem):
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:
-        """Name -> function of states (..., 2, N, N)."""
+        """Name to function of states (..., 2, N, N)."""
         return {name: _Invariant(self, name) for name in self._names}
 
     @property
     def quadratic_casimirs(self) -> tuple[str, ...]:
-        """Names of those of degree two, the first of all, which runs with forces keep account of."""
+        """Names of the quadratic Casimirs, first in order, for which runs with forces keep balances."""
         return self._names[:2]
 
     @property
@@ -118,7 +118,7 @@ class TwoLayerSystem(MatrixSystem):
         return (*(name for k in self._followed for name in (f"tr Theta^{k}", mixed(k))), *own)
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
-        """Return the invariants at states (..., 2, N, N), of -i Theta and -i W where these are complex."""
+        """Return the invariants of states (..., 2, N, N), of -i Theta and -i W if these are complex."""
         X = self.matrices(x)
         base = -1j * X if self.complex else X
         theta, W = base[..., 0, :, :], base[..., 1, :, :]
@@ -130,7 +130,7 @@ class TwoLayerSystem(MatrixSystem):
         return found
 
     def _powers(self, A: Matrix) -> list[tuple[int, Matrix]]:
-        """Return k, and the power k - 1 of matrices."""
+        """Return the pairs (k, power k - 1 of matrices)."""
         found, power, below = [], A, 1
         for k in self._followed:
             while below < k - 1:
@@ -146,7 +146,7 @@ class TwoLayerSystem(MatrixSystem):
         return np.stack([P, J], axis=-3)
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
-        """Return x' of a state (2, N, N), or of its numbers, in the same form."""
+        """Return x' for a state (2, N, N) or a vector, in the same form."""
         X = self.matrices(x)
         found = self.bracket(self.stream_of(X), X)
         return self.to_vector(found) if np.shape(x)[-1] == self.dim else found
@@ -159,7 +159,7 @@ class TwoLayerSystem(MatrixSystem):
         return float(found) if found.ndim == 0 else found
 
     def spectrum(self, x: Any) -> Floats:
-        """Return the eigenvalues of -i Theta, real and rising, of states (..., 2, N, N)."""
+        """Return the eigenvalues of -i Theta, real and ascending, of states (..., 2, N, N)."""
         return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
 
     def structure_matrix(self, x: Any) -> Floats:
@@ -168,7 +168,7 @@ class TwoLayerSystem(MatrixSystem):
         return self.energy_sign * self.to_vector(self.bracket(slopes, self.matrices(x))).T
 
     def generic_rank(self) -> int:
-        """Return the rank of J at a generic state: each Casimir of the algebra makes two of the layers."""
+        """Return the rank of J at a generic state; each Casimir of the algebra gives two of the layers."""
         return 2 * self.algebra.generic_rank()
 
     def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
@@ -178,7 +178,7 @@ class TwoLayerSystem(MatrixSystem):
         return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
 
     def matrices(self, x: Any) -> Matrix:
-        """Return states (..., 2, N, N) as they are, and rows of numbers as the nearest states."""
+        """Return states (..., 2, N, N) unchanged, and vectors as the nearest states."""
         if np.shape(x)[-1:] == (self.dim,):
             return self.algebra.projected(self.from_vector(x), spared=SPARED)
         X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
@@ -187,7 +187,7 @@ class TwoLayerSystem(MatrixSystem):
         return X
 
     def states(self, rows: Floats) -> Matrix:
-        """Return rows of numbers as states (..., 2, N, N)."""
+        """Return vectors as states (..., 2, N, N)."""
         return self.from_vector(rows)
 
     def read(self, given: Any, what: str = "x0") -> Floats:
@@ -201,21 +201,21 @@ class TwoLayerSystem(MatrixSystem):
         return self.to_vector(np.stack(layers, axis=-3))
 
     def to_vector(self, W: Any) -> Floats:
-        """Return states (..., 2, N, N) as rows of numbers: layer by layer, entry by entry."""
+        """Return states (..., 2, N, N) as vectors: layer by layer, entry by entry."""
         X = np.ascontiguousarray(W, dtype=np.complex128 if self.complex else np.float64)
         if X.shape[-3:] != self.shape:
             raise ValueError(f"a state is {short(W)}; it must have the shape {self.shape}")
         return X.view(np.float64).reshape(*X.shape[:-3], self.dim)
 
     def from_vector(self, x: Any) -> Matrix:
-        """Return rows of numbers as states."""
+        """Return vectors as states."""
         found = np.ascontiguousarray(x, dtype=np.float64)
         lead = found.shape[:-1]
         return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.shape)
 
 
 def mixed(k: int) -> str:
-    """Return the name of the invariant that is linear in W and of degree k.
+    """Return the name of the invariant of degree k that is linear in W.
 
     Examples
     --------

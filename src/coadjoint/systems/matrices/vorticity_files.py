@@ -1,4 +1,4 @@
-"""A field in a file: an array of NumPy, or NetCDF with its coordinates."""
+"""Reading of vorticity fields from files: NumPy arrays, and NetCDF with coordinates."""
 
 from __future__ import annotations
 
@@ -25,37 +25,21 @@ SECOND = ("lon", "longitude", "y")
 def read_field(
     path: str | Path, variable: str | None = None, select: Mapping[str, int] | None = None
 ) -> tuple[npt.NDArray[Any], tuple[Floats, Floats] | None]:
-    """Return the array of a file, and of NetCDF the coordinates of its last two axes, in radians.
+    """Return the array of a .npy or .nc file and, for NetCDF, the coordinates of its last two axes in radians.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ending with .npy or .nc.
-    variable : str, optional
-        Of NetCDF, where it has several.
-    select : mapping of str to int, optional
-        Of NetCDF the place along each further axis.
-
-    Returns
-    -------
-    values : array
-    coordinates : pair of 1-d arrays, or None
-
-    Raises
-    ------
-    OSError, TypeError, ValueError
-        The file is not there, or holds nothing of that kind.
+    `variable` selects a NetCDF variable, `select` an index along each of its further axes. Without NetCDF the
+    coordinates are None.
     """
     if not isinstance(path, str | Path):
         raise TypeError(f"path is {short(path)}; give the name of a file")
     file = Path(path)
     if file.suffix == ".npy":
         if variable is not None or select is not None:
-            raise ValueError(f"{short(file.name)} holds one array; variable= and select= are for NetCDF")
+            raise ValueError(f"{short(file.name)} contains one array; variable= and select= are for NetCDF")
         try:
             return np.load(file, allow_pickle=False), None
-        except (EOFError, ValueError, MemoryError):  # a header may promise more than there is
-            raise ValueError(f"{short(file.name)} holds no array of numbers") from None
+        except (EOFError, ValueError, MemoryError):  # the header may claim more data than the file has
+            raise ValueError(f"{short(file.name)} holds no array of numbers; give a file of numpy.save") from None
     if file.suffix != ".nc":
         raise ValueError(
             f"{short(file.name)} ends with {short(file.suffix) if file.suffix else 'nothing'}; give a file .npy or .nc"
@@ -72,21 +56,21 @@ def _read_dataset(
 ) -> tuple[npt.NDArray[Any], tuple[Floats, Floats]]:
     names = [str(key) for key, one in dataset.data_vars.items() if one.ndim >= 2]
     if variable is None and len(names) != 1:
-        raise ValueError(f"{name} has the variables {short(names)}; say which one by variable=")
+        raise ValueError(f"{name} has the variables {short(names)}; choose one by variable=")
     chosen = names[0] if variable is None else variable
     if chosen not in dataset.data_vars:
-        raise ValueError(f"{name} has no variable {short(chosen)}, but {short(names)}")
+        raise ValueError(f"{name} has no variable {short(chosen)}; choose one of {short(names)}")
     field = dataset[chosen]
     for axis, place in dict(select or {}).items():
         if axis not in field.dims:
-            raise ValueError(f"{chosen} of {name} has no axis {short(axis)}, but {short(list(field.dims))}")
+            raise ValueError(f"{chosen} of {name} has no axis {short(axis)}; choose from {short(list(field.dims))}")
         size = field.sizes[axis]
         field = field.isel({axis: read_whole(place, f"select[{axis!r}]", -size, size - 1)})
     axes = [_axis(field, known, name) for known in (FIRST, SECOND)]
     rest = [axis for axis in field.dims if axis not in axes]
     long = [axis for axis in rest if field.sizes[axis] > 1]
     if long:
-        raise ValueError(f"{chosen} of {name} has the axis {short(long[0])} too; give the place along it by select=")
+        raise ValueError(f"{chosen} of {name} has the axis {short(long[0])} too; give the index along it by select=")
     values = field.squeeze(rest).transpose(*axes).values
     first, second = (_radians(field[axis], name) for axis in axes)
     return read_finite(values, f"{chosen} of {name}"), (first, second)
