@@ -105,7 +105,7 @@ def momentum_along(axis: npt.NDArray[np.float64] | None, letter: str, n: int) ->
 
 
 def positive_moments(moments: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
-    """Validate moments: return them, or raise ValueError for the first that is not positive or whose inverse overflows."""
+    """Return moments that are positive and have finite inverses; raise ValueError for the first that does not."""
     for i, moment in enumerate(moments.tolist()):
         place = f"[{i}]" if len(moments) > 1 else ""
         if moment <= 0.0:
