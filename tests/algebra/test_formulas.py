@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import coadjoint as co
 from coadjoint.algebra.elimination import Span
 from coadjoint.algebra.formulas import read_formula, read_polynomial, satisfied
 from coadjoint.algebra.logarithmic import LogarithmicSum
@@ -83,6 +84,18 @@ def test_periods():
     assert irrational.period is None
     with pytest.raises(ValueError, match="no common period"):
         irrational.invariant()
+
+
+@pytest.mark.parametrize("sine", [-2.0, 0.0, 2.0])
+@pytest.mark.parametrize("cosine", [-3.0, 0.0, 3.0])
+def test_angles_on_the_axes(sine, cosine):
+    """In Python and in compiled loops; both zero, there is no angle."""
+    angle = LogarithmicSum.angle(X["x1"], X["x2"]).invariant()
+    wanted = math.atan2(sine, cosine) if sine or cosine else math.nan
+    point = np.array([sine, cosine, 1.0])
+    np.testing.assert_equal(angle(point), wanted)
+    still = co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, {}), co.Quadratic(1.0), casimirs={"angle": angle})
+    np.testing.assert_equal(co.integrate(still, point, (0.0, 1.0), 0.5).casimirs["angle"], [wanted] * 3)
 
 
 def test_gradients_take_any_number():

@@ -280,6 +280,25 @@ def test_slopes_know_how_sure_they_are():
     assert slope(h, [1e-15] * 6, [1e-15] * 6) is None
 
 
+def test_slopes_are_those_of_the_smallest_steps_above_round_off():
+    h = [0.8 / 2**k for k in range(12)]
+    # Beyond step 0.1 the errors are those of another order, and the last four are round-off.
+    errors = [x**4 if x <= 0.1 else 0.1**3 * x for x in h]
+    floors = [1e-3 * e if k < 8 else e for k, e in enumerate(errors)]
+    shuffled = np.random.default_rng(3).permutation(12)
+    found = slope(*([column[k] for k in shuffled] for column in (h, errors, floors)))
+    assert found.steps.tolist() == h[3:8] and found.errors.tolist() == errors[3:8]
+    assert abs(found.value - 4) < 1e-9
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.SphericalMidpoint()], ids=repr)
+@pytest.mark.parametrize("step", [0.1, -0.1])
+def test_schemes_of_a_driven_system_are_symmetric(method, step):
+    spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
+    found = co.certify(spins, method, (0.6, 0.0, 0.8, 0.0, 0.28, 0.96), step, steps=20)
+    assert found["symmetry"].verdict == "holds"
+
+
 def test_what_a_kind_of_casimirs_keeps():
     quadratic, cubic = co.Polynomial({(2, 0): 1.0}), co.Polynomial({(3, 0): 1.0})
     function = co.Invariant(lambda x: x[0])

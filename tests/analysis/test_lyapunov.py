@@ -240,6 +240,21 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
         assert found.by in by and np.max(np.abs(found.stretches[1:] - wanted)) < 1e-12
 
 
+@pytest.mark.parametrize("span", [(0.0, 2.0), (3.5, 5.5), (3.5, 1.5)])
+@pytest.mark.parametrize("method", [Euler(), co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+def test_tangents_of_a_driven_system_are_those_at_the_time_of_each_step(method, span):
+    spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
+    x0, h = np.array([0.6, 0.0, 0.8, 0.0, 0.28, 0.96]), np.copysign(0.125, span[1] - span[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        found = co.lyapunov(spins, x0, span, 0.125, method, renormalize_every=4, save_every=16)
+    step, product = co.stepper(spins, method, h), frame_of(6, 6).T
+    for k, x in enumerate(co.integrate(spins, x0, span, 0.125, method).x[:-1]):
+        product = step.tangent(x, span[0] + k * h) @ product
+    wanted = np.log(np.abs(np.diag(np.linalg.qr(product)[1])))
+    assert np.max(np.abs(found.stretches[-1] - wanted)) < 1e-10
+
+
 def test_a_member_that_fails_leaves_the_others_theirs():
     cubic = co.LiePoissonSystem(co.algebras.sl(2), co.Polynomial({(3, 0, 0): 1.0, (0, 3, 0): 1.0, (0, 0, 3): 1.0}))
     starts = np.array([[0.1, 0.05, 0.02], [40.0, 30.0, 20.0], [0.05, 0.1, 0.05]])

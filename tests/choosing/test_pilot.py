@@ -51,19 +51,34 @@ def test_the_reference_is_the_motion(t0, span):
     assert pilot.speed == pytest.approx(max(speeds) / np.linalg.norm(X0), rel=0.1)
 
 
+@pytest.mark.parametrize("sizes", [(1.0, 1e-3), (1e3, 1.0), (1.0, 1e-6, 30.0)])
+def test_each_member_is_measured_by_its_own_size(sizes):
+    """All but the second rest on an axis, whatever their size."""
+    crowd = np.array([[size, 0.0, 0.0] for size in sizes])
+    crowd[1] = sizes[1] * X0
+    stiff = co.systems.rigid_body(sizes[1] / MASSES)
+    pilot = Pilot(stiff, crowd, 0.0, 1.5)
+    steps = pilot.fitting(pilot.window / pilot.natural_step * 2)
+    run = co.integrate(stiff, crowd[1], (0.0, pilot.window), pilot.window / steps, GaussLegendre(2))
+    apart = np.linalg.norm(run.x - stiff.exact(crowd[1], run.t), axis=1) / np.linalg.norm(crowd[1])
+    assert apart[-1] * 0.999 <= pilot.trial(GaussLegendre(2), steps).error <= apart.max() * 1.001
+
+
 def test_the_natural_step_is_that_of_the_direction():
     """From t = 2 the clock is e^4 times as fast after four units of time as it was before them."""
     forward, backward = (Pilot(SYSTEM, X0[None], 2.0, span).natural_step for span in (2.0, -4.0))
     assert backward >= 2.0 * forward
 
 
+@pytest.mark.parametrize("members", [5, 40, 256, 257, 700])
 @pytest.mark.parametrize("span", [3.0, -3.0])
-def test_the_sample_has_the_members_that_are_hardest(span):
-    """Momenta of any size in any order: the larger one is, the faster it turns."""
+def test_the_sample_has_the_members_that_are_hardest(span, members):
+    """Momenta of any size in any order: the larger one is, the faster it turns. Of many, some are compared."""
     rng = np.random.default_rng(4)
-    sizes = rng.permutation(np.linspace(0.1, 3.0, 40))
+    sizes = rng.permutation(np.linspace(0.1, 3.0, members))
     crowd = sizes[:, None] * X0
-    hardest = set(np.argsort(-sizes)[:2].tolist())
+    compared = np.unique(np.linspace(0, members - 1, min(members, 256)).round().astype(int))
+    hardest = set(compared[np.argsort(-sizes[compared])[:2]].tolist())
     found = sample_of(BODY, crowd, 0.0, span)
     chosen = {int(np.flatnonzero(np.all(crowd == x, axis=1))[0]) for x in found}
     assert 0 in chosen and chosen >= hardest

@@ -26,6 +26,7 @@ BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X = np.random.default_rng(3).standard_normal((11, 3))
 BATCH = co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(11)])
 NOISE = BODY.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4))
+NOISY = co.batch([body.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4)) for body in BATCH])
 FLUID = co.systems.sphere_euler(N=4)
 W = np.stack([FLUID.random(seed) for seed in range(11)])
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -44,6 +45,7 @@ CASES = {
     "batch": (BATCH, X, co.Splitting(), {"attitude": True, "save_every": 3}),
     "batch of one state": (BATCH, X[0], None, {}),
     "noise": (NOISE, X, None, {"observe": {"first": co.Polynomial({(1, 0, 0): 1})}}),
+    "batch with noise": (NOISY, X, None, {}),
     "matrices": (FLUID, W, None, {"save_every": 4}),
 }
 

@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
@@ -128,6 +130,27 @@ def test_nothing_is_written_once_it_is_given_up(tmp_path):
         unfinished.give_up()
         with pytest.raises(Stopped), unfinished.writing():
             pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_given_up_waits_for_the_piece_that_is_written(tmp_path):
+    with Unfinished(tmp_path / "run.nc") as unfinished, ThreadPoolExecutor(1) as pool:
+        begun, ended = threading.Event(), threading.Event()
+
+        def write():
+            with unfinished.writing():
+                begun.set()
+                # Whoever gives up meanwhile is let in only after this; a file that is made then would stay.
+                assert not given_up.wait(timeout=0.2)
+                unfinished.place.write_text("a piece")
+                ended.set()
+
+        given_up = threading.Event()
+        written = pool.submit(write)
+        assert begun.wait(timeout=60)
+        unfinished.give_up()
+        given_up.set()
+        assert ended.is_set() and written.exception(timeout=60) is None
     assert list(tmp_path.iterdir()) == []
 
 

@@ -94,6 +94,19 @@ def test_runs_have_the_order_and_keep_what_the_base_keeps(base) -> None:
         assert co.integrate(system, x0, (0, 50), 0.25, method).drift()["|x|^2"] < 1e-13
 
 
+@pytest.mark.parametrize("base", [base for base in BASES if getattr(base, "rotation", "exact") == "exact"], ids=str)
+@pytest.mark.parametrize("order", [2, 4])
+def test_steps_of_a_driven_system_have_the_order_and_are_symmetric(base, order) -> None:
+    spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
+    x0, method = np.array([0.6, 0.0, 0.8, 0.0, 0.28, 0.96]), even_order(base, order)
+    there, back = (co.stepper(spins, method, h) for h in (0.125, -0.125))
+    np.testing.assert_allclose(back(there(x0, 0.7), 0.825), x0, rtol=0, atol=1e-13)
+    exact = co.integrate(spins, x0, (0.5, 1.5), 1 / 64, co.GaussLegendre(6)).x[-1]
+    steps = 1 / 2.0 ** np.arange(3, 7)
+    errors = [np.abs(co.integrate(spins, x0, (0.5, 1.5), h, method).x[-1] - exact).max() for h in steps]
+    assert fit_order(steps, errors, floor=1e-13).order == pytest.approx(order, abs=0.3)
+
+
 def test_a_sweep_and_its_adjoint_are_the_splitting_of_order_2() -> None:
     assert even_order(co.Splitting(order=1), 2) == co.Splitting(order=2)
     # The two meet in the middle; the other way round the outer part is the last.

@@ -116,8 +116,11 @@ def test_what_has_no_bond_is_refused_by_name(system):
 def test_other_refusals(monkeypatch):
     with pytest.raises(ValueError, match='"bonds" has no rational rotations'):
         by_bonds(rotation="rational")
-    with pytest.raises(ValueError, match=r'parts="bonds" takes no inputs for e1\[1\]'):
-        co.prepare(graph(1), by_bonds(), 0.1, inputs={"field": (0, 1, 2)})
+    bound = graph(1)
+    for spin in range(bound.dim // 3):
+        # Each of them is the first or the second one of some bond.
+        with pytest.raises(ValueError, match=rf'parts="bonds" takes no inputs for e1\[{spin + 1}\]'):
+            co.prepare(bound, by_bonds(), 0.1, inputs={"field": (3 * spin, 3 * spin + 1, 3 * spin + 2)})
     monkeypatch.setattr("coadjoint.program.bonds.MOST_BONDS", 4)
     with pytest.raises(ValueError, match="it has 5 bonds, and 4 are the most"):
         by_bonds().properties(co.systems.spin_lattice("chain", 6))

@@ -244,6 +244,42 @@ def test_driven_ones():
     np.testing.assert_allclose(*runs, atol=1e-13)  # 20 steps, each to round-off of iterations
 
 
+def made_of_each_kind():
+    from coadjoint.systems.driven import Driven
+
+    def force(t):
+        return 0.0, np.sin(t), 2.0
+
+    parts = {0: (np.cosh, np.sinh), 2: (np.cosh, np.sinh)}
+    return {
+        "quadratic": lambda: co.Quadratic([1.0, 2.0, 3.0], linear=[0.1, 0.2, 0.3]),
+        "polynomial": lambda: co.Polynomial("x1*x2*x3 + x1^2", dim=3),
+        "separable": lambda: co.Separable(parts),
+        "function": lambda: co.Hamiltonian(
+            lambda x: x[0] ** 2 * x[1], lambda x: np.array([2 * x[0] * x[1], x[0] ** 2, 0.0])
+        ),
+        "driven": lambda: Driven(co.Quadratic([1.0, 2.0, 3.0]), force, sites=1, axes=3, what="field"),
+        "sum": lambda: co.Quadratic([1.0, 2.0, 3.0]) + co.Separable(parts),
+    }
+
+
+@pytest.mark.parametrize("kind", made_of_each_kind())
+@pytest.mark.parametrize("change", [lambda H: 2 * H, lambda H: -H, lambda H: H / 4, lambda H: H + H])
+def test_what_is_made_of_one_that_has_run_is_made_of_a_new_one(kind, change):
+    """To the bit: nothing that a run has prepared is left in it."""
+    make = made_of_each_kind()[kind]
+
+    def run(H):
+        system = co.LiePoissonSystem(co.algebras.so(3), H)
+        return [co.integrate(system, POINTS[0], (0.5, 1.0), 0.125, co.GaussLegendre(2)).x]
+
+    used = make()
+    run(used)
+    changed, new = change(used), change(make())
+    np.testing.assert_array_equal(run(changed), run(new))
+    np.testing.assert_array_equal(changed.gradient(POINTS[0]), new.gradient(POINTS[0]))
+
+
 class Own:
     """A kind of the user, without arithmetic of its own."""
 

@@ -129,9 +129,11 @@ class PreparedRun:
         """
         system, state = self.system, self.__getstate__()
         if isinstance(system, Batch):
-            made = {h: loops.among(first, last) for h, loops in self._made.items() if isinstance(loops, BatchLoops)}
-            state["_representations"] = self._representations[first:last]
-            state["system"], state["_made"] = system.among(first, last), made
+            state["system"], state["_representations"] = system.among(first, last), self._representations[first:last]
+            # Tables hold the number of the noise, which a member keeps.
+            same = all(one is other for one, other in zip(state["system"], system.systems[first:last], strict=True))
+            loops = self._made.items() if same else ()
+            state["_made"] = {h: each.among(first, last) for h, each in loops if isinstance(each, BatchLoops)}
         elif isinstance(system, ForcedSystem):
             state["system"] = system.numbered_from(first)
             state["_made"] = self._made if state["system"] is system else {}

@@ -1,5 +1,7 @@
 """Initial states of fluids: spectra, circulations, shapes, files; on sphere and torus, and on the rotating sphere."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -182,6 +184,12 @@ def test_the_bump_of_the_jet_is_where_it_is_asked_for():
 @fluids
 def test_states_in_files_of_numpy(s, tmp_path):
     W = s.random(8)
+    objects, pickled = tmp_path / "objects.npy", tmp_path / "pickled.npy"
+    np.save(objects, W.astype(object), allow_pickle=True)
+    pickled.write_bytes(pickle.dumps(W))
+    for file in (objects, pickled):
+        with pytest.raises(ValueError, match="holds no array of numbers"):
+            s.from_file(file)
     np.save(tmp_path / "state.npy", W)
     np.testing.assert_array_equal(s.from_file(tmp_path / "state.npy"), s.algebra.read(W))
     np.save(tmp_path / "field.npy", s.to_grid(s.relative(W), (40, 70)))
