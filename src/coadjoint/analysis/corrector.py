@@ -94,7 +94,7 @@ class Corrector:
     def _moved(self, x: npt.ArrayLike, h: float, direction: float) -> Floats:
         states, n = read_finite(x, "x"), self._flow.dim
         if states.ndim == 0 or states.shape[-1] != n:
-            raise ValueError(f"x has shape {states.shape}; its last axis must have {n} coordinates")
+            raise ValueError(f"x has the shape {states.shape}; its last axis must have {n} coordinates")
         step = read_number(h, "h")
         check_power(step, self.order, "h")
         duration = direction * step**self.order
@@ -118,7 +118,7 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     system : LiePoissonSystem
         With a polynomial Hamiltonian that does not depend on time.
     method : Method, str or mapping
-        A splitting or a composition of splittings, or its name as `integrate` takes it: the kernel.
+        The kernel: a splitting or a composition of splittings, or its name as in `integrate`.
     x0 : array_like, shape (n,) or (k, n)
         The initial state, or a sample of states, to whose motions G is fitted.
 
@@ -146,7 +146,7 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     term = cast(Polynomial, found.error_term.term)
     starts = np.atleast_2d(read_finite(x0, "x0"))
     if starts.ndim != 2 or starts.shape[1] != system.dim:
-        raise ValueError(f"x0 has shape {starts.shape}; it must be ({system.dim},) or (k, {system.dim})")
+        raise ValueError(f"x0 has the shape {starts.shape}; it must be ({system.dim},) or (k, {system.dim})")
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_EACH * len(basis) // len(starts), 64)
     check_room(8 * 3 * len(basis) * count * len(starts), f"{len(basis)} monomials at {count * len(starts)} states")

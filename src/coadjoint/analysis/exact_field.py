@@ -91,9 +91,7 @@ class ExactField(ModifiedField):
         try:
             return self._given.value_of(as_hamiltonian(found, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:
-            raise TypeError(
-                f"{short(given)} is not a polynomial; an exact field can test polynomials only"
-            ) from reason
+            raise TypeError(f"{short(given)} is not a polynomial; an exact field can test polynomials only") from reason
 
     def _changes(self, F: Exact) -> dict[int, Exact]:
         ring, found = self._given.ring, {}

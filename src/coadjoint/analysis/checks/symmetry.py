@@ -40,7 +40,8 @@ def symmetry_row(subject: Subject, telling: float) -> Row:
 
 
 def reversibility_row(subject: Subject, telling: float) -> Row:
-    """Return the row on R psi_h R psi_h = 1 for a reflection R of coordinates that reverses the motion; never declared.
+    """Return the row on R psi_h R psi_h = 1 for a reflection R of coordinates that reverses the motion; it has no
+    claim.
     """
     what = "reversible as the motion"
     signs = None if subject.system.hamiltonian.timed else reversing(subject)
