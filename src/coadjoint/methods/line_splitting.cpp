@@ -192,7 +192,7 @@ struct LineSplitting final : StepScheme {
     void scatter(const Line& k, int64_t first, int64_t lanes) {
         const double size = double(n);
         each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t back, int64_t lane, int64_t count, bool edge) {
-            const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // forward twice: reversed order
+            const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // forward twice: reversed
             double *to_re = added_re.data() + at, *to_im = added_im.data() + at;
             for (int64_t c = 0; c < count; ++c) to_re[c] += from_re[c] / size;
             for (int64_t c = 0; c < count; ++c) to_im[c] += from_im[c] / size;

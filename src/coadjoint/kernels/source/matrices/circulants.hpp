@@ -53,7 +53,7 @@ class Circulants {
             for (int64_t a = 0; a < n; ++a)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
                     const int64_t c = beyond(a + first + lane);
-                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // forward twice: reversed order
+                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // forward twice: reversed
                     // the real part of the main diagonal is only rounding
                     store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
                     if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
