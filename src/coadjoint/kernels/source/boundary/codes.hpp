@@ -81,7 +81,6 @@ CODES(Shape, SHAPES)
 // PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a gradient counts as a combination of the previous ones if
 // the square of its remainder is smaller than its own by this many bits. GROWTH_BITS: an iteration is abandoned if a
 // correction is larger than the first by this many bits.
-// correction is larger than the first by so many bits.
 #define LIMITS(_)                                                                                             \
     _(TENTHS, 10) _(RATIONAL, 8) _(CUBIC_HEADER, 6) _(MOST_SUBSTEPS, 4096) _(LARGEST_DENSE, 200)              \
     _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(LARGEST_CROWD, 32) _(STATE_VERSION, 1) _(PROJECTION_EXACT, 4)    \

@@ -81,8 +81,7 @@ TABLE(Extent, EXTENT_FIELDS)
 
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
 // last. The first `passed` of them are already saved, and have no memory in a resumed run. With `starts` and `lengths`
-// every member takes one step of its own: from that time, of that length. `events` is the address of `EventTables`, or
-// zero.
+// every member takes one step of its own: from that time, of that length.
 // `events` is the address of `EventTables`, or zero.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
