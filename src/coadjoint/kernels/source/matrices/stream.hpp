@@ -12,7 +12,7 @@ namespace coadjoint {
 
 // Contents of `numbers` by kind:
 //   TRIDIAGONAL: for each diagonal m from the main one upwards the factors L D L^T of a tridiagonal matrix, by rows:
-//                n x n below the diagonal of L, then n x n inverse pivots. On the main diagonal an inverse pivot of zero
+//                n x n below the diagonal of L, then n x n inverse pivots. On the main diagonal an inverse pivot of 0
 //                marks a matrix that ignores the trace: then the mean is subtracted.
 //   MULTIPLIED:  the tridiagonal matrix of each diagonal: n x n on its diagonal, then n x n off it.
 //   CIRCULANT:   for each cyclic diagonal d up to (n - 1)/2 the n entries of a circulant matrix's first column.
