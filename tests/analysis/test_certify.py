@@ -239,7 +239,7 @@ def test_a_wrong_closed_form_is_said():
         ({"method": euler, "properties": "all"}, "Properties"),
         (
             {"method": euler, "properties": Properties(True, False, "all", "coadjoint")},
-            'say attitude="none"',
+            'give attitude="none"',
         ),
         ({"x0": (1.0, 2.0)}, "x0 has the shape"),
         ({"system": co.batch([BODY, BODY])}, "one system"),

@@ -91,7 +91,7 @@ def test_what_cannot_be_differentiated_is_refused():
         co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
     with pytest.raises(ValueError, match='take rotation="exact"'):
         co.modified_hamiltonian(system, co.Splitting(rotation="rational"), 4)
-    with pytest.raises(ValueError, match="symbols have no place"):
+    with pytest.raises(ValueError, match="symbols need a polynomial one"):
         co.modified_hamiltonian(system, co.Splitting(), 4, symbols=True)
     with pytest.raises(ValueError, match=r"must be \(..., 3\)"):
         co.modified_hamiltonian(system, co.Splitting(), 4)([1.0, 2.0], 0.1)

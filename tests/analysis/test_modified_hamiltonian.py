@@ -423,7 +423,7 @@ def test_refusals():
     with pytest.raises(ValueError, match="m7"):
         co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), symbols=("m7",))
     kept = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), symbols=True)
-    with pytest.raises(TypeError, match=r"has the symbols b1, b3, m1, m2, m3; take with_values\(\)"):
+    with pytest.raises(TypeError, match=r"has the symbols b1, b3, m1, m2, m3; use with_values\(\)"):
         kept([1.0, 2.0, 3.0], 0.1)
     with pytest.raises(ValueError, match="values has 'm9'"):
         kept.with_values({"m9": 1})

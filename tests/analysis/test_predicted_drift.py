@@ -240,7 +240,7 @@ def test_wrong_input_is_refused() -> None:
         predicted_drift(body, STATES[0], modified=H, step=0.1, field=body.vector_field)
     with pytest.raises(TypeError, match="step is missing"):
         predicted_drift(body, STATES[0], modified=H)
-    with pytest.raises(TypeError, match="step is for modified only"):
+    with pytest.raises(TypeError, match="step is given without modified"):
         predicted_drift(body, STATES[0], gradient=body.hamiltonian.gradient, step=0.1)
     with pytest.raises(TypeError, match="give gradient"):
         predicted_drift(body, STATES[0], modified=co.modified_field(body, co.Splitting(), 3), step=0.1, attitude=True)

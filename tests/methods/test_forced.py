@@ -349,7 +349,7 @@ def test_what_makes_no_sense_is_refused_by_name():
             ask()
     crowd = co.integrate(damped, [x0, x0], (0, 2), 0.125, attitude="coadjoint")
     for judge in (round_off, spatial_momentum):
-        with pytest.raises(TypeError, match="has forces, which change what is kept"):
+        with pytest.raises(TypeError, match="has forces, which change its invariants"):
             judge(crowd)
     with pytest.raises(TypeError, match="no closed form is known for rigid_body with LinearDamping"):
         damped.exact(x0, 1.0)

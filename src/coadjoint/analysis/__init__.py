@@ -1,1 +1,1 @@
-"""What is it worth? Orders, defects and phase errors of what was computed."""
+"""Analysis of schemes and runs: modified equations, frequencies, phase errors, round-off, certificates."""

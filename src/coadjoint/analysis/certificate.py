@@ -1,4 +1,4 @@
-"""What a certificate says: a row for each check, with what was measured, its bound, and the verdict."""
+"""Results of `certify`: certificates and their rows."""
 
 from __future__ import annotations
 
@@ -37,25 +37,25 @@ class Row:
     Parameters
     ----------
     key : str
-        Its name in the certificate.
+        Name of the row in the certificate.
     what : str
-        What was asked.
+        The property checked.
     declared : str
-        What the scheme declares of it.
+        The scheme's declaration on it.
     measured : str
-        What was found, in words and numbers.
+        The measurement, in words and numbers.
     verdict : str
         One of `VERDICTS`.
     claimed : bool
-        Whether the scheme declares something that must hold for the certificate to be passed.
+        Whether the property must hold for the certificate to pass.
     value, bound : float or None
-        The number that decided, and the bound that it was compared with.
+        The decisive value, and the bound it was compared with.
     source : str
-        Where the bound comes from.
+        Derivation of the bound.
     reason : str
-        Why the check is not applicable or not decidable, or what else the reader should know.
+        Why the check is not applicable or not decidable, or a remark.
     evidence : mapping
-        Name -> array or number: all that was measured.
+        Name -> array or number: all measurements.
     """
 
     key: str
@@ -74,7 +74,7 @@ class Row:
         assert self.verdict in VERDICTS
 
     def __str__(self) -> str:
-        """Return the row in one line."""
+        """Format the row in one line."""
         return f"{self.what}: {self.measured} ({self.verdict})"
 
     def to_mapping(self) -> dict[str, Any]:
@@ -84,24 +84,7 @@ class Row:
 
 
 def verdict(claimed: bool, kept: bool | None) -> str:
-    """Return the verdict on a property.
-
-    Parameters
-    ----------
-    claimed : bool
-        Whether the scheme declares it.
-    kept : bool or None
-        Whether it was found to be kept; None where that could not be told.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> verdict(True, False), verdict(False, False)
-    ('fails', 'not kept, not declared')
-    """
+    """Return the verdict on a property; `kept` is None where the measurement does not decide."""
     if kept is None:
         return UNDECIDED
     return (HOLDS if kept else FAILS) if claimed else (BEYOND if kept else ABSENT)
@@ -132,7 +115,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every declared property holds. A property that cannot be decided counts as one that does not hold."""
+        """Whether every declared property holds; an undecidable property counts as failed."""
         return all(row.verdict in (HOLDS, INAPPLICABLE) for row in self.rows if row.claimed)
 
     @property
@@ -147,11 +130,11 @@ class Certificate:
 
     @property
     def failures(self) -> tuple[Row, ...]:
-        """The rows of declared properties that do not hold, or that cannot be decided."""
+        """The rows of declared properties that fail or cannot be decided."""
         return tuple(row for row in self.rows if row.claimed and row.verdict not in (HOLDS, INAPPLICABLE))
 
     def __getitem__(self, key: str) -> Row:
-        """Return the row of a name, such as ``"order"``, ``"energy"`` or ``"casimir |x|^2"``."""
+        """Return a row by name, such as ``"order"``, ``"energy"`` or ``"casimir |x|^2"``."""
         for row in self.rows:
             if row.key == key:
                 return row
@@ -161,7 +144,7 @@ class Certificate:
         return f"<certificate of {self.subject['scheme']['shown']} on {self.subject['system']['name']}: {self._said()}>"
 
     def __str__(self) -> str:
-        """Return a table to be read."""
+        """Format the certificate as a table."""
         head = self._head()
         sizes = [max(len(row.what) for row in self.rows), max(len(row.declared) for row in self.rows)]
         sizes = [min(sizes[0], 32), min(sizes[1], 16), max(len(row.verdict) for row in self.rows)]
@@ -194,7 +177,7 @@ class Certificate:
         return "not passed: " + ", ".join(f"{row.what} ({row.verdict})" for row in self.failures)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text.
+        """Return the certificate as plain numbers, lists and text.
 
         Returns
         -------
@@ -206,7 +189,7 @@ class Certificate:
         return {"schema": SCHEMA, "passed": self.passed, "subject": _plain(self.subject), "rows": rows}
 
     def to_json(self) -> str:
-        """Return `to_mapping` as JSON; a number that is not finite is null."""
+        """Return `to_mapping` as JSON; non-finite numbers are null."""
         return json.dumps(self.to_mapping(), indent=1, allow_nan=False)
 
     def plot(self) -> Figure:
@@ -215,7 +198,7 @@ class Certificate:
         Returns
         -------
         matplotlib.figure.Figure
-            Neither shown nor saved.
+            The figure, neither shown nor saved.
         """
         from coadjoint.pictures.certificate import draw_certificate
 

@@ -1,4 +1,4 @@
-"""`certify`: does a scheme keep on a system what it declares, and does it follow the motion at all?"""
+"""Certification of schemes: measured properties compared with declared ones."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from coadjoint.waiting import tell, waiting
 
 MOST_STEPS = 10**7
 SIZES = (1e-75, 1e75)
-"""Of the largest entry of a state."""
+"""Allowed sizes of the largest entry of a state."""
 
 
 def certify(
@@ -45,9 +45,9 @@ def certify(
     """Measure what a scheme keeps on a system, and compare it with what the scheme declares.
 
     Choose it for the first run of a new system, a new scheme or an unusual step, and for every scheme of your own.
-    It measures the order and the limit of small steps, against a closed form or an independent code (since a motion at
-    the wrong speed keeps every invariant); the symmetry; the Poisson bracket, by the tangent of the step; energy and
-    Casimirs, in a step and over a long run; and what the group element keeps, if the scheme computes one.
+    It measures the order and the convergence to a closed form or an independent integration (since a motion at the
+    wrong speed preserves every invariant); the symmetry; the Poisson bracket, by the tangent map of the step; energy
+    and Casimirs, in one step and over a long run; and the invariants of the group element, if the scheme computes one.
 
     Parameters
     ----------
@@ -55,32 +55,32 @@ def certify(
         The system.
     method : Method or callable
         A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` if the Hamiltonian depends on time) that returns the
-        state after a step of length h, which may be negative. The last three parameters say what a function declares.
-        What is not declared is measured, and cannot fail.
+        state after a step of length h, which may be negative. `order`, `properties` and `symmetric` are the
+        declarations of a function. Undeclared properties are measured and cannot fail.
     x0 : array_like, shape (n,) or (k, n)
-        A state, or a sample of states. If there are fewer than four, others along the motion are added; if a step takes
-        more than a quarter of a millisecond, two states are enough. Of more than eight, the first eight are used.
+        A state, or a sample of states. Fewer than four are extended along the motion; for steps longer than a quarter
+        of a millisecond, two states suffice. Of more than eight, the first eight are used.
     step : float
-        The step; negative for backward. Order, symmetry and defects are also looked at with other steps.
+        The step; negative for backward integration. Order, symmetry and defects are also measured at other steps.
     steps : int, optional
-        Number of steps of the long run; None is 2000, or as many as take a few seconds, which the certificate then
-        says.
+        Number of steps of the long run. None is 2000, reduced to a few seconds of computing time; the certificate
+        reports a reduction.
     order : int, optional
-        Order of accuracy that a function declares.
+        Declared order of accuracy of a function.
     properties : Properties, optional
-        What a function declares to keep, ``co.methods.Properties(poisson=, energy=, casimirs=, attitude="none")``.
+        Declared invariants of a function, ``co.methods.Properties(poisson=, energy=, casimirs=, attitude="none")``.
     symmetric : bool, optional
-        Whether a function declares that a step back undoes a step.
+        Declared symmetry of a function: a step by -h inverts a step by h.
 
     Returns
     -------
     Certificate
-        ``passed``, rows by name, a table by ``print``, ``plot()`` and ``to_json()``.
+        With ``passed``, rows by name, ``plot()`` and ``to_json()``; ``print`` shows a table.
 
     Raises
     ------
     ValueError, TypeError
-        For wrong input, and for a scheme that cannot be used for the system. A run that fails is a row, not an error.
+        For wrong input, or a scheme that does not apply to the system. A failed run is a row, not an error.
 
     Examples
     --------
@@ -90,7 +90,7 @@ def certify(
     >>> co.certify(body, co.Splitting(order=4), (0.3, 1.0, 0.2), 0.1, steps=200).passed
     True
 
-    The explicit Euler method, said to keep the energy:
+    The explicit Euler method, falsely declared to conserve energy:
 
     >>> claims = co.methods.Properties(poisson=False, energy=True, casimirs="none", attitude="none")
     >>> def euler(x, h):
@@ -112,7 +112,7 @@ def certify(
     size = float(np.max(np.abs(states), initial=0.0))
     if size != 0.0 and not SIZES[0] <= size <= SIZES[1]:
         raise ValueError(
-            f"x0 has entries up to {size!r}; products of defects of them leave the range of float64, so take units in "
+            f"x0 has entries up to {size!r}; products of their defects leave the range of float64, so choose units in "
             "which they "
             f"are from {SIZES[0]} to {SIZES[1]}"
         )

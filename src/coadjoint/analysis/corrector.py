@@ -1,4 +1,4 @@
-"""A change of coordinates for output, under which a splitting keeps the energy better: a Poisson corrector."""
+"""Poisson correctors: coordinate changes of the output that reduce the energy error of a splitting."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Floats = npt.NDArray[np.float64]
 
 MOST_MONOMIALS = 1500
 POINTS_EACH = 4  # points of the motion for each monomial that is fitted
-# The fit leaves out combinations of monomials that hardly change the energy along the motion. It leaves out as many as
-# make the corrector move states by less than this multiple of what the term to be undone moves them in one radian.
+# The truncated least-squares fit drops singular directions that hardly change the energy along the motion, until the
+# corrector moves states by at most this multiple of the motion of the error term over one radian.
 LARGEST = 4.0
 PARTS = tuple(10.0**-k for k in range(10, 0, -1))
 
@@ -36,8 +36,8 @@ class Corrector:
     """A map that turns computed states into more accurate ones, the flow of h^p G; `corrector` makes it.
 
     A step of a kernel K of order p is the flow of H + h^p H_p + .... With this map P, the step P K P^-1 is the flow of
-    H + h^p (H_p + sign {G, H}) + .... G is chosen so that the second term hardly changes along the motion. The kernel
-    runs as ever; P is applied to the states that are looked at.
+    H + h^p (H_p + sign {G, H}) + .... G minimizes the variation of the second term along the motion. The kernel runs
+    unchanged; P is applied to the output only.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class Corrector:
     order : int
         The order p of the kernel.
     remaining : float
-        Largest change of H_p + sign {G, H} along the motion, divided by that of H_p. For small h the energy of the
-        output wanders by this part of what the energy of the kernel does. Where it is zero up to round-off, the energy
-        error of the output falls with h^(p + 2).
+        Largest change of H_p + sign {G, H} along the motion, divided by that of H_p. For small h it is the ratio of the
+        energy error of the output to that of the kernel. If it is zero up to round-off, the energy error of the output
+        falls as h^(p + 2).
 
     Examples
     --------
@@ -72,14 +72,14 @@ class Corrector:
         return f"Corrector(order={self.order}, remaining={self.remaining:.2g})"
 
     def __call__(self, x: npt.ArrayLike, h: float) -> Floats:
-        """Return computed states as output.
+        """Map states of the kernel to output.
 
         Parameters
         ----------
         x : array_like, shape (..., n)
             States of the kernel.
         h : float
-            The step of the kernel, with its sign.
+            The step of the kernel, negative for backward.
 
         Returns
         -------
@@ -88,7 +88,7 @@ class Corrector:
         return self._moved(x, h, 1.0)
 
     def inverse(self, x: npt.ArrayLike, h: float) -> Floats:
-        """Return the state from which the kernel starts, for a given first output; parameters as for a call."""
+        """Return the initial state of the kernel for a given initial output; parameters as for a call."""
         return self._moved(x, h, -1.0)
 
     def _moved(self, x: npt.ArrayLike, h: float, direction: float) -> Floats:
@@ -101,7 +101,7 @@ class Corrector:
         if duration == 0.0 or states.size == 0 or not self.generator.monomials:
             return states
         rows = states.reshape(-1, n)
-        # One step of order four over h^p: its error is far below the next term, h^(p + 2).
+        # One step of order four over h^p has an error far below the next term, h^(p + 2).
         run = integrate(self._flow, rows, (0.0, duration), abs(duration), GaussLegendre(2), watch=False)
         return np.asarray(run.x[-1]).reshape(states.shape)
 
@@ -109,29 +109,30 @@ class Corrector:
 def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
     """Return a map of the output under which the energy error of a splitting near a motion is smaller.
 
-    This is processing without a new scheme: the map comes from the modified Hamiltonian of the system at hand. Choose
-    it where energies or other smooth functions of the output are compared, at a step that is not small. It does nothing
-    for the phase errors of long runs, which stay those of the kernel.
+    The scheme remains unchanged: the processing map comes from the modified Hamiltonian of the given system. Choose it
+    to compare energies or other smooth functions of the output at a step that is not small. It does not reduce the
+    phase errors of long runs, which remain those of the kernel.
 
     Parameters
     ----------
     system : LiePoissonSystem
         With a polynomial Hamiltonian that does not depend on time.
     method : Method, str or mapping
-        A splitting or a composition of splittings, or its name as `integrate` takes it: the kernel.
+        The kernel: a splitting or a composition of splittings, or its name as in `integrate`.
     x0 : array_like, shape (n,) or (k, n)
-        The state whose motion matters, or a sample of them.
+        The initial state, or a sample of states, to whose motions G is fitted.
 
     Returns
     -------
     Corrector
-        Its generator G is fitted by least squares to the motions, among all polynomials of the degree that fits.
+        Its generator G is fitted to the motions by least squares, among all polynomials of degree
+        deg H_p - deg H + 1.
 
     Raises
     ------
     TypeError, ValueError
-        The scheme has no modified Hamiltonian on this system, as `modified_hamiltonian` says; there are too many
-        polynomials of that degree; or a motion overflows.
+        The scheme has no modified Hamiltonian on this system (see `modified_hamiltonian`); there are too many monomials
+        of that degree; or a motion overflows.
 
     References
     ----------
@@ -141,7 +142,7 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     system, scheme = read_subject(system, method)
     found, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
     if H is None or not isinstance(found, ModifiedHamiltonian):
-        raise ValueError(f"the Hamiltonian of {system.name} is no polynomial; a corrector is a polynomial's flow")
+        raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; correctors need a polynomial one")
     term = cast(Polynomial, found.error_term.term)
     starts = np.atleast_2d(read_finite(x0, "x0"))
     if starts.ndim != 2 or starts.shape[1] != system.dim:
@@ -173,7 +174,7 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
 
 
 def _moved_by(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
-    """Return the largest speed at some states of the flow of a function."""
+    """Return the largest speed of the flow of a function at some states."""
     slopes = np.asarray(function.gradient(points))
     return max(
         float(np.linalg.norm(system.algebra.structure_matrix(x) @ u)) for x, u in zip(points, slopes, strict=True)
@@ -185,8 +186,8 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
     total = comb(n + degree, n) - 1
     if total > MOST_MONOMIALS:
         raise ValueError(
-            f"a corrector in {n} coordinates is fitted among {total} monomials of degree {degree} and less; "
-            f"at most {MOST_MONOMIALS} are; take a scheme of lower order, or a processed one"
+            f"a corrector in {n} coordinates would need {total} monomials of degree up to {degree}; at most "
+            f"{MOST_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
         )
     found = []
     for size in range(1, degree + 1):
@@ -199,6 +200,6 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
 
 
 def _changes(functions: list[Polynomial], points: Floats) -> Any:
-    """Return the values of functions at the points of a motion, less their means, shape (k, functions)."""
+    """Return the values of functions at points of a motion minus their means, shape (k, functions)."""
     values = np.stack([np.asarray(f(points)) for f in functions], axis=1)
     return values - values.mean(axis=0)

@@ -1,4 +1,4 @@
-"""How far from the motion did a run end? Told by runs that are more accurate than it was."""
+"""Estimates of the error at the end of a run, by comparison with more accurate runs."""
 
 from __future__ import annotations
 
@@ -13,52 +13,28 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.times import Times
 
-# A run is compared with runs of so many times its steps, one after the other until its error is told. None is a power
-# of two, so that the rounding of their steps differs from that of the run.
+# Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. None
+# is a power of two, so that the rounding of their steps differs from that of the run.
 FINER = (1.5, 1.75, 2.5, 3.5)
-# What is expected of rounding, so many times, is told from truncation.
+# Differences above this multiple of the expected round-off are truncation errors.
 CLEARLY = 16.0
-# A second run looks at its size at so many points, and at no more numbers at once.
+# Largest number of saved points of a finer run, and of numbers saved at once.
 POINTS = 256
-EVEN = 2.0**-40  # so near to a whole number of steps a time is one
+EVEN = 2.0**-40  # relative tolerance for a whole number of steps
 NUMBERS = 2**22
 
 
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
-    """Return an estimate of the error of each member at the end of a run whose accuracy was asked for.
+    """Estimate the error of each member at the end of a run with ``accuracy=``, shape (members,).
 
-    The run is compared with one of half as many steps more, whose error is known in proportion by the order. Where that
-    leaves no more than rounding, a third run, with other steps again, is compared as well. A finer run that fails gives
-    way to the next one, four at most.
-
-    Parameters
-    ----------
-    solution : Solution
-        From ``integrate(..., accuracy=)``.
-
-    Returns
-    -------
-    ndarray, shape (members,)
-        Relative to the largest momentum of each member on the way; infinite where every finer run fails.
-
-    Raises
-    ------
-    TypeError
-        No accuracy was asked for.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
-    >>> sol = co.integrate(body, x0, (0, 100), accuracy=1e-6)
-    >>> error = max(abs(sol.x[-1] - body.exact(x0, 100.0)))
-    >>> bool(error / 10 < error_at_end(sol)[0] < 10 * error)
-    True
+    It is relative to the largest momentum of the member. The run is compared with one of 1.5 times as many steps,
+    corrected by the order; if the difference is within round-off, also with a further one. Infinite if all four finer
+    runs fail.
     """
     choice = solution.choice
     if choice is None:
         raise TypeError(
-            "error_estimate is known for runs with accuracy= only; give integrate accuracy= in place of step=, or "
+            "error_estimate needs a run with accuracy=; give integrate accuracy= in place of step=, or "
             "compare this run with one of half the step"
         )
     ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution._began
@@ -75,7 +51,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
         sound = np.isfinite(apart)
         squares[untold[sound]] += apart[sound] ** 2
         seen[untold[sound]] += 1
-        # One difference that rounding explains may be small by chance.
+        # A single difference within round-off may be small by chance, so a second one is required.
         told = sound & ((apart > CLEARLY * choice.roundoff) | (seen[untold] == 2))
         untold = untold[~told]
     squares[seen == 0] = np.inf
@@ -90,7 +66,9 @@ def _apart(
     steps: int,
     times: float,
 ) -> NDArray[np.float64]:
-    """Return how far ends are from those of a finer run, and from where that run strives to, in parts of the size."""
+    """Return the distances of ends from those of a finer run, relative to the size and corrected for the error of that
+    run.
+    """
     finer = solution.method.finer(steps, times)
     points = max(2, min(POINTS, NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
@@ -111,5 +89,5 @@ def _of_members(
     failed = run.state["status"] != 0
     size = np.max(np.linalg.norm(x, axis=2), axis=0)
     apart = np.linalg.norm(ends - x[-1], axis=1)
-    # At rest everything is zero, so that any size will do.
+    # If the size is zero, so is the difference.
     return np.where(failed, np.inf, apart / np.where(size > 0.0, size, 1.0))

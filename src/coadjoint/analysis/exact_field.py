@@ -1,4 +1,4 @@
-"""A modified field whose terms are polynomials, from exact series: what it keeps is known exactly."""
+"""Modified fields with polynomial terms, from exact power series."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from coadjoint.wording import short
 
 
 class ExactField(ModifiedField):
-    """A modified field of polynomials.
+    """A modified field with polynomial terms.
 
     Attributes
     ----------
     known_to : float
-        Relative error of the scheme's own coefficients. Where they are rounded, each term still keeps exactly what the
-        scheme keeps. Terms below its order that are no larger than that rounding are zero.
+        Relative error of the scheme's coefficients. Even if they are rounded, each term keeps exactly what the scheme
+        keeps. Terms below its order that are within that rounding are set to zero.
     """
 
     def __init__(
@@ -67,12 +67,12 @@ class ExactField(ModifiedField):
         return next((k for k, (f, due) in enumerate(zip(self._fields, motion, strict=True)) if f != due), None)
 
     def rate(self, invariant: Any) -> dict[int, Polynomial]:
-        """Return how fast a function F changes: the grad F . f_k that are not zero, by power of h.
+        """Return the rate of change of a function F: the non-zero grad F . f_k, by power of h.
 
         Parameters
         ----------
         invariant : str, Polynomial or Quadratic
-            "energy", the name of a Casimir, or a function that is a polynomial.
+            "energy", the name of a Casimir, or a polynomial.
 
         Returns
         -------
@@ -91,9 +91,7 @@ class ExactField(ModifiedField):
         try:
             return self._given.value_of(as_hamiltonian(found, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:
-            raise TypeError(
-                f"{short(given)} is no polynomial; only for polynomials can be found whether they are kept"
-            ) from reason
+            raise TypeError(f"{short(given)} is not a polynomial; an exact field can test polynomials only") from reason
 
     def _changes(self, F: Exact) -> dict[int, Exact]:
         ring, found = self._given.ring, {}
@@ -114,7 +112,7 @@ class ExactField(ModifiedField):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy (the message has the power of h and the size), or H is not quadratic.
+            The scheme does not keep the energy (the message gives the power of h and the size), or H is not quadratic.
         """
         self._check_energy()
         ring, sign, found = self._given.ring, self.system.sign, {}
@@ -140,9 +138,9 @@ class ExactField(ModifiedField):
 
     @cached_property
     def poisson_defects(self) -> Mapping[int, float]:
-        """Power k -> the largest coefficient of the change of the bracket, L_f J for f = f_k, where it is not zero.
+        """Power k -> the largest coefficient of the Lie derivative L_f J of the bracket along f = f_k, if not zero.
 
-        Where there are none, the scheme is a Poisson map to this order.
+        If the mapping is empty, the scheme is a Poisson map to this order.
         """
         ring, J, found = self._given.ring, self._given.structure, {}
         for k, field in enumerate(self._fields):
@@ -158,13 +156,13 @@ class ExactField(ModifiedField):
         Raises
         ------
         ValueError
-            The scheme is no Poisson map (the message has the power of h and the size). Or the field is Poisson without
-            being Hamiltonian: it moves a Casimir, or belongs to no polynomial.
+            The scheme is not a Poisson map (the message gives the power of h and the size), or the field is Poisson but
+            not Hamiltonian: it moves a Casimir, or has no polynomial Hamiltonian.
         """
         for k, size in self.poisson_defects.items():
             raise ValueError(
-                f"{self.method} is no Poisson map on {self.system.name}: at h^{k} the change of the bracket along its "
-                f"field has a coefficient of {size:.3g}"
+                f"{self.method} is not a Poisson map on {self.system.name}: at h^{k} the change of the bracket along "
+                f"its field has a coefficient of {size:.3g}"
             )
         for name, C in self._given.casimirs.items():
             for k, change in self._changes(C).items():
@@ -177,13 +175,14 @@ class ExactField(ModifiedField):
             H = hamiltonian_of(ring, self._given.structure, [sign * f for f in field])
             if H is None:
                 raise ValueError(
-                    f"the term f_{k} of {self.method} on {self.system.name} is Poisson, but J grad H of no polynomial H"
+                    f"the term f_{k} of {self.method} on {self.system.name} is Poisson, but has no polynomial "
+                    "Hamiltonian"
                 )
             found[k] = H
         return MappingProxyType({k: ring.polynomial(H) for k, H in found.items()})
 
     def to_latex(self) -> str:
-        """Return the terms that are not zero, as lines of LaTeX ``f_{k} = ...``, transposed, all digits."""
+        """Return the non-zero terms as lines of LaTeX ``f_{k} = ...``, transposed, with all digits."""
         return self._lines(Polynomial.to_latex)
 
     def _repr_latex_(self) -> str:

@@ -1,4 +1,4 @@
-"""A modified field whose terms are computed at each point, from steps in many digits."""
+"""Modified fields evaluated pointwise, from steps in multiprecision arithmetic."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from coadjoint.systems.user_functions import sample_points
 from coadjoint.waiting import at, waiting
 from coadjoint.wording import short
 
-SLIGHT = 53  # the steps of the numerical way move by about 2^-53 of the state
-WORTH = 1e-6  # relative disagreement of two sets of steps up to which there is a result
+SLIGHT = 53  # steps move by about 2^-53 of the state
+WORTH = 1e-6  # largest accepted relative disagreement of two sets of steps
 SAMPLES = (0, 1)  # the sample points of a system at which invariants are tested
-SEEN = 1e-9  # relative size from which a change that was computed at points counts as a change
+SEEN = 1e-9  # relative threshold for a change of an invariant at a point
 
 
 class FieldAtPoints(ModifiedField):
-    """A modified field whose terms are computed at each point, from steps in many digits."""
+    """A modified field evaluated pointwise, from steps in multiprecision arithmetic."""
 
     def __init__(
         self,
@@ -63,14 +63,14 @@ class FieldAtPoints(ModifiedField):
         Returns
         -------
         values, errors : (order, n) arrays
-            The errors are the differences of the values from two sets of steps, of which one is twice the other.
+            The errors are the differences of the values from two sets of steps, one twice as long as the other.
 
         Raises
         ------
         TypeError
-            The step rounds mpmath's numbers to fewer digits.
+            The step rounds mpmath numbers to fewer digits.
         ValueError
-            The two sets disagree: the step is no power series in h there.
+            The two sets disagree: the step has no power series in h there.
         """
         from mpmath import mp, workdps
 
@@ -90,19 +90,19 @@ class FieldAtPoints(ModifiedField):
             errors = np.array(abs(sets[1] - sets[0]), dtype=np.float64)
         values = np.array(sets[0], dtype=np.float64)
         rate = slope / size if slope and size else 1.0
-        with np.errstate(over="ignore", invalid="ignore"):  # what leaves the range of float64 is not worth it either
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow fails the test below
             scale = np.maximum(np.abs(values).max(axis=1), max(slope, size) * rate ** np.arange(self.order))
             worst = np.max(errors / scale[:, None], axis=1)
         if not np.all(worst <= WORTH):
             k = int(np.flatnonzero(~(worst <= WORTH))[0])
             raise ValueError(
                 f"f_{k} of {self.method} differs by {worst[k]:.2g} of its size between two sets of steps at "
-                f"{short(state.tolist())}: there the step is no power series in h, or it rounds"
+                f"{short(state.tolist())}: there the step has no power series in h, or it rounds"
             )
         return values, errors
 
     def _sampled(self, which: int) -> tuple[Floats, Floats, Floats]:
-        """Return a sample point with the values there and their errors, computed once."""
+        """Return a sample point with the values there and their errors, cached."""
         state = sample_points(self.system.dim)[which]
         key = state.tobytes()
         if key not in self._found:
@@ -115,7 +115,7 @@ class FieldAtPoints(ModifiedField):
         if end.dtype != object or end.shape != x.shape:
             raise TypeError(
                 f"a step of {self.method} from {len(x)} mpmath numbers returned {end.dtype} of shape {end.shape}; a "
-                f"modified field is found from their digits ({self.reason})"
+                f"modified field needs steps in mpmath numbers ({self.reason})"
             )
         return end
 
@@ -131,7 +131,7 @@ class FieldAtPoints(ModifiedField):
         return None
 
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h whose term loses a function at sample points; None where every term keeps it."""
+        """Return the first power of h whose term changes a function at sample points; None if every term keeps it."""
         given = self._invariant(invariant)
         gradient = (as_hamiltonian(given, self.system.dim) if hasattr(given, "monomials") else given).gradient
         lost = [self.order]

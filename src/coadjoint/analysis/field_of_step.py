@@ -1,4 +1,4 @@
-"""The formal field whose flow is a step (Lemma 6.1): from the series of the step exactly, or at points from steps."""
+"""Formal vector field of a step (Lemma 6.1), from the exact power series or pointwise."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Field = list[Exact]
 def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Field]:
     """Return f_0, f_1, ... with exp(h (f_0 + h f_1 + ...)) = the series of a step.
 
-    The terms are found one after the other. With D the derivative along h f_0 + h^2 f_1 + ..., the flow is sum_m D^m x
-    / m!, in which f_k first occurs in the coefficient of h^(k+1), with the factor one. So f_k is this coefficient of
-    the series, less that of the flow of the terms before.
+    The terms are found recursively. With D the derivative along h f_0 + h^2 f_1 + ..., the flow is sum_m D^m x / m!, in
+    which f_k first occurs in the coefficient of h^(k+1), with the factor one. So f_k is this coefficient of the series
+    minus that of the flow of the previous terms.
 
     Parameters
     ----------
@@ -34,11 +34,11 @@ def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Fie
     Returns
     -------
     list
-        For each power of h n polynomials; one power fewer than the series has.
+        n polynomials for each power of h, one power fewer than in the series.
 
     Notes
     -----
-    S. Reich 1993, Lemma 6.1, where the fields Y are numbered one too low.
+    S. Reich 1993, Lemma 6.1, where the indices of the fields Y are too low by one.
 
     Examples
     --------
@@ -50,7 +50,7 @@ def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Fie
     ['x1', '-1/2*x1', '1/3*x1']
     """
     fields: list[Field] = []
-    # powers[m - 1][q]: the coefficient of h^q in D^m x, from q = m on.
+    # powers[m - 1][q] is the coefficient of h^q in D^m x, q >= m.
     powers: list[dict[int, Field]] = [{}]
     for k in range(len(series) - 1):
         power = k + 1
@@ -71,7 +71,7 @@ def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Fie
 
 
 def plain_ring(dim: int, symbols: Sequence[str] = ()) -> ExactPolynomials:
-    """Return the ring of polynomials in n coordinates; its bracket is zero, fields and J come from the system."""
+    """Return the ring of polynomials in n coordinates, with zero bracket: fields and J come from the system."""
     from coadjoint.algebra.lie_algebra import LieAlgebra
 
     return ExactPolynomials(LieAlgebra([], dim=dim), symbols)
@@ -91,20 +91,20 @@ def size_of(polynomial: Exact) -> float:
 
 
 def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: Sequence[Any]) -> NDArray[Any]:
-    """Return f_0(x), ..., f_(r-1)(x), from r steps of r different lengths.
+    """Return f_0(x), ..., f_(r-1)(x) from steps of r different lengths.
 
     X(h) = (1/h) sum_(m=1)^r (-1)^(m+1)/m (step - 1)^m x is f_0 + h f_1 + ... + O(h^r), where powers are those of the
-    operator that composes with the step. The terms are the coefficients of the polynomial in h through the r values of
-    X.
+    operator of composition with the step. The terms are the coefficients of the interpolation polynomial in h through
+    the r values of X.
 
     Parameters
     ----------
     step : callable
         ``step(x, h)``.
     x : (n,) array
-        The point, in numbers of enough digits.
+        The point, in numbers of sufficient precision.
     steps : sequence of r numbers
-        The lengths h, all different and not zero.
+        The lengths h, distinct and non-zero.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: S
             differences = [b - a for a, b in pairwise(differences)]
             total = total + differences[0] * (1 if m % 2 else -1) / m
         values.append(total / h)
-    # Newton's divided differences, then their polynomial in powers of h.
+    # Newton's divided differences, expanded in powers of h.
     table = list(values)
     for level in range(1, count):
         for i in reversed(range(level, count)):

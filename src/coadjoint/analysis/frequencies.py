@@ -1,4 +1,4 @@
-"""Which frequencies has a motion? Windowed Fourier analysis of its samples, to ten digits and more."""
+"""Frequency analysis of sampled motions by windowed Fourier transforms."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ Floats = NDArray[np.float64]
 
 WINDOW = 5
 FEWEST_SAMPLES = 64
-MOST_NUMBERS = 2**23  # that are held at once; ensembles are analysed in groups
+MOST_NUMBERS = 2**23  # held in memory at once; ensembles are analysed in groups
 MOST_COMBINATIONS = 2**21
-NARROWER = 2  # power of the second window; the change between the two windows says how much lines disturb each other
+NARROWER = 2  # reduction of the power for the second window; the change of the result estimates the leakage of lines
 
 
 @dataclass(frozen=True)
 class Combinations:
-    """Lines as integer combinations of few frequencies.
+    """Spectral lines as integer combinations of a few basic frequencies.
 
     Attributes
     ----------
     basis : ndarray, shape (d,)
-        The frequencies.
+        The basic frequencies.
     integers : ndarray of int, shape (lines, d)
-        Line k has nearly the frequency ``integers[k] @ basis``.
+        The frequency of line k is approximately ``integers[k] @ basis``.
     misfit : ndarray, shape (lines,)
-        Frequency of the line less that of the combination, in radians per unit of time.
+        Frequency of the line minus that of the combination, in radians per unit of time.
     found : ndarray of bool, shape (lines,)
-        Whether the misfit is within the uncertainty of the frequencies. Where not, the integers are those of the
+        Whether the misfit is within the uncertainty of the frequencies. If not, the integers are those of the
         nearest combination.
     """
 
@@ -49,24 +49,25 @@ class Combinations:
 
 @dataclass(frozen=True)
 class Frequencies:
-    """The strongest lines of a signal, strongest first; for an ensemble the first axis of every array is the member.
+    """The strongest spectral lines of a signal, strongest first; for ensembles the first axis of each array is the
+    member.
 
     Attributes
     ----------
     frequency : ndarray, shape (lines,)
-        In radians per unit of time; positive for a real signal. NaN where fewer lines stand above round-off.
+        In radians per unit of time; positive for a real signal. NaN if fewer lines are above round-off.
     amplitude : ndarray, shape (lines,) or (lines, channels)
         Complex, at time zero: a real signal is mean + Re(sum_k a_k exp(i w_k t)), a complex one without Re.
     uncertainty : ndarray, shape (lines,)
-        Standard error of the frequency: what a narrower window changes, what noise near the line would do, and
-        round-off, together.
+        Standard error of the frequency: the change under a narrower window, the effect of noise near the line, and
+        round-off, combined.
     diffusion : ndarray, shape (lines,)
-        Frequency in the second half of the span minus that in the first. For a quasi-periodic motion it is small and
-        falls like a high power of the span. For a chaotic motion it does not fall.
+        Frequency in the second half of the span minus that in the first. For quasi-periodic motions it is small and
+        decreases as a high power of the span; for chaotic motions it does not decrease.
     mean : complex or float, or ndarray, shape (channels,)
         The constant part of the signal.
     residual : float or ndarray, shape (members,)
-        Root mean square of the signal, in the middle of the span (under the window), without these lines.
+        Root mean square, under the window, of the signal without these lines.
     """
 
     frequency: Floats
@@ -91,26 +92,24 @@ class Frequencies:
         return total if several else total[..., 0] if total.ndim == times.ndim + 1 else total[..., 0, :]
 
     def combinations(self, basis: ArrayLike | None = None, largest: int = 8) -> Combinations:
-        """Return the lines as integer combinations of few frequencies.
+        """Return the lines as integer combinations of a few basic frequencies.
 
         Parameters
         ----------
         basis : array_like, shape (d,), optional
-            The frequencies of the angles. None takes the strongest line that is no combination of those before it,
-            again and again.
+            The basic frequencies. None selects lines in order of strength, each not a combination of the previous ones.
         largest : int
-            Largest size of an integer.
+            Largest absolute value of an integer.
 
         Returns
         -------
         Combinations
-            Among all combinations within the uncertainty, the one with the smallest integers.
+            For each line the combination within the uncertainty that has the smallest integers.
 
         Raises
         ------
         ValueError
-            An ensemble was given; or there are more than two million combinations of so many frequencies with integers
-            of that size.
+            The result is of an ensemble, or there are more than two million combinations.
 
         Examples
         --------
@@ -120,7 +119,7 @@ class Frequencies:
         [[1, 0], [0, 1], [1, 1]]
         """
         if self.frequency.ndim == 2:
-            raise ValueError("these are the frequencies of an ensemble; take those of one member")
+            raise ValueError("these are the frequencies of an ensemble; analyse one member")
         largest = read_whole(largest, "largest", 1, MOST_COMBINATIONS)
         there = np.isfinite(self.frequency)
         w, known = (
@@ -139,7 +138,7 @@ class Frequencies:
         return _combined(w[chosen], known[chosen], w, known, largest)
 
     def __str__(self) -> str:
-        """Return a table, a line for each frequency."""
+        """Format as a table with one row for each frequency."""
         if self.frequency.ndim == 2:
             return f"<frequencies of {len(self.frequency)} members>"
         rows = [f"{'frequency':>20} {'uncertainty':>12} {'diffusion':>12} {'amplitude':>12}"]
@@ -153,41 +152,42 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     """Return the strongest frequencies of a run or of samples, with amplitudes and uncertainties.
 
     Choose it for the rotation and libration frequencies of a periodic or quasi-periodic motion, for the error of a
-    scheme in each of them (`Frequencies` of two runs), and for the diffusion of frequencies, which tells chaos.
+    scheme in each of them (`Frequencies` of two runs), and for frequency diffusion, an indicator of chaos.
 
     Parameters
     ----------
     given : Solution or array_like, shape (k,)
-        A run, or even times; 64 at least. A last time of a run that is off the even grid is left out.
+        A run, or equidistant times; at least 64. A last time of a run that is off the grid is ignored.
     signal : None, int, str, callable or array_like
-        Of a run: None is the momentum, a number one of its components, ``"attitude"`` the entries of the group element,
-        ``"energy"`` or the name of what was observed; a function is given ``sol.x`` as a whole and returns an array
-        over the times. An array is the samples: (k,), (k, channels), or (k, members, channels). The channels
+        For a run: None is the momentum, an integer one of its components, ``"attitude"`` the entries of the group
+        element, ``"energy"`` the energy, another name an observable; a function receives ``sol.x`` and returns an array
+        over the times. An array holds the samples: (k,), (k, channels), or (k, members, channels). The channels
         share their frequencies, and each line has an amplitude in each of them.
     count : int
-        How many lines. Weaker lines that are not asked for disturb the others; ask for more to see by how much.
+        Number of lines. Weaker lines that are not included perturb the others; increase it to see by how much.
     window : int
-        Power p of Hann's window (1 + cos)^p, from 1 to 12. Lines that are m > p bins of 2 pi / span apart disturb each
-        other by about m^-(2p+1); nearer than p + 1 bins they are told apart badly. A small p is for noise, a large one
-        for smooth signals.
+        Power p of the Hann window (1 + cos)^p, from 1 to 12. Lines that are m > p bins of 2 pi / span apart perturb
+        each other by about m^-(2p+1); below p + 1 bins they are poorly resolved. A small p suits noise, a large one
+        smooth signals.
 
     Returns
     -------
     Frequencies
-        Strongest first. Frequencies above pi / spacing cannot be told from lower ones.
+        Strongest first. Frequencies above pi / spacing are aliased.
 
     Raises
     ------
     ValueError
-        Uneven times, too few samples, values that are not finite, or more lines than the span can tell apart.
+        The times are not equidistant, there are too few samples, values are not finite, or the span resolves fewer
+        lines.
     TypeError
-        No signal of that kind.
+        The signal has another type.
 
     Notes
     -----
-    Laskar's frequency analysis (the highest peak of the windowed transform, refined, taken off, and so on), in which
+    Laskar's frequency analysis (find the highest peak of the windowed transform, refine, subtract, repeat), in which
     all lines found so far are then corrected together by windowed least squares in frequencies and amplitudes: a
-    finite sum of lines is found to round-off, and of an infinite one the window keeps the rest away.
+    finite sum of lines is found to round-off; for an infinite sum the window suppresses the remaining lines.
 
     References
     ----------
@@ -206,8 +206,8 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     most = samples // (8 * (power + 1))
     if count > most:
         raise ValueError(
-            f"count is {short(count)}; {samples} samples are enough for at most {most} lines; give more samples or a "
-            "smaller count"
+            f"count is {short(count)}; {samples} samples resolve at most {most} lines; give more samples or a smaller "
+            "count"
         )
     group = max(1, MOST_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
     parts = [_analysed(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
@@ -231,7 +231,7 @@ def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[
     diffusion = _halves(s, values, lines, power)
     w = lines.frequency / half
     a = lines.amplitude * np.exp(-1j * w * middle)[..., None]
-    mirrored = (w < 0.0) & (not np.iscomplexobj(values))  # in runs backward, or corrected beyond zero
+    mirrored = (w < 0.0) & (not np.iscomplexobj(values))  # backward runs, or corrections across zero
     w, a = np.where(mirrored, -w, w), np.where(mirrored[..., None], a.conj(), a)
     diffusion = np.where(mirrored, -diffusion, diffusion)
     size = np.where(lines.present, np.linalg.norm(a, axis=2), -1.0)

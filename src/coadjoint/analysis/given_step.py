@@ -1,4 +1,4 @@
-"""What is certified: a scheme with what it declares, or a plain function step(x, h) with what is said of it."""
+"""Steps to be certified: schemes, or functions ``step(x, h)`` with claims."""
 
 from __future__ import annotations
 
@@ -22,17 +22,7 @@ MOST_ORDER = 256
 
 @dataclass(frozen=True)
 class Claims:
-    """What is declared of a step; None where nothing is said.
-
-    Parameters
-    ----------
-    order : int or None
-        Order of accuracy.
-    symmetric : bool or None
-        Whether a step back undoes a step.
-    properties : Properties or None
-        What is kept on the system.
-    """
+    """Declared order, symmetry and invariants of a step; None if not declared."""
 
     order: int | None
     symmetric: bool | None
@@ -41,15 +31,7 @@ class Claims:
 
 @dataclass(frozen=True)
 class GivenStep(StepMethod):
-    """A function ``step(x, h)``, or ``step(x, t, h)``, as a scheme.
-
-    Parameters
-    ----------
-    function : callable
-        Returns the state after a step of length h, negative for backward.
-    timed : bool
-        Whether it takes the time.
-    """
+    """A function ``step(x, h)``, or ``step(x, t, h)`` if `timed`, as a scheme."""
 
     function: Callable[..., Any]
     timed: bool = False
@@ -61,7 +43,7 @@ class GivenStep(StepMethod):
     compiles: ClassVar[bool] = False
 
     def __str__(self) -> str:
-        """Return the name of the function."""
+        """Name the function."""
         return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
 
     def properties(self, system: System) -> Properties:
@@ -74,33 +56,16 @@ class GivenStep(StepMethod):
 def scheme_and_claims(
     system: System, method: Any, order: int | None, properties: Properties | None, symmetric: bool | None
 ) -> tuple[Method, Claims]:
-    """Return what is certified as a scheme, with its claims.
+    """Return the scheme to be certified, with its own claims or those given for a function.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    method : Method or callable
-        A scheme, which declares itself, or a function.
-    order, properties, symmetric
-        What is declared of a function.
-
-    Returns
-    -------
-    method : Method
-    claims : Claims
-
-    Raises
-    ------
-    TypeError, ValueError
-        It is neither a scheme nor a function, or the claims do not fit.
+    Raise TypeError or ValueError if it is neither a scheme nor a function, or if the claims are invalid.
     """
     said = {"order": order, "properties": properties, "symmetric": symmetric}
     if isinstance(method, Method):
         for name, value in said.items():
             if value is not None:
-                raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; leave {name} out")
-        # The error of a scheme with steps of its own does not depend on the step of the run.
+                raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; omit {name}")
+        # The error of a scheme with its own step size does not depend on the step of the run.
         return method, Claims(None if method.own_steps else method.order, method.symmetric, declared_by(method, system))
     if isinstance(method, type) or not callable(method):
         raise TypeError(
@@ -114,8 +79,8 @@ def scheme_and_claims(
         raise TypeError(f"properties is {short(properties)}; give co.methods.Properties(...), or None")
     if properties is not None and properties.attitude != "none":
         raise ValueError(
-            f'properties says attitude="{properties.attitude}", but a function step(x, h) moves the momentum alone; '
-            'say attitude="none"'
+            f'properties has attitude="{properties.attitude}", but a function step(x, h) moves the momentum only; '
+            'give attitude="none"'
         )
     return GivenStep(method, _takes_time(method)), Claims(order, symmetric, properties)
 

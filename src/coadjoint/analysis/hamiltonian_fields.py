@@ -1,4 +1,4 @@
-"""Is a polynomial field Hamiltonian for a bracket of polynomials? And with which Hamiltonian?"""
+"""Polynomial vector fields: test for Poisson fields, and Hamiltonians for a bracket of polynomials."""
 
 from __future__ import annotations
 
@@ -9,37 +9,13 @@ from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.analysis.field_of_step import Field, size_of
 from coadjoint.memory import check_room
 
-BYTES_PER_ENTRY = 40  # for each entry of a matrix of fractions while it is reduced
+BYTES_PER_ENTRY = 40  # of a matrix of fractions during its reduction
 
 
 def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> float:
-    """Return the largest coefficient of the change of the bracket along a field, L_f J; 0 for a Poisson field.
+    """Return the largest coefficient of the Lie derivative L_f J of the bracket along a field; 0 for a Poisson field.
 
     (L_f J)_ij = f . grad J_ij - sum_l (d f_i / d x_l) J_lj - sum_l J_il (d f_j / d x_l).
-
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        What everything belongs to.
-    J : list of lists
-        The skew matrix.
-    field : list
-        n polynomials.
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    A scaling is none on so(3):
-
-    >>> from coadjoint.algebra import catalogue
-    >>> ring = ExactPolynomials(catalogue.so(3))
-    >>> x1, x2, x3 = ring.coordinates
-    >>> J = [[0 * x1, x3, -x2], [-x3, 0 * x1, x1], [x2, -x1, 0 * x1]]
-    >>> bracket_change(ring, J, [x1, x2, x3]), bracket_change(ring, J, [-x2, x1, 0 * x3])
-    (1.0, 0.0)
     """
     slopes = [ring.gradient(f) for f in field]
     largest = 0.0
@@ -53,36 +29,10 @@ def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> floa
 
 
 def hamiltonian_of(ring: ExactPolynomials, J: list[Field], field: Field) -> Exact | None:
-    """Return a polynomial H with J grad H = field, or None where there is none.
+    """Return a polynomial H with J grad H = field, or None if there is none; all non-zero entries of J have one degree.
 
-    H is unique up to Casimirs. Coefficients that Casimirs leave open are zero.
-
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        What everything belongs to.
-    J : list of lists
-        The skew matrix, whose entries that are not zero have one degree.
-    field : list
-        n polynomials.
-
-    Returns
-    -------
-    polynomial or None
-
-    Raises
-    ------
-    ValueError
-        The linear system does not fit in memory.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra import catalogue
-    >>> ring = ExactPolynomials(catalogue.so(3))
-    >>> x1, x2, x3 = ring.coordinates
-    >>> J = [[0 * x1, x3, -x2], [-x3, 0 * x1, x1], [x2, -x1, 0 * x1]]
-    >>> hamiltonian_of(ring, J, [x2 * x3, -x1 * x3, 0 * x3])
-    1/2*x1^2 + 1/2*x2^2
+    H is unique up to Casimirs; undetermined coefficients are zero. Raise ValueError if the linear system exceeds
+    memory.
     """
     degree_of_J = _degree(J)
     total = ring.zero
@@ -97,7 +47,7 @@ def hamiltonian_of(ring: ExactPolynomials, J: list[Field], field: Field) -> Exac
 def _degree(J: list[Field]) -> int:
     degrees = {sum(map(int, e[: len(J)])) for row in J for entry in row for e in entry.monoms()}
     if len(degrees) > 1:
-        raise ValueError(f"the entries of J have the degrees {sorted(degrees)}; a Hamiltonian is sought for one degree")
+        raise ValueError(f"the entries of J have the degrees {sorted(degrees)}; a Hamiltonian needs one common degree")
     return degrees.pop() if degrees else 0
 
 

@@ -1,4 +1,4 @@
-"""By how much is one frequency of a motion ahead? The phase of its line, window after window."""
+"""Phase drift of one spectral line of a motion, by windowed demodulation."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from coadjoint.systems.batch import Batch
 from coadjoint.wording import short
 
 POWER = 3
-PLACES = 96  # at which the window is put along the span
-PART = 8  # the window takes 1/8 of the span where no width is given
+PLACES = 96  # positions of the window along the span
+PART = 8  # the default width of the window is 1/8 of the span
 FEWEST_IN_WINDOW = 32
 
 
 def line_drift(
     solution: Any, frequency: float, reference: Any = None, signal: Any = None, width: float | None = None
 ) -> Any:
-    """Return how the phase of one frequency of a run grows, against the same line of the exact motion.
+    """Return the phase drift of one frequency of a run, relative to the same line of the exact motion.
 
     Choose it for quasi-periodic motions, which have a phase error in each of their angles; `phase_drift` gives the
     average lead of the state.
@@ -34,34 +34,34 @@ def line_drift(
     Parameters
     ----------
     solution : Solution
-        A run, whose saved points are even.
+        A run with equidistant saved points.
     frequency : float
-        Frequency of the line in radians per unit of time, from `frequencies` of the right motion.
+        Frequency of the line in radians per unit of time, from `frequencies` of the exact motion.
     reference : Solution or callable, optional
-        A better run with the same saved times, or a function of times (k,) that returns states (k, n); None is the
-        closed form of the system.
+        A more accurate run with the same saved times, or a function of times (k,) that returns states (k, n); None is
+        the closed form of the system.
     signal : None, int, str or callable
-        As for `frequencies`: a component, or a function of the states. Names need a run for the reference.
+        As for `frequencies`: a component, or a function of the states. Names require a run as the reference.
     width : float, optional
-        Width of the window in which phases are taken, in units of time; an eighth of the span by default. Other lines
-        must be further away than 8 pi / width.
+        Width of the demodulation window in units of time; an eighth of the span by default. Other lines must be more
+        than 8 pi / width away.
 
     Returns
     -------
     PhaseDrift or list of PhaseDrift
-        The lead in radians at the middles of the windows; positive is early. A list for an ensemble.
+        The lead in radians at the window centres; positive is early. A list for an ensemble.
 
     Raises
     ------
     ValueError
-        A reference of other times, a window that does not fit, or no such line in the signal.
+        The reference has other saved times, the window does not fit, or the signal has no such line.
     TypeError
-        No closed form is known, and no reference was given.
+        No closed form is known, and no reference is given.
 
     Notes
     -----
-    Both signals are multiplied by exp(-i w t) and averaged under Hann's window (1 + cos)^3; the angle between the
-    averages is the lead, followed over 2 pi.
+    Both signals are multiplied by exp(-i w t) and averaged under the Hann window (1 + cos)^3; the angle between the
+    averages, unwrapped, is the lead.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def line_drift(
     samples = int(round(wide / span * (len(run.t) - 1))) + 1
     if not FEWEST_IN_WINDOW <= samples <= len(run.t) - FEWEST_SAMPLES:
         raise ValueError(
-            f"the window takes {samples} of {len(run.t)} samples; it must take {FEWEST_IN_WINDOW} at least and leave "
+            f"the window takes {samples} of {len(run.t)} samples; it must take at least {FEWEST_IN_WINDOW} and leave "
             f"{FEWEST_SAMPLES}, so save more often, or give another width"
         )
     places = np.unique(np.linspace(0, len(run.t) - samples, PLACES).round().astype(np.int64))
@@ -103,32 +103,16 @@ def line_drift(
 def demodulated(
     t: NDArray[np.float64], values: NDArray[Any], w: float, weight: NDArray[np.float64], places: NDArray[np.int64]
 ) -> NDArray[np.complex128]:
-    """Return the amplitude of a line in each window.
+    """Return the complex amplitude of a line in each window, shape (places, channels); for a real signal half of it.
 
-    Parameters
-    ----------
-    t : ndarray, shape (k,)
-        Times.
-    values : ndarray, shape (k, channels)
-        The signal.
-    w : float
-        Frequency of the line.
-    weight : ndarray, shape (samples,)
-        The window, with the sum one.
-    places : ndarray of int
-        Where windows begin.
-
-    Returns
-    -------
-    ndarray, shape (places, channels)
-        The amplitudes; for a real signal half of them.
+    The signal has shape (k, channels); `weight` is the window of sum one, and `places` are the starts of the windows.
     """
     slow = values * np.exp(-1j * w * t)[:, None]
     return np.array([weight @ slow[first : first + len(weight)] for first in places])
 
 
 def _right(solution: Solution, run: Sampled, reference: Any, signal: Any) -> NDArray[Any]:
-    """Return the signal of the right motion on the same times, for each member."""
+    """Return the signal of the reference motion at the same times, for each member."""
     if isinstance(reference, Solution):
         other = sampled(reference, signal, 2)
         if not np.array_equal(other.t, run.t):

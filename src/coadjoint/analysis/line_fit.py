@@ -1,4 +1,4 @@
-"""Which lines does a sampled signal consist of? Windowed least squares in frequencies and amplitudes at once."""
+"""Spectral lines of sampled signals, by windowed least squares in frequencies and amplitudes."""
 
 from __future__ import annotations
 
@@ -14,25 +14,16 @@ Floats = NDArray[np.float64]
 
 WHILE_SEARCHING = 4  # corrections of all lines after each new one
 IN_THE_END = 12
-NEAREST = 2.0  # bins of 2 pi over the span; nearer lines are not told apart
+NEAREST = 2.0  # resolution limit, in bins of 2 pi over the span
 NEIGHBOURS = 32  # bins on either side of a line whose median power is its noise
 
 
 class Lines(NamedTuple):
-    """Lines of some members, on times that go from -1 to 1.
+    """Spectral lines of some members, on times from -1 to 1.
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (members, lines)
-        In radians per unit of that time.
-    amplitude : ndarray, shape (members, lines, channels)
-        Complex; of a real signal f = mean + Re(sum_k a_k exp(i w_k s)).
-    mean : ndarray, shape (members, channels)
-        What does not oscillate.
-    residual : ndarray, shape (members, samples, channels)
-        The signal less mean and lines.
-    present : ndarray of bool, shape (members, lines)
-        Whether the line stands above round-off.
+    Shapes: frequency (members, lines), in radians per unit of that time; amplitude (members, lines, channels), complex,
+    with f = mean + Re(sum_k a_k exp(i w_k s)) for a real signal; mean (members, channels); residual (members, samples,
+    channels), the signal minus mean and lines; present (members, lines), whether the line is above round-off.
     """
 
     frequency: Floats
@@ -43,10 +34,8 @@ class Lines(NamedTuple):
 
 
 def hann(s: Floats, power: int) -> Floats:
-    """Return the window (1 + cos(pi s))^power at times from -1 to 1, with the sum one.
+    """Return the window (1 + cos(pi s))^power at times s from -1 to 1, normalized to sum one.
 
-    Examples
-    --------
     >>> hann(np.linspace(-1.0, 1.0, 5), 1)
     array([0.  , 0.25, 0.5 , 0.25, 0.  ])
     """
@@ -56,23 +45,9 @@ def hann(s: Floats, power: int) -> Floats:
 
 
 def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines:
-    """Return the strongest lines of signals, found one after the other and then corrected together.
+    """Find the strongest lines of signals (members, samples, channels) one after the other, then correct them together.
 
-    Parameters
-    ----------
-    s : ndarray, shape (samples,)
-        Times, evenly from -1 to 1.
-    values : ndarray, shape (members, samples, channels)
-        Real or complex. The channels share their frequencies.
-    count : int
-        How many.
-    power : int
-        Of the window.
-
-    Returns
-    -------
-    Lines
-        In the order in which they were found.
+    The times s are equidistant from -1 to 1. The channels share their frequencies. Lines are in the order of detection.
     """
     weight = hann(s, power)
     members, _, channels = values.shape
@@ -88,7 +63,7 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
         frequency = np.concatenate([found.frequency, start[:, None]], axis=1)
         strongest = np.max(np.linalg.norm(found.amplitude, axis=2), axis=1, initial=0.0)
         largest = np.maximum(strongest, height) + np.linalg.norm(found.mean, axis=1)
-        # Rounding moves the arguments of the sines, and the samples themselves.
+        # Rounding of the arguments of the sines, and of the samples.
         floor = 8.0 * UNIT_ROUNDOFF * (1.0 + np.max(np.abs(frequency), axis=1)) * largest
         present = np.concatenate([found.present, (height > floor)[:, None]], axis=1)
         if not np.any(present[:, -1]):
@@ -100,30 +75,12 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
 def correct_lines(
     s: Floats, values: NDArray[Any], frequency: Floats, present: NDArray[np.bool_], weight: Floats, iterations: int
 ) -> Lines:
-    """Return lines from frequencies that are nearly right, by Gauss-Newton with the amplitudes eliminated.
+    """Refine approximate frequencies (members, lines) by Gauss-Newton steps with the amplitudes eliminated (variable
+    projection).
 
-    Parameters
-    ----------
-    s, values
-        As for `find_lines`.
-    frequency : ndarray, shape (members, lines)
-        To start from.
-    present : ndarray of bool, shape (members, lines)
-        Which of the frequencies may move.
-    weight : ndarray, shape (samples,)
-        The window.
-    iterations : int
-        Largest number of iterations; they end earlier where the corrections no longer fall.
-
-    Returns
-    -------
-    Lines
-
-    Notes
-    -----
-    Variable projection: with the columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), and their derivatives by
-    w_k, which lie in the span of s B, all that a step needs is the Gram matrix of (B, s B) and the products of
-    (B, s B) with the residual, however many channels there are.
+    With columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), the derivatives by w_k lie in the span of s B, so
+    a step needs only the Gram matrix of (B, s B) and its products with the residual. Only frequencies in `present`
+    move.
     """
     w = frequency.copy()
     bin_width, last = math.pi, math.inf
@@ -154,22 +111,10 @@ def correct_lines(
 
 
 def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
-    """Return the standard error of each frequency that noise around it would cause, shape (members, lines).
+    """Return the standard error of each frequency due to noise near its line, shape (members, lines).
 
-    Parameters
-    ----------
-    lines : Lines
-        With their residual.
-    s : ndarray, shape (samples,)
-        Times from -1 to 1.
-    power : int
-        Of the window.
-
-    Returns
-    -------
-    ndarray
-        The standard errors. The noise is the median of the power of the residual near the line. Lines that were not
-        asked for do not raise a median. For white noise the error is right.
+    The noise is the median power of the residual near the line, which is insensitive to further lines; for white noise
+    the error is unbiased.
     """
     weight = hann(s, power)
     real = not np.iscomplexobj(lines.residual)
@@ -196,7 +141,7 @@ class _Fit(NamedTuple):
 
 
 def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _Fit:
-    """Return the best amplitudes of given frequencies, and what is left."""
+    """Return the least-squares amplitudes of given frequencies, and the residual."""
     waves = np.exp(1j * s[:, None] * w[:, None, :])
     real = not np.iscomplexobj(values)
     turning = np.concatenate([waves.real, waves.imag], axis=2) if real else waves
@@ -208,7 +153,7 @@ def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _
     inner = gram[:, : inside.shape[2], : inside.shape[2]]
     products = np.swapaxes(weighted[..., : inside.shape[2]], 1, 2)
     coefficients = np.linalg.solve(inner, products @ values)
-    # Once more, from the residual: so weak lines are as accurate as strong ones.
+    # Iterative refinement, so that weak lines are as accurate as strong ones.
     coefficients = coefficients + np.linalg.solve(inner, products @ (values - inside @ coefficients))
     k = w.shape[1]
     turned = coefficients[:, 1:]
@@ -217,7 +162,7 @@ def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _
 
 
 def _slopes(amplitude: NDArray[np.complex128], real: bool) -> NDArray[Any]:
-    """Return the model's derivative by each frequency, in terms of s B, shape (members, lines, of B, channels)."""
+    """Return the derivatives of the model by frequency in terms of s B, shape (members, lines, of B, channels)."""
     lines = np.eye(amplitude.shape[1])[None, :, :, None]
     if not real:
         return 1j * lines * amplitude[:, :, None]
@@ -231,13 +176,13 @@ def _spectrum(values: NDArray[Any], weight: Floats) -> NDArray[np.complex128]:
 
 
 def _bins(samples: int, real: bool) -> Floats:
-    """Return the frequencies of the bins: over the span 2 of s the spacing is 2 / (samples - 1)."""
+    """Return the angular frequencies of the FFT bins; the spacing of the samples on [-1, 1] is 2 / (samples - 1)."""
     found = np.fft.rfftfreq(samples) if real else np.fft.fftfreq(samples)
     return np.asarray(math.pi * (samples - 1) * found)
 
 
 def _highest(s: Floats, found: Lines, weight: Floats) -> tuple[Floats, Floats]:
-    """Return frequency and amplitude of the highest peak of the residual that is no part of a known line."""
+    """Return frequency and amplitude of the highest peak of the residual outside the known lines."""
     real = not np.iscomplexobj(found.residual)
     power = np.sum(np.abs(_spectrum(found.residual, weight)) ** 2, axis=2)
     bins = _bins(len(s), real)

@@ -1,4 +1,4 @@
-"""Lyapunov exponents: how fast do neighbouring motions part?"""
+"""Lyapunov exponents of motions and ensembles, from the tangent map."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
-POINTS = 200  # saved times, where no number is given
-BLOCKS = 10  # of the time; the scatter of their exponents is the uncertainty
+POINTS = 200  # default number of saved times
+BLOCKS = 10  # time blocks, whose scatter gives the uncertainty
 MOST_STEPS = 2**53  # of a run
 
 
@@ -43,7 +43,7 @@ class LyapunovExponents:
     dim : int
         The dimension of the system.
     by : str
-        How the tangent was found: "compiled", or in Python by its "formula", by "complex step" or by "differences".
+        How the tangent was computed: "compiled", or in Python by "formula", "complex step" or "differences".
     """
 
     t: NDArray[np.float64]
@@ -64,7 +64,7 @@ class LyapunovExponents:
 
     @property
     def exponents(self) -> NDArray[np.float64]:
-        """The estimates over all of the time, shape (k,) or (members, k); in the limit the largest comes first."""
+        """The estimates over the whole time, shape (k,) or (members, k); in the limit the largest comes first."""
         return np.asarray(self.history[-1])
 
     @property
@@ -74,11 +74,11 @@ class LyapunovExponents:
 
     @property
     def uncertainty(self) -> NDArray[np.float64]:
-        """How wrong the estimates may be, in the shape of `exponents`.
+        """Uncertainty of the estimates, in the shape of `exponents`.
 
-        The larger of two numbers. One is the standard error of the mean of ten blocks of the time (fewer where fewer
-        times are saved); it holds for chaotic motion. The other is how far the estimate moved within the last half of
-        the time; it is what remains of an exponent that falls like log(t)/t. NaN where no two times are saved.
+        The maximum of two estimates: the standard error of the mean over ten time blocks (fewer if fewer times are
+        saved), which applies to chaotic motion; and the change of the estimate within the last half of the time, which
+        bounds the rest of an exponent that falls as log(t)/t. NaN if fewer than two times are saved.
         """
         edges = np.unique(np.linspace(0, len(self.t) - 1, BLOCKS + 1).round().astype(int))
         if len(edges) < 3:
@@ -90,15 +90,15 @@ class LyapunovExponents:
 
     @property
     def sum(self) -> NDArray[np.float64]:
-        """The sum of the exponents. With all n it says how fast volumes grow: zero on a unimodular algebra."""
+        """The sum of the exponents. With all n it is the growth rate of volumes, zero on a unimodular algebra."""
         return np.asarray(np.sum(self.exponents, axis=-1))
 
     @property
     def pairing(self) -> NDArray[np.float64]:
-        """How far the exponents are from pairs of +L and -L, and zeros: the largest |L_i + L_(n+1-i)| in their order.
+        """The deviation of the exponents from pairs +L and -L, and zeros: the largest |L_i + L_(n+1-i)| when sorted.
 
-        Zero in the limit for bounded motion on coadjoint orbits: a step is symplectic there, and each Casimir has a
-        zero of its own. NaN where not all exponents were computed.
+        Zero in the limit for bounded motion on coadjoint orbits: a step is symplectic there, and each Casimir
+        contributes a zero exponent. NaN if not all exponents were computed.
         """
         ordered = np.sort(self.exponents, axis=-1)
         found = np.max(np.abs(ordered + ordered[..., ::-1]), axis=-1)
@@ -125,30 +125,30 @@ def lyapunov(
 ) -> LyapunovExponents:
     """Return the Lyapunov exponents of a motion, or of each member of an ensemble, from the exact tangent map.
 
-    Tangent vectors go along with the state in the compiled loop of flow and Runge-Kutta methods and their compositions,
-    and are made orthonormal from time to time; the state has the bits that `integrate` gives. For other schemes
-    `stepper(...).tangent` is called for every step, in Python, and a warning says so once.
+    Tangent vectors are integrated with the state in the compiled loop of flow and Runge-Kutta methods and their
+    compositions, and are orthonormalized periodically; the state has the same bits as in `integrate`. For other schemes
+    `stepper(...).tangent` is called in Python for each step, with a single warning.
 
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem or Batch
-        What moves. Its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
+        The system. Its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
     x0 : array_like, shape (n,) or (members, n)
         Initial momentum, as in `integrate`.
     t_span : (float, float)
-        Start and end, a whole number of steps. Backward in time the exponents are those of the motion backward.
+        Start and end, a whole number of steps. Backward in time the exponents are those of the reversed motion.
     step : float
         Size of a step, positive.
     method : Method, optional
         The scheme; None is `Splitting()` of order 2.
     exponents : int, optional
-        How many, the largest first; None is all n.
+        Number of exponents, the largest first; None is all n.
     renormalize_every : int
-        After how many steps the vectors are made orthonormal.
+        Number of steps between orthonormalizations of the vectors.
     transient : float
-        Time at the start that is not counted, a whole number of steps: the vectors find their directions meanwhile.
+        Initial time that is not counted, a whole number of steps, during which the vectors align.
     save_every : int, optional
-        The running estimates are kept after every so many steps that count, and at the end; None is some 200 times.
+        Number of counted steps between saved estimates; the last one is saved too. None gives about 200 saved times.
     threads : int, optional
         Threads for the members of an ensemble; None is one for each core.
 
@@ -160,15 +160,15 @@ def lyapunov(
     Raises
     ------
     ValueError, TypeError
-        For wrong input, before the first step; a derivative that is not known.
+        For wrong input or a missing derivative, before the first step.
     IntegrationError
-        A member failed as in `integrate`, or a vector grew so fast that it could not be told from the others; `partial`
-        has the exponents of the members that did not.
+        A member failed as in `integrate`, or vectors grew too fast to stay linearly independent; `partial` has the
+        exponents of the other members.
 
     Notes
     -----
-    Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980), 9 and 21. The vectors start in directions that are
-    no special ones, the same in every run, and k of them are the first k of all.
+    Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980), 9 and 21. The initial vectors are generic and the
+    same in every run; k vectors are the first k of n.
 
     Examples
     --------
@@ -209,10 +209,10 @@ def lyapunov(
 
 
 def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:
-    """Return the times, with the end of the transient and the saved steps after it, of so many numbers, as marks."""
+    """Return the times, with the end of the transient and the saved steps after it as marks."""
     passed = read_number(transient, "transient")
     if passed < 0.0:
-        raise ValueError(f"transient is {passed!r}; it must be a time from 0 up")
+        raise ValueError(f"transient is {passed!r}; it must not be negative")
     first = times_between((0.0, passed), abs(times.h), 1).steps if passed else 0
     counted = times.steps - first
     if counted < 1:
@@ -229,21 +229,14 @@ def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) ->
 
 
 def frame_of(count: int, size: int) -> NDArray[np.float64]:
-    """Return orthonormal vectors (count, size) in no special directions, the same ones on every machine.
-
-    Examples
-    --------
-    >>> vectors = frame_of(3, 3)
-    >>> bool(abs(vectors @ vectors.T - np.eye(3)).max() < 1e-15), bool((frame_of(2, 3) == vectors[:2]).all())
-    (True, True)
-    """
-    # The finalizer of splitmix64: bits of a counter, mixed.
+    """Return generic orthonormal vectors (count, size), the same on every machine."""
+    # The finalizer of splitmix64, applied to a counter.
     with np.errstate(over="ignore"):
         mixed = np.arange(1, count * size + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
         for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
             mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
     vectors = ((mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53 - 0.5).reshape(count, size).T.copy()
-    for _ in range(2):  # twice, since the first time loses digits
+    for _ in range(2):  # the second pass restores the digits that the first loses
         if make_orthonormal(vectors) is None:
             raise AssertionError("the mixed bits are not independent")
     return np.ascontiguousarray(vectors.T)

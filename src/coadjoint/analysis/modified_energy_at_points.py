@@ -1,4 +1,4 @@
-"""Modified Hamiltonians of Hamiltonians that are no polynomials: their values, point by point."""
+"""Modified Hamiltonians of non-polynomial Hamiltonians, evaluated pointwise."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class ModifiedEnergyAtPoints:
-    """The function H + h^2 H2 + ... where H has functions of Python in it: it is evaluated, not written down.
+    """The function H + h^2 H2 + ... of a Hamiltonian with Python functions, evaluated pointwise.
 
     At each point the parts are expanded in Taylor polynomials, whose brackets are exact. Derivatives up to the second
-    are those that were given. So H + h^2 H2 of a symmetric scheme is as accurate as they are. For higher derivatives
-    functions are evaluated on circles in the complex plane, which gives some ten digits; less than six are refused. A
-    point takes milliseconds at order 4, and a second at order 6 in six dimensions. `modified_hamiltonian` makes it.
+    are the given ones, so H + h^2 H2 of a symmetric scheme has their accuracy. Higher derivatives come from values on
+    circles in the complex plane, with about ten digits; fewer than six raise an error. A point takes milliseconds at
+    order 4, and a second at order 6 in six dimensions. `modified_hamiltonian` creates it.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class ModifiedEnergyAtPoints:
         x : array_like, shape (n,), (k, n) or (k, members, n)
             States.
         h : float
-            Step, with its sign.
+            Step, negative for backward.
 
         Returns
         -------

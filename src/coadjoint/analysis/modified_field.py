@@ -1,4 +1,4 @@
-"""Which differential equation do the numbers of a scheme solve? Its modified field, a power series in the step."""
+"""Modified vector field of a scheme, as a power series in the step."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
 MOST = 64
-MARGIN = 1000  # below the order of a scheme, a term smaller than so many roundings of its coefficients is zero
+MARGIN = 1000  # below the order of a scheme, terms within this many roundings of its coefficients are set to zero
 WAYS = ("auto", "exact", "numerical")
 
 
@@ -33,24 +33,24 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).
 
     A scheme of order p solves x' = X(x, h) far more accurately than x' = f(x): f_0 = f, f_1 = ... = f_(p-1) = 0, and
-    f_p is its leading error. What every f_k keeps, the scheme keeps; what f_k is the first to lose, it loses at the
-    power h^k. Choose it to see what a scheme does to your own system. For splittings `coadjoint.modified_hamiltonian`
-    says more.
+    f_p is its leading error. A scheme keeps an invariant if every f_k does; otherwise it loses it at h^k of the first
+    f_k that does not. Choose it to analyse a scheme on your own system. For splittings
+    `coadjoint.modified_hamiltonian` gives more detail.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system; its Hamiltonian does not depend on time.
     method : Method, str, mapping or callable
-        The scheme, its name as `integrate` takes it, or a step of your own as a function ``step(x, h)``.
+        The scheme, its name as in `integrate`, or a step of your own as a function ``step(x, h)``.
     order : int
-        The terms f_k h^k with k < order are kept.
+        The terms f_k h^k with k < order are computed.
     way : {"auto", "exact", "numerical"}
-        ``"exact"``: polynomials with rational coefficients, from the step read in power series. It serves Runge-Kutta,
-        modified and splitting schemes, Taylor series, compositions of these, and steps of your own made of sums,
-        products and quotients, on systems whose field is a polynomial. ``"numerical"``: the terms are computed at each
-        point from steps in many digits, for any step that takes mpmath numbers. ``"auto"``: the exact way where it is
-        possible; elsewhere ``reason`` of the field says why it is not.
+        ``"exact"``: polynomials with rational coefficients, from the step evaluated in power series. It supports
+        Runge-Kutta, modified and splitting schemes, Taylor series, compositions of these, and steps of your own made of
+        sums, products and quotients, on systems with a polynomial field. ``"numerical"``: the terms are computed
+        pointwise from steps in multiprecision, for any step that accepts mpmath numbers. ``"auto"``: exact if possible;
+        otherwise ``reason`` of the field gives the obstacle.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     Raises
     ------
     TypeError, ValueError
-        The Hamiltonian depends on time; the scheme does not serve the system; neither way is possible.
+        The Hamiltonian depends on time, the scheme does not apply to the system, or neither way is possible.
 
     References
     ----------
@@ -81,7 +81,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     read_choice(way, "way to a modified field", WAYS)
     if system.hamiltonian.timed:
         raise ValueError(
-            f"the Hamiltonian of {system.name} depends on time; a modified field is that of an autonomous system"
+            f"the Hamiltonian of {system.name} depends on time; a modified field needs an autonomous system"
         )
     if isinstance(method, str | Mapping):
         method = read_method(method)
@@ -98,7 +98,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
             return _exact(system, method, step, order)
         except MemoryError:
             raise
-        except Exception as refusal:  # what a step or a function of the user may raise on numbers of another kind
+        except Exception as refusal:  # user functions may raise anything on formal numbers
             if way == "exact":
                 raise TypeError(f"no exact modified field: {refusal}") from refusal
             reason = f"{refusal}"
@@ -128,10 +128,10 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     fields = field_of_series(exact.ring, series)
     off = max(size_of(a - b) for a, b in zip(fields[0], exact.field, strict=True))
     if 0.0 < off <= MARGIN * max(known_to, UNIT_ROUNDOFF) * max(map(size_of, exact.field)):
-        # The squares that a full M is split into are rounded as well.
+        # The decomposition of a full M into squares is rounded as well.
         known_to, fields[0] = max(known_to, UNIT_ROUNDOFF), exact.field
     if known_to:
-        # Substeps that go back and forth move further than their sum.
+        # Substeps back and forth move further than their sum.
         reach = 2.0 * float(np.sum(np.abs(fractions)))
         for k, scale in enumerate(scale_of_motion(exact, min(order, declared))[1:], 1):
             if max(map(size_of, fields[k])) <= MARGIN * known_to * reach**k * scale:

@@ -1,4 +1,4 @@
-"""What is a modified field? Terms by power of the step, exact or computed at points, and what they keep."""
+"""Base class of modified fields: terms by power of the step, exact or pointwise, and the invariants they keep."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class ModifiedField(ABC):
-    """The field f_0 + h f_1 + ... of a scheme on a system, see `modified_field`.
+    """The modified field f_0 + h f_1 + ... of a scheme on a system; `modified_field` creates it.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class ModifiedField(ABC):
     order : int
         The field has the terms f_k h^k with k < order.
     exact : bool
-        Whether the terms are polynomials from exact series; otherwise they are computed at each point.
+        Whether the terms are polynomials from exact series; otherwise they are computed pointwise.
     reason : str
-        Why the terms are not polynomials; empty where they are.
+        Why the terms are not polynomials; empty if they are.
     """
 
     def __init__(self, system: System, method: Any, order: int, reason: str) -> None:
@@ -52,7 +52,7 @@ class ModifiedField(ABC):
         Parameters
         ----------
         invariant : str, Polynomial, Quadratic or Invariant
-            "energy", the name of a Casimir, or a function. Where the field is exact, polynomials are tested exactly.
+            "energy", the name of a Casimir, or a function. An exact field tests polynomials exactly.
 
         Returns
         -------
@@ -64,8 +64,7 @@ class ModifiedField(ABC):
     def first_error(self) -> int | None:
         """The first power of h whose term differs from that of the exact motion; None if no term differs.
 
-        It is the order of the scheme; 0 where f_0 is not the field of the system, by a wrong coefficient or a wrong
-        speed.
+        It is the order of the scheme; 0 if f_0 is not the field of the system (wrong coefficients or wrong speed).
         """
 
     @QUIET
@@ -94,8 +93,8 @@ class ModifiedField(ABC):
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that keeps the energy.
 
-        Where the terms are polynomials and H is quadratic, the entries of K are polynomials, `skew_terms`. Elsewhere K
-        = J + sign (d g^T - g d^T) / |g|^2 with g = grad H, where g is not zero, and d the field less f_0.
+        If the terms are polynomials and H is quadratic, the entries of K are polynomials, `skew_terms`. Otherwise
+        K = J + sign (d g^T - g d^T) / |g|^2 with g = grad H, not zero, and d the field minus f_0.
 
         Parameters
         ----------
@@ -111,7 +110,7 @@ class ModifiedField(ABC):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy; the message has the power of h and the size.
+            The scheme does not keep the energy; the message gives the power of h and the size.
         """
         states, given = self._states(x)
         step = read_number(h, "h")
@@ -134,12 +133,12 @@ class ModifiedField(ABC):
         if lost is not None:
             raise ValueError(
                 f"{self.method} does not keep the energy of {self.system.name}: at h^{lost} {self._loss(lost)}, so its "
-                "field is no skew matrix times the gradient of H"
+                "field is not a skew matrix times the gradient of H"
             )
 
     @abstractmethod
     def _loss(self, k: int) -> str:
-        """Return how large grad H . f_k is, for a message."""
+        """Format the size of grad H . f_k for a message."""
 
     def _states(self, x: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         states = read_finite(x, "x")
@@ -154,10 +153,10 @@ class ModifiedField(ABC):
                 return self.system.hamiltonian
             if given not in self.system.casimirs:
                 known = ", ".join(["energy", *self.system.casimirs])
-                raise ValueError(f"{short(given)} is no invariant of {self.system.name}; it has {known}")
+                raise ValueError(f"{short(given)} is not an invariant of {self.system.name}; it has {known}")
             return self.system.casimirs[given]
         if isinstance(given, type) or not hasattr(given, "gradient"):
-            raise TypeError(f"{short(given)} is no function with a gradient; give a Polynomial, a Quadratic or a name")
+            raise TypeError(f"{short(given)} has no gradient; give a Polynomial, a Quadratic or a name")
         return given
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Which Hamiltonian does a splitting keep? That of the nearby system that its steps solve, power by power of h."""
+"""Modified Hamiltonians of splittings, as power series in the step."""
 
 from __future__ import annotations
 
@@ -32,23 +32,22 @@ from coadjoint.wording import short
 class ModifiedHamiltonian:
     """The function H + h^2 H2 + ... that a splitting keeps: a step is its flow over h, up to O(h^(order + 1)).
 
-    `modified_hamiltonian` makes it. Call it as ``H(x, h)``, with h negative for runs backward in time. Along a run its
-    value is kept to O(h^order).
+    `modified_hamiltonian` creates it. Call it as ``H(x, h)``, with h negative for backward runs. Along a run its value
+    is constant to O(h^order).
 
     Attributes
     ----------
     terms : mapping of int to Polynomial
-        Power of h -> its factor, where that is not zero; a `SymbolicPolynomial` where symbols were asked for.
-        Coefficients are fractions where those of the scheme are rational, else floats.
+        Power of h -> its non-zero coefficient function; a `SymbolicPolynomial` if symbols were requested. Coefficients
+        are fractions if those of the scheme are rational, else floats.
     order : int
         The terms are those below h^order.
     radius : float
-        The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
+        The largest relative error of a coefficient before rounding to float64; 0 if all are exact.
     neglected : float
-        Bound of the coefficients that were taken as zero, because only rounding of the scheme's own coefficients keeps
-        them from being zero.
+        Bound on the coefficients set to zero because they are within the rounding of the scheme's coefficients.
     values : mapping of str to number
-        Name of a symbol -> the coefficient of H that it stands for; empty where no symbols were asked for.
+        Name of a symbol -> the coefficient of H that it represents; empty without symbols.
 
     Examples
     --------
@@ -83,21 +82,21 @@ class ModifiedHamiltonian:
 
     @cached_property
     def error_term(self) -> ErrorTerm:
-        """The scheme's own first term, at the power of its order; also where that is not below `order`."""
+        """The leading term of the scheme, at the power of its order, even if that is not below `order`."""
         if self._source is None:
-            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
+            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
         return self._source.error_term()
 
     @cached_property
     def kernel(self) -> ModifiedHamiltonian:
-        """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; of other schemes the same one."""
+        """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; unchanged for other schemes."""
         if self._source is None:
-            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
+            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
         return _made_of(self._source.kernel(), self.order)
 
     def _numeric(self) -> Mapping[int, Polynomial]:
         if self.values:
-            raise TypeError(f"the modified Hamiltonian has the symbols {', '.join(self.values)}; take with_values()")
+            raise TypeError(f"the modified Hamiltonian has the symbols {', '.join(self.values)}; use with_values()")
         return self.terms  # type: ignore[return-value]
 
     def __call__(self, x: Any, h: Any) -> Any:
@@ -106,9 +105,9 @@ class ModifiedHamiltonian:
         Parameters
         ----------
         x : array_like, shape (n,), (k, n) or (k, members, n)
-            States: floats, or objects such as ``mpmath.mpf`` and fractions, which are served exactly.
+            States: floats, or objects such as ``mpmath.mpf`` and fractions, in whose arithmetic it is evaluated.
         h : number
-            Step, with its sign.
+            Step, negative for backward.
 
         Returns
         -------
@@ -118,7 +117,7 @@ class ModifiedHamiltonian:
         return self._sum(lambda term: term(x), _step(h))
 
     def gradient(self, x: Any, h: Any) -> NDArray[Any]:
-        """Return the gradients at states, of the shape of x; parameters are those of a call."""
+        """Return the gradients at states, in the shape of x; parameters as for a call."""
         return self._sum(lambda term: term.gradient(x), _step(h))
 
     def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
@@ -135,7 +134,7 @@ class ModifiedHamiltonian:
         except TypeError:
             raise TypeError(
                 f"h is {short(h)}, a {type(h).__name__}, which the numbers of x cannot be multiplied by; "
-                "give both in one kind of number"
+                "give both as the same type"
             ) from None
         return total
 
@@ -145,7 +144,7 @@ class ModifiedHamiltonian:
         Parameters
         ----------
         values : mapping, optional
-            Name -> number. Symbols that are not named take the coefficients of the system's H.
+            Name -> number. Other symbols take the coefficients of the system's H.
 
         Returns
         -------
@@ -168,7 +167,7 @@ class ModifiedHamiltonian:
         return self._written(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
 
     def to_latex(self) -> str:
-        """Return it as LaTeX, without dollars, all digits."""
+        """Return the function as LaTeX without dollar signs, with all digits."""
         return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
 
     def _repr_latex_(self) -> str:
@@ -179,7 +178,7 @@ class ModifiedHamiltonian:
         return f"${written}$"
 
     def to_sympy(self) -> Any:
-        """Return it as an expression of SymPy in h, x1, ..., xn and the symbols; fractions stay exact."""
+        """Return the function as a SymPy expression in h, x1, ..., xn and the symbols; fractions stay exact."""
         need("an expression of SymPy", "sympy")
         import sympy
 
@@ -207,8 +206,8 @@ def modified_hamiltonian(
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
-    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it to see what a run keeps, and to
-    compare schemes of one order by the sizes of their first terms.
+    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it to see which energy a run keeps,
+    and to compare schemes of the same order by their leading terms.
 
     Parameters
     ----------
@@ -216,7 +215,7 @@ def modified_hamiltonian(
         The system. Its Hamiltonian splits and does not depend on time.
     method : Method, str or mapping
         `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own; or its name
-        as `integrate` takes it.
+        as in `integrate`.
     order : int
         From 1 to 12. Order 2 is H for a scheme of order 2, order 4 is H + h^2 H2, and so on.
     symbols : bool or sequence of str
@@ -226,21 +225,21 @@ def modified_hamiltonian(
     Returns
     -------
     ModifiedHamiltonian
-        It is exact where the coefficients of the scheme are rational; floats of H are taken as the rational numbers
-        that they are. Where H is no polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
+        Exact if the coefficients of the scheme are rational; floats in H are converted to rationals exactly. If H is
+        not a polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
 
     Raises
     ------
     TypeError
         The scheme is not made of flows, or the system has no Lie algebra.
     ValueError
-        The system cannot be served: its Hamiltonian depends on time or does not split; symbols where a Casimir was
-        taken off H, squares were completed, or H is no polynomial; or terms too large for this machine.
+        The Hamiltonian depends on time or does not split; symbols were requested, but a Casimir was subtracted from H,
+        squares were completed, or H is not a polynomial; or the terms are too large for this machine.
 
     References
     ----------
-    S. Reich, Numerical integration of the generalized Euler equations, 1993, section 6, by the formula of Baker,
-    Campbell and Hausdorff.
+    S. Reich, Numerical integration of the generalized Euler equations, 1993, section 6, by the
+    Baker-Campbell-Hausdorff formula.
 
     Examples
     --------
@@ -259,18 +258,18 @@ def modified_hamiltonian(
     program = scheme.program(system)
     if system.hamiltonian.timed:
         raise ValueError(
-            f"the Hamiltonian of {system.name} depends on time, so that no function of x is kept; "
-            "a modified Hamiltonian is for autonomous systems"
+            f"the Hamiltonian of {system.name} depends on time, so no function of x is conserved; "
+            "a modified Hamiltonian needs an autonomous system"
         )
     sweeps, after = swept_exactly(scheme.swept())
     H = polynomial_of(system.hamiltonian)
     if H is None:
         if symbols is not False:
-            raise ValueError(f"the Hamiltonian of {system.name} is no polynomial, so that symbols have no place in it")
+            raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; symbols need a polynomial one")
         if np.any(program.frequency != 0):
             raise ValueError(
-                f"the Hamiltonian of {system.name} is no polynomial, and rational rotations are flows of integrals of "
-                'it that are not known; take rotation="exact"'
+                f"the Hamiltonian of {system.name} is not a polynomial, and rational rotations are flows of unknown "
+                'integrals of it; use rotation="exact"'
             )
         coordinates = coordinates_of(program, sweeps, after, order, scheme.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
@@ -285,7 +284,7 @@ def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
 
 
 def read_subject(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
-    """Return system and scheme. Refuse anything but one system on a Lie algebra, with a scheme."""
+    """Validate system and scheme: one system on a Lie algebra, and a scheme."""
     scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):
         raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")

@@ -1,4 +1,4 @@
-"""Order of a scheme from errors at several steps: a straight line through the logarithms."""
+"""Fitted order of a scheme, from errors at several steps."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class OrderFit(NamedTuple):
     order : float
         Slope of log(error) against log(step), by least squares.
     steps, errors : ndarray, shape (k,)
-        The points that were used, largest step first.
+        The points used, largest step first.
     dropped : int
-        How many points lay on the round-off floor.
+        Number of points on the round-off floor.
     """
 
     order: float
@@ -33,29 +33,29 @@ class OrderFit(NamedTuple):
 
 
 def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, floor: npt.ArrayLike = 0.0) -> OrderFit:
-    """Fit an order to errors at several steps, without the points that are dominated by round-off.
+    """Fit an order to errors at several steps, without the points dominated by round-off.
 
-    From the largest step down, points are used until one is at or below its `floor`, or the error no longer falls at
-    least like the square root of the step (a plateau: no scheme has order 1/2).
+    From the largest step down, points are used until one is at or below its `floor`, or until the error falls more
+    slowly than the square root of the step (a plateau: no scheme has order 1/2).
 
     Parameters
     ----------
     steps : array_like, shape (k,)
-        Positive, all different.
+        Positive, distinct steps.
     errors : array_like, shape (k,)
-        Not negative.
+        Non-negative errors.
     floor : array_like, shape (k,) or a number
         Size of the round-off in each error, for instance the number of steps times 2^-53 times the size of the state.
 
     Returns
     -------
     OrderFit
-        Slope and the points it comes from.
+        The slope and the points used.
 
     Raises
     ------
     ValueError
-        Fewer than three points are left, or the input is not a set of positive steps with finite errors.
+        Fewer than three points remain, or the input is not a set of positive steps with finite errors.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, floor: npt.ArrayLike 
     if h.ndim != 1 or h.shape != e.shape:
         raise ValueError(f"steps and errors have the shapes {h.shape} and {e.shape}; they must both be (k,)")
     if not (np.all(h > 0.0) and len(np.unique(h)) == len(h)):
-        raise ValueError(f"steps are {short(h.tolist())}; they must be positive and different")
+        raise ValueError(f"steps are {short(h.tolist())}; they must be positive and distinct")
     if not np.all(e >= 0.0):
         raise ValueError(f"errors are {short(e.tolist())}; they must be finite and not negative")
     least = read_finite(floor, "floor")

@@ -1,4 +1,4 @@
-"""After which time does a motion return?"""
+"""Periods of periodic motions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 
-RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy takes no smaller relative one
-RETURNED = 1e-8  # of the size of the orbit
-NEARLY = 1e-5  # the same for a crossing that is interpolated
-AT_REST = 2.0**-40  # speed, as a part of the size of the state times the rate at which the field changes
-SHORTEST = 1e-6  # divided by the rate: no period is shorter
-STRETCH = 20.0  # divided by the rate: the time that is integrated in one piece
+RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy's smallest relative one
+RETURNED = 1e-8  # largest distance from the start at a return, relative to the size of the orbit
+NEARLY = 1e-5  # the same for an interpolated crossing
+AT_REST = 2.0**-40  # speed, relative to the size of the state times the rate of change of the field
+SHORTEST = 1e-6  # shortest period, times the rate
+STRETCH = 20.0  # duration of one integration, times the rate
 MOST_STRETCHES = 400
 MOST_CROSSINGS = 64
 
@@ -30,11 +30,11 @@ class Period(NamedTuple):
     Parameters
     ----------
     time : float
-        The time after which the motion returns for the first time.
+        The time of the first return.
     misfit : float
         Distance from the start at that time, relative to the size of the orbit.
     carried : ndarray, shape (c,)
-        The numbers that were integrated beside the state, after one period.
+        The additional variables after one period.
     """
 
     time: float
@@ -46,18 +46,18 @@ class Period(NamedTuple):
 def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = ()) -> Period:
     """Return the period of the motion x' = f(x) through a state, to about 13 digits.
 
-    Choose it where coadjoint orbits are surfaces and the energy curve is closed, so that motions are periodic: for the
-    free rigid body, for modified fields of schemes on it, and for other systems of three coordinates with a Casimir.
+    Choose it if coadjoint orbits are surfaces with closed energy curves, so that motions are periodic: for the free
+    rigid body, for modified fields of schemes on it, and for other systems of three coordinates with a Casimir.
 
     Parameters
     ----------
     field : callable
-        The function f. It takes the state with the carried numbers behind it, (n + c,), and returns the derivative of
-        both.
+        The function f. It takes the state followed by the additional variables, (n + c,), and returns the derivative
+        of both.
     x0 : array_like, shape (n,)
-        Where it starts.
+        The initial state.
     carried : array_like, shape (c,), optional
-        Further numbers that are integrated beside the state, and need not return.
+        Initial values of additional variables that are integrated with the state and need not return.
 
     Returns
     -------
@@ -66,12 +66,12 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
     Raises
     ------
     ValueError
-        The state is at rest, or does not return.
+        The state is an equilibrium, or does not return.
 
     Notes
     -----
-    The motion is integrated by Dormand and Prince's method of order 8 (SciPy), until it is back in the plane through x0
-    across the field.
+    The motion is integrated by the Dormand-Prince method of order 8 (SciPy), until it returns to x0 in the plane
+    through x0 normal to the field.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
 
 
 class _Motion:
-    """The motion from a start, and the plane through it across the field."""
+    """The motion from an initial state, and the plane through that state normal to the field."""
 
     def __init__(self, field: Callable[[Floats], Any], start: Floats, beside: Floats) -> None:
         self.n, self.start = len(start), start
@@ -130,7 +130,7 @@ class _Motion:
         return float(self.across @ (y[: self.n] - self.start))
 
     def run(self, y: Floats, duration: float, stop: bool = False) -> Any:
-        """Integrate, and note the upward crossings of the plane where asked to."""
+        """Integrate over a duration; with `stop`, record the upward crossings of the plane."""
         from scipy.integrate import solve_ivp
 
         def upward(t: float, z: Floats) -> float:
@@ -151,7 +151,7 @@ class _Motion:
         return found
 
     def at_plane(self, y: Floats, when: float) -> tuple[Floats, float]:
-        """Return the state on the plane near a time, and how much earlier it is than the interpolated crossing."""
+        """Return the state on the plane near a time, and the time correction of the interpolated crossing."""
         end = self.run(y, when).y[:, -1]
         slope = self.field(end.copy())
         late = self.plane(0.0, end) / float(self.across @ slope[: self.n])

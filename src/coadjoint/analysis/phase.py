@@ -1,4 +1,4 @@
-"""How early or late is a computed motion on its orbit?"""
+"""Phase errors: leads of computed states along the exact motion."""
 
 from __future__ import annotations
 
@@ -13,46 +13,46 @@ from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.points import QUIET
 
 MOST_ITERATIONS = 30
-FIRST = 4  # points whose lead is sought from zero; then the leads found so far predict as many again
+FIRST = 4  # points with initial guess zero; afterwards known leads are extrapolated to as many points again
 
 
 def phase_error(
     system: System, x0: npt.ArrayLike, t: npt.ArrayLike, x: npt.ArrayLike, reference: Any = None
 ) -> npt.NDArray[np.float64]:
-    """Return the signed phase error of computed states: by how much time they are ahead of the exact motion.
+    """Return the signed phase error of computed states: the time by which they are ahead of the exact motion.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        The system; it needs a closed form where no reference is given.
+        The system; without a reference it needs a closed form.
     x0 : array_like, shape (n,)
-        The state at time zero, of the closed form.
+        The state of the closed form at time zero.
     t : array_like, shape (k,)
         Times.
     x : array_like, shape (k, n)
         Computed states.
     reference : callable or Solution, optional
-        The right motion, where it is not the closed form: a function of times (k,) that returns states (k, n), or a run
-        by a better scheme or with a smaller step, whose saved points are dense enough for interpolation.
+        The reference motion: a function of times (k,) that returns states (k, n), or a run by a more accurate scheme or
+        with a smaller step, with saved points dense enough for interpolation. None is the closed form.
 
     Returns
     -------
     ndarray, shape (k,)
-        The lead d that makes right(t + d) the nearest point to x, in units of time; positive is early, negative late.
-        NaN where no nearest point is found, or the reference ends too early. Where the times are in order, the lead is
-        followed from the first one on and may exceed a period. Where they are not, leads are less than half a period.
+        The lead d for which right(t + d) is the point nearest to x, in units of time; positive is early, negative late.
+        NaN if no nearest point is found, or the reference ends too early. For ordered times the lead is continued from
+        the first one and may exceed a period; otherwise leads are less than half a period.
 
     Raises
     ------
     ValueError
-        The states do not fit the times, or the saved points of the reference are too far apart.
+        The states do not match the times, or the saved points of the reference are too far apart.
     TypeError
         No closed form is known.
 
     Notes
     -----
-    Gauss-Newton on |x - right(t + d)|^2: d grows by f.(x - y)/|f|^2 at y = right(t + d), f the vector field there. A
-    motion of several angles has a phase error in each of them, and the lead is an average; see `line_lead`.
+    Gauss-Newton on |x - right(t + d)|^2: d changes by f.(x - y)/|f|^2 at y = right(t + d), with f the vector field
+    there. A motion of several angles has a phase error in each of them, and the lead is an average; see `line_drift`.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def phase_error(
 def leads(
     system: System, right: Motion, times: npt.NDArray[np.float64], states: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Return the leads of states before a motion, followed where the times are in order; see `phase_error`."""
+    """Return the leads of states relative to a motion, continued if the times are in order; see `phase_error`."""
     ordered = len(times) > FIRST and (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0))
     if not ordered:
         return _found(system, right, times, states, np.zeros(len(times)))
@@ -92,7 +92,7 @@ def leads(
 def _expected(
     times: npt.NDArray[np.float64], lead: npt.NDArray[np.float64], first: int, last: int
 ) -> npt.NDArray[np.float64]:
-    """Return what the later half of the leads found so far predicts for the next ones."""
+    """Extrapolate the later half of the known leads to the next times."""
     known = np.flatnonzero(np.isfinite(lead[:first]))
     known = known[len(known) // 2 :]
     if len(known) < 2:
@@ -112,7 +112,7 @@ def _found(
     for _ in range(MOST_ITERATIONS):
         y = right(times + lead)
         f = field_along(system, y, times + lead)
-        # Off the orbit Gauss-Newton converges linearly, and its last digits are round-off of the exact motion.
+        # Off the orbit Gauss-Newton converges linearly, down to the round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
         lead = lead + change
         if np.all(np.isnan(change)) or np.nanmax(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):

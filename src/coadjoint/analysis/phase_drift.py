@@ -1,4 +1,4 @@
-"""Does the phase error of a run grow linearly? Its slope with an uncertainty, and a verdict."""
+"""Growth of the phase error along a run: slope, uncertainty, and classification."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SIGNIFICANT = 4.0  # uncertainties
-SHARE = 1.0 / 128.0  # of the growth of the line; a slow deviation below that leaves it a line
+SHARE = 1.0 / 128.0  # slow deviations below this fraction of the growth of the line count as linear
 WANDERS = 1.0 / 3.0
 ANGLES, TIMES = "radians", "time"
 
 
 @dataclass(frozen=True)
 class PhaseDrift:
-    """A phase error along a run, and the straight line through it.
+    """A phase error along a run, and the straight line fitted to it.
 
     Attributes
     ----------
     t, lead : ndarray, shape (k,)
-        Times, and by how much the run is ahead.
+        Times, and the lead of the run.
     unit : str
         Unit of the lead: ``"time"`` or ``"radians"``.
     slope, uncertainty : float
         Lead per unit of time, and its standard error, which allows for correlated deviations.
     intercept : float
-        The line at time zero.
+        The value of the line at time zero.
     deviation : float
         Root mean square of the deviations from the line.
     slow_deviation : float
-        The same of means over the 64th part of the span, which an oscillation hardly moves.
+        The same for means over 1/64 of the span, in which oscillations average out.
     exponent : float
-        The slow deviations grow like time^exponent: 0 for what oscillates, 1/2 for a random walk, 3/2 for what
-        unbiased round-off does to a phase, 2 for a drift of the energy.
+        Power of time with which the slow deviations grow: 0 for oscillations, 1/2 for a random walk, 3/2 for a phase
+        error from unbiased round-off, 2 for a drift of the energy.
     """
 
     t: Floats
@@ -66,7 +66,7 @@ class PhaseDrift:
 
     @property
     def growth(self) -> str:
-        """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``; `phase_drift` has the criterion."""
+        """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``; `phase_drift` gives the criterion."""
         line = abs(self.slope) * abs(self.t[-1] - self.t[0])
         if self.exponent >= 1.0 and self.slow_deviation > SHARE * line:
             return "faster"
@@ -75,62 +75,62 @@ class PhaseDrift:
         return "wandering" if self.exponent > WANDERS else "bounded"
 
     def plot(self) -> Figure:
-        """Return a figure: the lead with its fitted line, and the rest without the line.
+        """Plot the lead with its fitted line, and the deviations from the line.
 
         Returns
         -------
         matplotlib.figure.Figure
-            Not shown, not saved.
+            The figure, neither shown nor saved.
         """
         from coadjoint.pictures.phase_drift import draw_phase_drift
 
         return draw_phase_drift(self)
 
     def __str__(self) -> str:
-        """Return one line."""
+        """Format in one line."""
         per = "rad per unit of time" if self.unit == ANGLES else "per unit of time"
         return f"{self.growth}: {self.slope:.6g} +- {self.uncertainty:.1g} {per}, exponent {self.exponent:.2f}"
 
 
 def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> Any:
-    """Return how the phase error of a run grows, against the closed form or a reference.
+    """Return the growth of the phase error of a run relative to the closed form or a reference.
 
-    Choose it to say whether a phase error is linear, and how large it will be after a longer time.
+    Choose it to decide whether a phase error is linear, and to extrapolate it to longer times.
 
     Parameters
     ----------
     solution : Solution
-        A run, 16 saved points at least, over several periods.
+        A run of several periods, with at least 16 saved points.
     reference : callable or Solution, optional
-        The right motion, as for `phase_error`. None is the closed form of the system. For the attitude it must be the
-        closed form, or a run from the same start with the same saved times.
+        The reference motion, as for `phase_error`. None is the closed form of the system. For the attitude it must be
+        the closed form, or a run from the same initial state with the same saved times.
     of : {"momentum", "attitude"}, optional
         The lead of the momentum on its orbit, in units of time; or the angle in radians by which the attitude of a body
-        is ahead in turning about the constant momentum in space.
+        is ahead in its rotation about the constant momentum in space.
 
     Returns
     -------
     PhaseDrift or list of PhaseDrift
-        A list for an ensemble, one for each member. Points without a lead, such as those that lie beyond the end
-        of the reference, are left out.
+        A list for an ensemble, one for each member. Points without a lead, such as those beyond the end of the
+        reference, are omitted.
 
     Raises
     ------
     ValueError
-        Too few points with a lead; a reference of other times; no attitude of a body.
+        Too few points have a lead, the reference has other saved times, or there is no attitude of a body.
     TypeError
-        No closed form is known, and no reference was given.
+        No closed form is known, and no reference is given.
 
     Notes
     -----
-    The criterion. A lead is a line in the long run if its deviations from the line grow more slowly than time, that is,
-    if the `exponent` H of the slow deviations is below 1 (`straight_line`). So ``growth`` is, in this order:
+    A lead is asymptotically linear if its deviations from the line grow more slowly than time, that is, if the
+    `exponent` H of the slow deviations is below 1 (`straight_line`). So ``growth`` is the first that applies of:
 
     - "faster": H >= 1, and the slow deviations are more than 1/128 of the growth of the line over the run (those of a
-      parabola are 1/13 of its line). A scheme that loses energy: H = 2; unbiased round-off: H = 3/2.
+      parabola are 1/13 of its line). A scheme that loses energy has H = 2, unbiased round-off H = 3/2.
     - "linear": the slope is more than four uncertainties.
-    - "wandering": no slope can be told, and H > 1/3.
-    - "bounded": no slope can be told, and the lead does not grow.
+    - "wandering": the slope is not significant, and H > 1/3.
+    - "bounded": the slope is not significant, and the lead does not grow.
 
     Examples
     --------
@@ -149,16 +149,16 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
 
 
 def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDrift:
-    """Return how a phase error that is already known grows.
+    """Return the growth of a given phase error.
 
     Parameters
     ----------
     t : array_like, shape (k,)
         Times in order.
     lead : array_like, shape (k,)
-        By how much the motion is ahead; points with NaN are left out.
+        The lead of the motion; points with NaN are omitted.
     unit : {"time", "radians"}
-        Of the lead.
+        Unit of the lead.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Is a step a Poisson map? P J(x) P^T = J(step(x)), with the exact tangent P."""
+"""Poisson defect of a step: P J(x) P^T - J(step(x)), with the exact tangent P."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from coadjoint.wording import short
 
 
 class PoissonDefect(NamedTuple):
-    """How far a map is from a Poisson map at a point.
+    """Distance of a map from a Poisson map at a point.
 
     Parameters
     ----------
     defect : float
         Frobenius norm of P J(x) P^T - J(step(x)).
     bound : float
-        64 u times the number of operations times |P|^2 |J(x)|: what round-off alone can do.
+        Bound on the effect of round-off: 64 u times the number of operations times |P|^2 |J(x)|.
     """
 
     defect: float
@@ -31,7 +31,7 @@ class PoissonDefect(NamedTuple):
 
     @property
     def poisson(self) -> bool:
-        """Whether round-off explains the defect."""
+        """Whether the defect is within the bound on round-off."""
         return self.defect <= self.bound
 
 
@@ -47,7 +47,7 @@ def defect_of_tangent(
     before, after : array_like, shape (n, n)
         J(x), and J at the image of x.
     operations : int
-        How many roundings one entry of P went through.
+        Number of roundings in an entry of P.
 
     Returns
     -------
@@ -80,12 +80,12 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
     Parameters
     ----------
     step : Stepper
-        From `coadjoint.stepper`; its tangent is exact, so that the defect is not hidden by finite differences.
+        From `coadjoint.stepper`; its tangent is exact, so the defect is not masked by finite differences.
     x : array_like, shape (n,)
-        Where.
+        The state.
     operations : int, optional
-        How many roundings an entry of the tangent goes through; None: n for each elementary flow (or
-        evaluation of the vector field) of a step, and 4 n for the products that make the defect.
+        Number of roundings in an entry of the tangent. None is n for each elementary flow (or evaluation of the vector
+        field) of a step, and 4 n for the products in the defect.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
         raise TypeError(f"step is {short(step)}; it must be a Stepper, from co.stepper(system, method, h)")
     momenta, single = momenta_of(step.system, x)
     if not single:
-        raise ValueError(f"x has the shape {np.shape(x)}; a defect is that at one state")
+        raise ValueError(f"x has the shape {np.shape(x)}; give one state")
     y = momenta[0]
     if shape_of(step.system) != y.shape:
         step = Stepper(in_coordinates(step.system), step.method, step.h)

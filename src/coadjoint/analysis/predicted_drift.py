@@ -1,4 +1,4 @@
-"""Which phase drift does a modified Hamiltonian promise? The change of the period on the same orbit."""
+"""Predicted phase drift of a scheme, from the period of its modified motion on the same orbit."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ Function = Callable[[Floats], Any]
 
 
 class PredictedDrift(NamedTuple):
-    """The phase drift that a modified Hamiltonian or field predicts.
+    """The phase drift predicted by a modified Hamiltonian or field.
 
     Parameters
     ----------
     slope : float
         Lead of the momentum per unit of time, P/P~ - 1.
     precession : float or None
-        Lead of the attitude about the momentum in space, in radians per unit of time, while the lead of the momentum is
-        a small part of a period.
+        Lead of the attitude about the momentum in space, in radians per unit of time, as long as the lead of the
+        momentum is a small fraction of a period.
     period, modified_period : float
         P and P~.
     """
@@ -56,49 +56,48 @@ def predicted_drift(
 ) -> PredictedDrift:
     """Return the phase drift of a scheme on a periodic motion, from its modified Hamiltonian or field.
 
-    Choose it to know the phase error of a long run before it is made, and to compare schemes by it.
+    Choose it to predict the phase error of a long run, and to compare schemes by it.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        The system. Its motion from x0 must be periodic, as for the free rigid body, and wherever coadjoint orbits are
-        surfaces with closed energy curves.
+        The system. Its motion from x0 must be periodic, as for the free rigid body and other systems whose coadjoint
+        orbits are surfaces with closed energy curves.
     x0 : array_like, shape (n,)
-        Where the run starts.
+        The initial state.
     modified : ModifiedHamiltonian or ModifiedField
-        What the numbers of the scheme move by on this system: H~ = H + h^2 H2 + ..., or a modified field.
+        The modified Hamiltonian H~ = H + h^2 H2 + ... of the scheme on this system, or its modified field.
     step : float
         The step h, given with `modified`; negative for backward.
     gradient : callable
-        Or, of your own, the gradient of H~ at a state, for one step.
+        Alternatively, the gradient of H~ at a state, for one step.
     field : callable
-        Or the modified field at a state, for one step. Give one of the three.
+        Alternatively, the modified field at a state, for one step. Give exactly one of the three.
     attitude : bool
-        Also for the attitude of a body, 3 x 3; needs a Hamiltonian, or its gradient.
+        Whether to predict the drift of the attitude of a body, 3 x 3; needs a Hamiltonian or its gradient.
 
     Returns
     -------
     PredictedDrift
-        Where H~, or the field, is right to O(h^r), so is the slope; a measured one (`phase_drift`) differs from it by
-        that.
+        If H~, or the field, is accurate to O(h^r), so is the slope; a measured one (`phase_drift`) differs by as much.
 
     Raises
     ------
     ValueError
-        A state at rest, or a motion that does not return.
+        The state is an equilibrium, or the motion does not return.
     TypeError
-        None or several of modified, gradient and field were given, or the system has no attitude of a body.
+        None or several of modified, gradient and field are given, or the system has no attitude of a body.
 
     Notes
     -----
-    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0). They go round in the time
-    P~, and the exact motion in the time P. After n rounds they are where the exact motion was n (P~ - P) earlier, so
-    the lead grows by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period and the
-    frequency w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P). The first term comes from the energy:
-    the numbers move at the energy E at which H + h^2 H2 is H~(x0) on average, and not at H(x0).
+    The numerical solution follows x' = f~(x) on the orbit of x0, along the energy curve H~(x) = H~(x0), with period P~;
+    the exact motion has period P. After n periods the numerical solution is where the exact motion was n (P~ - P)
+    earlier, so the lead grows by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period
+    and the frequency w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P). The first term comes from the
+    energy: the numerical solution has the energy E at which H + h^2 H2 is H~(x0) on average, and not H(x0).
 
-    In one period the attitude turns about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much
-    does the rigid body rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) for n rounds,
+    In one period the attitude rotates about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much
+    does the rigid body rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) after n periods,
     and by the lead times the speed about the momentum, which is 2T/|x| for a free body:
     (psi~ - psi) / P~ + 2T/|x| (P/P~ - 1) per unit of time.
 
@@ -111,7 +110,7 @@ def predicted_drift(
     >>> bool(abs(predicted.slope / co.phase_drift(run).slope - 1) < 0.01)
     True
 
-    A field that is too fast by a thousandth:
+    A field that is too fast by a factor of 1.001:
 
     >>> fast = predicted_drift(body, (1.0, 0.2, 0.5), field=lambda x: 1.001 * body.vector_field(x))
     >>> round(fast.slope, 11)
@@ -119,12 +118,12 @@ def predicted_drift(
     """
     check_vectors(system, "a phase drift can be predicted for states that are vectors")
     if sum(given is not None for given in (modified, gradient, field)) != 1:
-        raise TypeError("give exactly one of modified, gradient and field: it says along what the scheme moves")
+        raise TypeError("give exactly one of modified, gradient and field")
     if modified is not None:
         gradient, field = _at_step(system, modified, step)
     elif step is not None:
         raise TypeError(
-            "step is for modified only; a gradient or a field already belongs to one step, so leave step out"
+            "step is given without modified; a gradient or a field already belongs to one step, so omit step"
         )
     chosen: Any = gradient if field is None else field
     check_arguments(chosen, "gradient" if field is None else "field", "x")
@@ -143,7 +142,7 @@ def predicted_drift(
         return PredictedDrift(right / wrong - 1.0, None, right, wrong)
     if gradient is None:
         raise TypeError(
-            "an attitude follows the gradient of the Hamiltonian, and a field does not give it; give gradient"
+            "attitude=True needs the gradient of the Hamiltonian, which a field does not provide; give gradient"
         )
     if not isinstance(system, LiePoissonSystem) or not turns_space(system):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
@@ -154,7 +153,7 @@ def predicted_drift(
 
 
 def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Function | None]:
-    """Return the gradient or the field at a step."""
+    """Return the gradient or the field at a step; the other one is None."""
     if not isinstance(modified, ModifiedHamiltonian | ModifiedField):
         raise TypeError(
             f"modified is {short(modified)}; give a ModifiedHamiltonian, which has a gradient, or a ModifiedField"
@@ -177,7 +176,7 @@ def _field_of(system: Any, gradient: Function | None) -> Function:
 
 
 def _returning_vectors(function: Function, n: int, name: str) -> Function:
-    """Return a function whose values are read, or refused by name."""
+    """Wrap a user function so that its values are validated, with its name in messages."""
 
     def read(x: Floats) -> Floats:
         found = read_numbers(function(x), f"what {name} returns")
@@ -190,12 +189,12 @@ def _returning_vectors(function: Function, n: int, name: str) -> Function:
 
 class _Turned(NamedTuple):
     time: float
-    psi: float  # about the momentum in space in one period, modulo 2 pi
+    psi: float  # rotation about the momentum in space in one period, modulo 2 pi
     speed: float  # mean angular velocity about it
 
 
 def _with_attitude(system: LiePoissonSystem, gradient: Function, start: Floats) -> _Turned:
-    """Integrate the momentum, the attitude from the unit matrix, and the angle about the momentum."""
+    """Integrate the momentum, the attitude from the unit matrix, and the angle about the momentum, over one period."""
     representation = system.representation
     assert representation is not None
     along = start / np.linalg.norm(start)

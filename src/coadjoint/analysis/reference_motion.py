@@ -1,4 +1,4 @@
-"""What is the right motion? A closed form, a function of time, or a better run, read between its saved points."""
+"""Reference motions: a closed form, a function of time, or an interpolated run."""
 
 from __future__ import annotations
 
@@ -17,37 +17,17 @@ from coadjoint.wording import short
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
 
-NODES = 8  # saved points around a time; with their slopes they make a polynomial of degree 15
+NODES = 8  # saved points around a time; with their slopes they define a polynomial of degree 15
 FEWER = 6
-TOLERANCE = 2.0**-30  # of the largest state; what two such polynomials may differ by
+TOLERANCE = 2.0**-30  # largest difference of the polynomials of both degrees, relative to the largest state
 
 
 def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None = None) -> Motion:
-    """Return the right motion as a function of times, shape (k,), to states, shape (k, n).
+    """Return the reference motion as a function of times (k,) to states (k, n), NaN outside the span of a run.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    reference : None, callable or Solution
-        None: the closed form of the system from x0 at time zero. A function of times (k,) that returns states
-        (k, n). A run of the system, by a scheme or a step that is much better.
-    x0 : array_like, shape (n,)
-        The state at time zero, for the closed form.
-    member : int, optional
-        The number of a member, where the reference is an ensemble.
-
-    Returns
-    -------
-    callable
-        States are NaN where a run does not reach.
-
-    Raises
-    ------
-    TypeError
-        No closed form is known, or the reference is none of these.
-    ValueError
-        A run with too few or uneven saved points, or points too far apart for interpolation.
+    The reference is None for the closed form from x0 at time zero, a function of times, or a run, of which `member` is
+    used if it is an ensemble. Raise TypeError or ValueError for other references, and for runs that cannot be
+    interpolated.
     """
     if reference is None:
         if system.algebra is None or getattr(system, "closed_form", None) is None:
@@ -81,7 +61,7 @@ def field_along(system: System, states: Floats, times: Floats) -> Floats:
 
 
 def _between(system: System, run: Solution, member: int | None) -> Motion:
-    """Return a run as a function of time, by Hermite polynomials through its points and their slopes."""
+    """Return a run as a function of time, by Hermite interpolation of its points and their slopes."""
     states = run.x if member is None or run.x.ndim == 2 else run.x[:, member]
     if states.ndim != 2:
         raise ValueError(
@@ -107,7 +87,7 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
     def _read(times: Floats, where: Floats) -> Floats:
         place = np.searchsorted(rising, where)
         fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER))
-        # The polynomial of more points is right to orders of magnitude better than it differs from the other.
+        # The polynomial of more points is more accurate than this difference by orders of magnitude.
         off = float(np.max(np.abs(fine - coarse), initial=0.0))
         if off > TOLERANCE * largest:
             raise ValueError(

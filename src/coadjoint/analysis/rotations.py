@@ -1,4 +1,4 @@
-"""How far apart are two rotations of space?"""
+"""Angles between rotations of space."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coadjoint.wording import short
 
 
 def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
-    """Return the angle of the rotation that takes one attitude into another.
+    """Return the angle of the rotation from one attitude to another.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
 
     Notes
     -----
-    With R = A^T B, atan2(|axial vector of (R - R^T)/2|, (tr R - 1)/2): the arccosine alone would lose half of
-    the digits near 0 and pi.
+    With R = A^T B, atan2(|axial vector of (R - R^T)/2|, (tr R - 1)/2); the arccosine alone would lose half of the
+    digits near 0 and pi.
 
     Examples
     --------
@@ -47,16 +47,16 @@ def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
 
 
 def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
-    """Return by how much an attitude is ahead of another one in turning about an axis fixed in space.
+    """Return the angle by which an attitude is ahead of another one in its rotation about an axis fixed in space.
 
-    About its angular momentum A x, an axis fixed in space, it is the signed phase error of a rigid body.
+    About the angular momentum A x, which is fixed in space, it is the signed phase error of a rigid body.
 
     Parameters
     ----------
     A, B : array_like, shape (..., 3, 3)
         Computed and exact attitude, from the body to space.
     axis : array_like, shape (3,)
-        In space, of any length but zero.
+        Non-zero vector in space.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
     Raises
     ------
     ValueError
-        The matrices are not 3 x 3, or the axis is not three numbers, not all zero.
+        The matrices are not 3 x 3, or the axis is not a non-zero vector of three numbers.
 
     Examples
     --------
@@ -80,9 +80,10 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
 
 
 def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
-    """Return the angle about an axis fixed in space that is nearest to the turn from one attitude to another.
+    """Return the twist about an axis fixed in space of the rotation from one attitude to another.
 
-    Near zero it is `precession_error`; over many turns, where a rotation vector jumps, it stays the angle modulo 2 pi.
+    Near zero it equals `precession_error`; over many turns, where a rotation vector jumps, it remains the angle modulo
+    2 pi.
 
     Parameters
     ----------
@@ -92,12 +93,12 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     Returns
     -------
     float or ndarray, shape (...)
-        From -pi to pi, of the factor of A B^T that turns about the axis.
+        Angle from -pi to pi of the factor of A B^T that rotates about the axis.
 
     Raises
     ------
     ValueError
-        The matrices are not 3 x 3, or the axis is not three numbers, not all zero.
+        The matrices are not 3 x 3, or the axis is not a non-zero vector of three numbers.
 
     Examples
     --------
@@ -111,10 +112,8 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
 
 
 def turns_space(system: Any) -> bool:
-    """Say whether the group elements of a system are rotations of space that carry its momentum.
+    """Return whether the group elements of a system are rotations of space that carry its momentum.
 
-    Examples
-    --------
     >>> import coadjoint as co
     >>> turns_space(co.systems.rigid_body()), turns_space(co.systems.paper_a37())
     (True, False)
@@ -127,7 +126,7 @@ def turns_space(system: Any) -> bool:
 def _turn_about(
     A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return axis and angle of A B^T, and the unit vector along the axis that was given."""
+    """Return axis and angle of A B^T, and the unit vector along the given axis."""
     direction = read_finite(axis, "axis")
     if direction.shape != (3,) or not np.any(direction):
         raise ValueError(f"axis is {short(axis)}; it must be three numbers, not all zero")
@@ -144,7 +143,7 @@ def _checked(given: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
 
 
 def _axis_and_angle(R: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the axis (zero where there is none) and the angle, 0 to pi, of rotations."""
+    """Return the axis (zero for the identity and half turns) and the angle, 0 to pi, of rotations."""
     axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     sine = 0.5 * np.linalg.norm(axial, axis=-1)
     angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))

@@ -1,4 +1,4 @@
-"""Does round-off wander or drift? Brouwer's law over an ensemble."""
+"""Statistics of round-off over an ensemble: random walk or drift (Brouwer's law)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from coadjoint.systems.batch import Batch
 
 @dataclass(frozen=True)
 class RandomWalk:
-    """How deviations of an ensemble grow between an early and a late time.
+    """Growth of the deviations of an ensemble between an early and a late time.
 
     Attributes
     ----------
     early, late : float
-        Root mean square deviation over the members, relative to the size of what is conserved.
+        Root mean square deviation over the members, relative to the size of the invariant.
     worst : float
         The largest late deviation of any member.
     bias : float
-        The mean late deviation in standard errors of that mean: within 3 for rounding without a preferred sign.
+        The mean late deviation in standard errors of that mean; within 3 for unbiased rounding.
     """
 
     early: float
@@ -35,20 +35,20 @@ class RandomWalk:
 
     @property
     def growth(self) -> float:
-        """The late deviation over the early one: 10 for a random walk over 100 times the time, 100 for a bias."""
+        """The ratio of late to early deviation; over 100 times the time, 10 for a random walk and 100 for a bias."""
         return self.late / self.early if self.early else np.inf
 
 
 def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
-    """Return how deviations grow.
+    """Return the growth of deviations of an ensemble.
 
     Parameters
     ----------
     deviations : ndarray, shape (k, members) or (k, members, ...)
-        Relative deviations at the saved times; further axes count as members of their own for the size, and are
-        averaged for the bias.
+        Relative deviations at the saved times; entries of further axes count as members in the root mean squares, and
+        are averaged for the bias.
     early : int
-        The saved point that the last one is compared with.
+        Index of the saved point compared with the last one.
 
     Returns
     -------
@@ -78,29 +78,29 @@ def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
 
 
 def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
-    """Return for energy and Casimirs of an ensemble how their round-off grows.
+    """Return the growth of the round-off in energy and Casimirs of an ensemble.
 
-    Brouwer's law: unbiased rounding errors make an invariant wander like the square root of time, biased ones make it
-    drift in proportion to time. Choose this to see which of the two a scheme does; for a single trajectory `drift` has
-    the sizes.
+    Brouwer's law: under unbiased rounding an invariant deviates as the square root of time, under biased rounding it
+    drifts linearly. Choose it to decide which of the two applies to a scheme; for the deviations of a single trajectory
+    use `drift`.
 
     Parameters
     ----------
     solution : Solution
-        Of an ensemble, with at least three saved points.
+        A run of an ensemble, with at least three saved points.
     early : int
-        The saved point that the last one is compared with.
+        Index of the saved point compared with the last one.
 
     Returns
     -------
     dict
-        Name -> `RandomWalk`, relative to abs(gradient) abs(x) at the start, which is what a relative change of x could
-        do. An invariant that is given as a function is taken relative to its largest value.
+        Name -> `RandomWalk`, relative to abs(gradient) abs(x) at the start, the effect of a relative change of x. An
+        invariant given as a function is taken relative to its largest value.
 
     Raises
     ------
     ValueError
-        The solution is of a single trajectory.
+        The solution has a single trajectory.
 
     References
     ----------
@@ -134,26 +134,26 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
 
 
 def _check_kept(solution: Any) -> None:
-    """Refuse what is no solution, and one with forces: its invariants change by more than round-off."""
+    """Raise an error unless it is a solution without forces, whose invariants change by round-off only."""
     check_solution(solution)
     if solution.work:
-        raise TypeError(f"{solution.system.name} has forces, which change what is kept; see solution.balance()")
+        raise TypeError(f"{solution.system.name} has forces, which change its invariants; see solution.balance()")
 
 
 def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
-    """Return how far the carried group elements are from orthogonal matrices, g g^T - 1 over all entries.
+    """Return the growth of the orthogonality defect of the group elements, g g^T - 1 over all entries.
 
     Parameters
     ----------
     solution : Solution
-        Of an ensemble, with an attitude.
+        A run of an ensemble, with an attitude.
     size : int, optional
-        Rows and columns that are looked at, from the first: 3 for the rotation in a motion of space. None is all.
+        Size of the leading block, for instance 3 for the rotation in a rigid motion. None is the whole matrix.
 
     Returns
     -------
     RandomWalk
-        Absolute.
+        In absolute deviations.
 
     Examples
     --------
@@ -173,12 +173,12 @@ def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
 
 
 def spatial_momentum(solution: Any) -> RandomWalk:
-    """Return how the momentum in space, K x, changes.
+    """Return the growth of the deviation of the spatial momentum K x.
 
     Parameters
     ----------
     solution : Solution
-        Of an ensemble, with ``attitude="coadjoint"``.
+        A run of an ensemble, with ``attitude="coadjoint"``.
 
     Returns
     -------

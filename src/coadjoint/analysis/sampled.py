@@ -1,4 +1,4 @@
-"""Which signal of a run is looked at? Even samples of its momentum, its attitude, an invariant, or a function."""
+"""Signals of runs at equidistant times: momentum, attitude, invariants, observables, or functions of the state."""
 
 from __future__ import annotations
 
@@ -16,16 +16,9 @@ from coadjoint.wording import short
 
 
 class Sampled(NamedTuple):
-    """A signal on even times.
+    """A signal at equidistant times, with values (members, k, channels).
 
-    Parameters
-    ----------
-    t : ndarray, shape (k,)
-        Times.
-    values : ndarray, shape (members, k, channels)
-        Real or complex.
-    members, channels : bool
-        Whether what was given has an axis of members, and one of channels.
+    `members` and `channels` are whether the given signal had these axes.
     """
 
     t: NDArray[np.float64]
@@ -35,32 +28,11 @@ class Sampled(NamedTuple):
 
 
 def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
-    """Return the signal of a run, or the samples that were given.
+    """Return the signal of a run, or given samples at equidistant times, of at least `least` points.
 
-    Parameters
-    ----------
-    given : Solution or array_like, shape (k,)
-        A run, or even times.
-    signal : None, int, str, callable or array_like
-        Of a run: None is the momentum, a number one of its components, ``"attitude"`` the entries of the group element,
-        ``"energy"`` the energy, another name what was observed; a function is given ``sol.x`` as a whole and returns
-        an array over the times. An array is the samples themselves: (k,), (k, channels) or (k, members, channels).
-    least : int
-        Fewest samples.
+    For the kinds of signals see `frequencies`. Raise ValueError for uneven times, too few samples, or values that are
+    not finite or do not match the times, and TypeError for another type of signal.
 
-    Returns
-    -------
-    Sampled
-
-    Raises
-    ------
-    ValueError
-        Uneven times, too few samples, or values that are not finite or do not fit the times.
-    TypeError
-        No signal of that kind.
-
-    Examples
-    --------
     >>> sampled([0.0, 0.5, 1.0], [1.0, 2.0, 4.0]).values.shape
     (1, 3, 1)
     """
@@ -89,7 +61,7 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
     if not several:
         values = values[:, None]
     if 0 in values.shape:
-        raise ValueError(f"signal has the shape {values.shape}; it must have a member and a channel at least")
+        raise ValueError(f"signal has the shape {values.shape}; it must have at least one member and one channel")
     return Sampled(t[:kept], np.swapaxes(values[:kept], 0, 1), several, channels)
 
 
@@ -126,13 +98,13 @@ def _flat(values: NDArray[Any], several: bool) -> NDArray[Any]:
 
 
 def _even(t: NDArray[np.float64], least: int) -> int:
-    """Return how many of the times are even; the last one may be off the grid, as in a run."""
+    """Return the number of equidistant times; the last one may be off the grid, as in a run."""
     if t.ndim != 1 or len(t) < least:
-        raise ValueError(f"t has the shape {t.shape}; give at least {least} even times, (k,)")
+        raise ValueError(f"t has the shape {t.shape}; give at least {least} equidistant times, (k,)")
     spacing = (t[-2] - t[0]) / (len(t) - 2) if len(t) > 2 else t[-1] - t[0]
     off = np.abs(t - (t[0] + spacing * np.arange(len(t))))
     fine = off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))
     kept = len(t) - (not fine[-1])
     if spacing == 0.0 or not np.all(fine[:kept]) or kept < least:
-        raise ValueError(f"t is {short(t)}; give at least {least} times with the same distance from one to the next")
+        raise ValueError(f"t is {short(t)}; give at least {least} equidistant times")
     return kept

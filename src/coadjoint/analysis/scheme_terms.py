@@ -1,4 +1,4 @@
-"""Which terms does a scheme add to a Hamiltonian, and which is the first? From its table and its sweeps."""
+"""Terms of the modified Hamiltonian of a scheme on a system, and its leading error term."""
 
 from __future__ import annotations
 
@@ -19,21 +19,16 @@ from coadjoint.program.table import Program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 HIGHEST = 12
-"""Terms below h^12: beyond, the words in the free algebra alone take minutes."""
+"""Largest power of h: above it, the words in the free algebra alone take minutes."""
 
 Term = Polynomial | SymbolicPolynomial
 
 
 class ErrorTerm(NamedTuple):
-    """The first term that a scheme adds to the Hamiltonian: h^power times a function.
+    """The leading error term h^power * term of a scheme.
 
-    Parameters
-    ----------
-    power : int or None
-        The power of h, which is the order of the scheme. None where H has a single part, so that a step is the flow of
-        H itself.
-    term : Polynomial or SymbolicPolynomial
-        The function. It is zero where the parts of a system commute more than they do in general.
+    `power` is the order of the scheme, or None if H has a single part, whose flow is a step. The term is zero if the
+    parts of a system commute more than in general.
     """
 
     power: int | None
@@ -41,20 +36,10 @@ class ErrorTerm(NamedTuple):
 
 
 class SchemeTerms:
-    """The terms of a scheme on a system, each made when it is asked for.
+    """The terms of a scheme on a system with a polynomial Hamiltonian, computed on request.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system, with a polynomial Hamiltonian.
-    program : Program
-        The table of the splitting.
-    sweeps, after : list of Sweep
-        The sweeps of the kernel and of the processor, in exact numbers.
-    order : int
-        Order of the scheme.
-    symbols : Symbols
-        The symbols that stand for coefficients of H.
+    `sweeps` and `after` are the sweeps of the kernel and of the processor, in exact numbers; `program` is the table of
+    the splitting.
     """
 
     def __init__(
@@ -74,12 +59,12 @@ class SchemeTerms:
         return SchemeTerms(self._system, self._program, self._sweeps, [], self._order, self.symbols)
 
     def below(self, order: int) -> tuple[dict[int, Term], float, float]:
-        """Return the terms below h^order by power, their radius, and the bound of what was neglected."""
+        """Return the terms below h^order by power, their radius, and the bound on neglected coefficients."""
         terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
         return {0: self.symbols.hamiltonian, **terms}, radius, neglected
 
     def error_term(self) -> ErrorTerm:
-        """Return the term at the first power above h^0 at which the scheme has one on systems in general."""
+        """Return the term at the first power above h^0 that is non-zero for general systems."""
         if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
             for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
                 coordinates = self._coordinates(highest)

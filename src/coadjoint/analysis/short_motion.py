@@ -1,4 +1,4 @@
-"""A short motion from a state: what a function of the state does along it."""
+"""Short reference trajectories, along which functions of the state are sampled."""
 
 from __future__ import annotations
 
@@ -15,28 +15,10 @@ Floats = NDArray[np.float64]
 
 
 def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) -> tuple[Floats, float]:
-    """Return states along the motion from a state, a quarter of a radian apart, and how fast it turns there.
+    """Return states (count + 1, n) along the motion, a quarter of a radian apart, and its rate in radians per unit of
+    time.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system; its Hamiltonian does not depend on time.
-    start : ndarray, shape (n,)
-        The state.
-    count : int
-        Number of steps.
-
-    Returns
-    -------
-    points : ndarray, shape (count + 1, n)
-        The states; fewer where the motion leaves the range of float64.
-    rate : float
-        In radians per unit of time.
-
-    Raises
-    ------
-    ValueError
-        The motion leaves the range of float64 within a few steps.
+    Fewer states are returned if the motion leaves the range of float64; ValueError if that happens within a few steps.
     """
     rate = rate_at(system, start)
     spacing = PART / rate

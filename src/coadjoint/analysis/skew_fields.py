@@ -1,4 +1,4 @@
-"""A field that keeps a quadratic energy, as K(x) grad H(x) with a skew matrix K of polynomials."""
+"""Skew-gradient form K(x) grad H(x) of polynomial fields that keep a quadratic energy."""
 
 from __future__ import annotations
 
@@ -12,49 +12,20 @@ Matrix = list[list[Exact]]
 
 
 def skew_factor(ring: ExactPolynomials, energy: Exact, field: Field) -> Matrix:
-    """Return a skew K with K grad H = field, of polynomials, for a quadratic H with grad H . field = 0.
+    """Return a skew polynomial matrix K with K grad H = field, for a quadratic H with grad H . field = 0.
 
-    Let y = grad H. Where a constant vector e has e . y = 1, K = f e^T - e f^T. Elsewhere y = M z, with z the distance
-    from a point of rest. For f of degree d in y with f . y = 0 the homotopy of Koszul gives K_ij = (d f_i / d y_j - d
-    f_j / d y_i) / (d + 1), since then K y = ((d + 1) f - grad(y . f)) / (d + 1). Components along the kernel of M are
-    (d f_i / d y_j) / d instead; for these f must vanish where y does.
-
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        What everything belongs to.
-    energy : polynomial
-        H, of degree two at most.
-    field : list
-        n polynomials.
-
-    Returns
-    -------
-    list of lists
-        The n x n polynomials.
-
-    Raises
-    ------
-    ValueError
-        H is not quadratic; its rate of change along the field is not zero; or no such polynomials exist, because the
-        field does not vanish where grad H does.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra import catalogue
-    >>> ring = ExactPolynomials(catalogue.so(3))
-    >>> x1, x2, x3 = ring.coordinates
-    >>> H = (x1**2 + 2 * x2**2 + 3 * x3**2) / 2
-    >>> skew_factor(ring, H, [2 * x2**2, -x1 * x2, 0 * x3])[0]
-    [0, x2, 0]
+    Let y = grad H. If a constant vector e has e . y = 1, K = f e^T - e f^T. Otherwise y = M z, with z the distance from
+    an equilibrium. For f of degree d in y with f . y = 0 the Koszul homotopy gives K_ij = (d f_i / d y_j - d f_j / d
+    y_i) / (d + 1), since then K y = ((d + 1) f - grad(y . f)) / (d + 1). Components along the kernel of M are (d f_i /
+    d y_j) / d instead; for these f must vanish where y does. Raise ValueError if no polynomial K exists.
     """
     from flint import fmpq, fmpq_mat
 
     n = ring.dim
     if energy.total_degree() > 2:
-        raise ValueError("the Hamiltonian is not quadratic, so there is no polynomial matrix; take the one at points")
+        raise ValueError("the Hamiltonian is not quadratic, so no polynomial matrix exists; use skew_matrix at points")
     if ring.along(field, energy) != 0:
-        raise ValueError("the field does not keep the energy, so it is no skew matrix times its gradient")
+        raise ValueError("the field does not keep the energy, so it is not a skew matrix times its gradient")
     slope = ring.gradient(energy)
     if all(f == 0 for f in field):
         return [[ring.zero] * n for _ in range(n)]
@@ -75,7 +46,7 @@ def skew_factor(ring: ExactPolynomials, energy: Exact, field: Field) -> Matrix:
         if height != 0:
             e = [entry / height for entry in row]
             return [[field[i] * e[j] - field[j] * e[i] for j in range(n)] for i in range(n)]
-    # x = P z + rest, z = (u, w): u where M is invertible, w along its kernel.
+    # x = P z + rest, z = (u, w), with w along the kernel of M.
     columns = [[fmpq(int(i == j)) for i in range(n)] for j in chosen] + kernel
     P = fmpq_mat(n, n, [columns[j][i] for i in range(n) for j in range(n)])
     S = fmpq_mat(rank, rank, [M[i, j] for i in chosen for j in chosen])

@@ -1,4 +1,4 @@
-"""What a step and its system are in exact polynomials, and whether a step read at a point agrees."""
+"""Systems and steps in exact polynomials, and the check of a power series against the step."""
 
 from __future__ import annotations
 
@@ -21,22 +21,17 @@ from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import QuadraticTerm
 
-BYTES_PER_MONOMIAL = 200  # for each monomial of a field, with its powers and derivatives and the series of its step
-MOST_MONOMIALS = 10**5  # of a field: already its products with itself take minutes
-SLIGHT = 1e-10  # the motion in a step by which a series is tried at a point, in units of the state
-MOST_OFF = 1e6  # of the first power that the series leaves out, in the same units
+BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
+MOST_MONOMIALS = 10**5  # of a field: beyond, its products with itself take minutes
+SLIGHT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
+MOST_OFF = 1e6  # largest coefficient of the first omitted power of the series, in the same units
 
 
 class ExactSystem:
-    """A system whose J and H are polynomials, in a ring. Floats are taken as the rational numbers that they are.
+    """A system whose J and H are polynomials in a ring; floats are converted to rationals exactly.
 
-    Raises
-    ------
-    TypeError and what the functions of the system raise
-        J or H is no polynomial, or a function of the system fails on polynomials.
+    Raise TypeError, or what the functions of the system raise on polynomials, if J or H is not a polynomial.
 
-    Examples
-    --------
     >>> import coadjoint as co
     >>> found = ExactSystem(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1))
     >>> found.energy
@@ -71,7 +66,7 @@ class ExactSystem:
 
     @cached_property
     def casimirs(self) -> dict[str, Exact]:
-        """The Casimirs that are polynomials, by name."""
+        """The polynomial Casimirs by name."""
         found = {}
         for name, C in self.system.casimirs.items():
             if isinstance(C, Polynomial):
@@ -81,7 +76,7 @@ class ExactSystem:
         return found
 
     def check_room(self, order: int) -> None:
-        """Refuse an order whose polynomials do not fit in memory."""
+        """Raise an error if the polynomials of an order do not fit in memory."""
         n, degree = self.system.dim, max(int(f.total_degree()) for f in self.field)
         highest = 1 + order * max(degree - 1, 0)
         count = math.comb(n + highest, n) - (math.comb(n + highest - 1, n) if degree > 1 else 0)
@@ -103,7 +98,9 @@ class ExactSystem:
 
 
 def _check_monomials(system: System) -> None:
-    """Refuse a field of too many monomials before it is made: those of J(x) M x are counted, products by products."""
+    """Raise an error for a field with too many monomials, counted before construction as those of the products in J(x)
+    M x.
+    """
     terms = system.hamiltonian.terms()
     if not isinstance(system, LiePoissonSystem) or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
         return
@@ -112,20 +109,16 @@ def _check_monomials(system: System) -> None:
     count = int(np.sum(entries[i] + entries[j]))
     if count > MOST_MONOMIALS:
         raise ValueError(
-            f"the field of {system.name} has some {count:.0e} monomials, and series of at most {MOST_MONOMIALS:.0e} "
-            "are made"
+            f"the field of {system.name} has about {count:.0e} monomials; exact series support at most "
+            f"{MOST_MONOMIALS:.0e}"
         )
 
 
 def check_at_a_point(
     step: Callable[[NDArray[Any], Any], Any], exact: ExactSystem, series: list[Field], known_to: float
 ) -> None:
-    """Refuse a series that is not that of the step: the step branches, or iterates until something is small.
-
-    Raises
-    ------
-    TypeError
-        The series and the step differ by more than the powers of h that the series leaves out.
+    """Raise TypeError if the series contradicts the step at a sample point: the step branches, or iterates to a
+    tolerance.
     """
     from mpmath import mp, workdps
 
@@ -149,7 +142,7 @@ def check_at_a_point(
 
 
 def values_at(polynomials: list[Exact], x: NDArray[np.float64]) -> list[Any]:
-    """Return the values at a point, in mpmath's precision."""
+    """Return the values at a point, in the current precision of mpmath."""
     from mpmath import mp
 
     at = [*(rational(float(value)) for value in x), 0]

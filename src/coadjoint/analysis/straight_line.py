@@ -1,4 +1,4 @@
-"""Does a series grow like a straight line? Its slope, with an uncertainty that neighbouring samples do not flatter."""
+"""Linear fit of a series, with an uncertainty that allows for correlated samples."""
 
 from __future__ import annotations
 
@@ -9,29 +9,20 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are taken to be independent
+BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are assumed to be independent
 MEMORY = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
 PIECES = 8
-SCALES = 64  # blocks; growth is read from their means
+SCALES = 64  # blocks, from whose means the growth is computed
 FEWEST_SAMPLES = 16
 FEWEST_IN_A_PIECE = 4
 
 
 class Line(NamedTuple):
-    """A straight line through a series.
+    """A straight line fitted to a series by least squares; the intercept is its value at time zero.
 
-    Parameters
-    ----------
-    slope, intercept : float
-        Least squares; the intercept is the value at time zero.
-    uncertainty : float
-        Standard error of the slope, which allows for correlated deviations.
-    deviation : float
-        Root mean square of the deviations from the line.
-    slow_deviation : float
-        The same of means over the 64th part of the span, which an oscillation hardly moves.
-    exponent : float
-        The power H in (length of the piece)^H, with which slow deviations from the best line of a piece grow.
+    `uncertainty` is the standard error of the slope, allowing for correlated deviations; `deviation` the root mean
+    square deviation, `slow_deviation` that of means over 1/64 of the span; `exponent` the power of a piece's length
+    with which they grow.
     """
 
     slope: float
@@ -43,39 +34,19 @@ class Line(NamedTuple):
 
 
 def straight_line(t: Floats, values: Floats) -> Line:
-    """Return the best line through a series, and how the deviations from it grow.
+    """Fit a straight line to a series at ordered times (at least 16), with the growth of the deviations from it.
 
-    Parameters
-    ----------
-    t : ndarray, shape (k,)
-        Times in order, 16 at least.
-    values : ndarray, shape (k,)
-        The series.
+    Uncertainty: for B blocks of neighbouring samples, deviations r and distances d from the middle time, the sums of
+    d r over each block are independent if the blocks are long enough. The slope then has the variance B / (B - 2) *
+    sum (block sums)^2 / (sum d^2)^2. The sufficient length is unknown, so the largest of the values for B = 4 to 32
+    is taken. If H is below 0.2, deviations are not correlated over the whole span. Otherwise the slopes of q = 8 pieces
+    are used, whose errors are q^(1 - H) times that of the whole. In tests on white noise, noise with correlation times
+    up to a quarter of the span, random walks and integrated random walks, the true slope is within two uncertainties
+    for at least nine of ten series; for oscillations it always is.
 
-    Returns
-    -------
-    Line
-
-    Notes
-    -----
-    The uncertainty. For B blocks of neighbouring samples, deviations r and distances d from the middle time, the sums
-    of d r over each block are independent if the blocks are long enough. The slope then has the variance B / (B - 2) *
-    sum (block sums)^2 / (sum d^2)^2. Which length is enough is not known, so the largest of the values for B = 4 to 32
-    counts. Deviations may be correlated over the whole span; if H is below 0.2 they are not. Where they are, the slopes
-    of q = 8 pieces tell more: their errors are q^(1 - H) times that of the whole. This was tried on white noise, noise
-    with a memory of up to a quarter of the span, random walks and accumulated ones: in nine of ten series or more the
-    true slope is within two uncertainties. For oscillations it always is.
-
-    The exponent. Bounded deviations (oscillations, noise) do not grow with the length of a piece: H = 0. A random walk
-    has H = 1/2, an accumulated random walk (Brouwer's phase error) 3/2, a parabola 2. A series is a line in the long
-    run if and only if H < 1.
-
-    Examples
-    --------
-    >>> t = np.arange(1000) * 0.1
-    >>> line = straight_line(t, 3.0 + 0.25 * t + 0.01 * np.sin(t))
-    >>> bool(abs(line.slope - 0.25) < 2 * line.uncertainty < 1e-4), line.exponent < 0.5
-    (True, True)
+    Exponent: bounded deviations (oscillations, noise) do not grow with the length of a piece, H = 0. A random walk has
+    H = 1/2, an integrated random walk (Brouwer's phase error) 3/2, a parabola 2. A series is asymptotically linear if
+    and only if H < 1.
     """
     middle = t.mean()
     d = t - middle
@@ -89,7 +60,7 @@ def straight_line(t: Floats, values: Floats) -> Line:
             break
         sums = np.add.reduceat(parts, _starts(len(t), blocks))
         worst = max(worst, blocks / (blocks - 2) * float(sums @ sums))
-    # What rounding of the series does to its slope.
+    # Effect of rounding of the series on its slope.
     rounding = 2.0**-53 * float(np.max(np.abs(values))) / np.sqrt(spread)
     starts = _starts(len(t), min(SCALES, len(t) // 2))
     sizes = np.diff(np.append(starts, len(t)))
@@ -114,7 +85,7 @@ def _starts(samples: int, blocks: int) -> NDArray[np.int64]:
 
 
 def _off_lines(t: Floats, values: Floats, pieces: int) -> float:
-    """Return the root mean square deviation from the best line of each of so many pieces."""
+    """Return the root mean square deviation from the least-squares lines of a number of pieces."""
     total = 0.0
     for own_t, own in zip(np.array_split(t, pieces), np.array_split(values, pieces), strict=True):
         d, v = own_t - own_t.mean(), own - own.mean()

@@ -1,4 +1,4 @@
-"""Which step keeps the energy to a wanted size? The modified Hamiltonian says it before any run."""
+"""Step size for a bound on the energy error, from the modified Hamiltonian."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ def suggest_step(
 ) -> float:
     """Return the largest step at which the energy stays within a bound, from the modified Hamiltonian.
 
-    A run keeps H + h^p H_p + .... So its energy wanders as h^p H_p does along the motion, however long the run. Choose
-    it where the energy is what matters. `choose` finds scheme and step for an error of the momentum over a span.
+    A run keeps H + h^p H_p + ..., so its energy varies as h^p H_p does along the motion, for any length of the run.
+    Choose it to control the energy error. `choose` selects scheme and step for an error of the momentum over a span.
 
     Parameters
     ----------
     system : LiePoissonSystem
         With a polynomial Hamiltonian that does not depend on time.
     method : Method, str or mapping
-        A splitting or a composition of splittings, or its name as `integrate` takes it.
+        A splitting or a composition of splittings, or its name as in `integrate`.
     x0 : array_like, shape (n,) or (k, n)
-        The state, or a sample of states, for which the smallest of their steps is returned.
+        The initial state, or a sample of states, for which the smallest step is returned.
     energy : float
-        The largest change of the energy wanted, in units of H.
+        The largest accepted change of the energy, in units of H.
 
     Returns
     -------
     float
-        A positive step, from the first two terms along a motion of 128 steps, some 30 radians. It is never longer than
-        the time in which the motion turns by one radian; beyond that the series in h says nothing.
+        A positive step, from the first two terms along a motion of 128 steps, about 30 radians. It is at most the time
+        in which the motion turns by one radian; beyond that the series in h is meaningless.
 
     Raises
     ------
     TypeError, ValueError
-        The scheme has no modified Hamiltonian on this system, as `modified_hamiltonian` says; or a motion overflows.
+        The scheme has no modified Hamiltonian on this system (see `modified_hamiltonian`), or a motion overflows.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Which coefficients of a Hamiltonian are symbols, and what are they called?"""
+"""Symbols for the coefficients of a Hamiltonian, and their names."""
 
 from __future__ import annotations
 
@@ -21,12 +21,7 @@ from coadjoint.systems.quadratic import factors_of
 class Symbols:
     """A Hamiltonian with symbols for some of its coefficients.
 
-    Parameters
-    ----------
-    given : Polynomial
-        The Hamiltonian in numbers.
-    names : mapping
-        Exponents -> name of the symbol for the coefficient. The symbol of a square stands for twice the coefficient.
+    `names` maps exponents to the symbol of the coefficient; the symbol of a square represents twice the coefficient.
     """
 
     given: Polynomial
@@ -34,12 +29,12 @@ class Symbols:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Name -> the number that the symbol stands for."""
+        """Name -> the number that the symbol represents."""
         return {name: self.given.monomials[e] * _divisor(e) for e, name in self.names.items()}
 
     @property
     def hamiltonian(self) -> Polynomial | SymbolicPolynomial:
-        """The Hamiltonian itself."""
+        """The Hamiltonian with symbols."""
         places = {e: k for k, e in enumerate(self.names)}
         monomials: dict[Exponents, Any] = {}
         for e, value in self.given.monomials.items():
@@ -56,11 +51,11 @@ class Symbols:
         return self.written(Polynomial({}, dim=self.given.dim + len(self.names)))
 
     def written(self, polynomial: Polynomial) -> Polynomial | SymbolicPolynomial:
-        """Return a polynomial in coordinates and symbols as one that shows which is which."""
+        """Return a polynomial in coordinates and symbols as a `SymbolicPolynomial`, if there are symbols."""
         return SymbolicPolynomial(polynomial, tuple(self.names.values())) if self.names else polynomial
 
     def factors(self, ring: ExactPolynomials) -> dict[Exponents, Exact]:
-        """Return exponents -> the polynomial in symbols that stands for the coefficient."""
+        """Return exponents -> the polynomial in symbols that represents the coefficient."""
         return {e: ring.symbol[name] / _divisor(e) for e, name in self.names.items()}
 
 
@@ -70,35 +65,17 @@ def no_symbols(H: Polynomial) -> Symbols:
 
 
 def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:
-    """Return a Hamiltonian with symbols for its coefficients.
+    """Return a Hamiltonian with symbols for all coefficients (True), or for those with the given names.
 
-    Parameters
-    ----------
-    H : Polynomial
-        The Hamiltonian.
-    wanted : True or sequence of str
-        All of them, or those with these names.
-    program : Program
-        The program of the splitting. Its parts must be those of H itself.
+    Raise ValueError for unknown names, or if a Casimir was subtracted from H in the program of the splitting.
 
-    Returns
-    -------
-    Symbols
-
-    Raises
-    ------
-    ValueError
-        If a Casimir was taken off, or a name is not known.
-
-    Examples
-    --------
     >>> names_of(Polynomial({(2, 0): 0.5, (1, 1): 1, (0, 3): 2, (0, 1): 1}))
     {(0, 1): 'b2', (2, 0): 'm1', (1, 1): 'm12', (0, 3): 'c222'}
     """
     if program.shift:
         raise ValueError(
             f"a multiple of the Casimir {program.shift[0][0]!r} was subtracted from H, with a factor that depends "
-            'on its coefficients; for symbols take parts="coordinates"'
+            'on its coefficients; for symbols use parts="coordinates"'
         )
     names = names_of(H)
     if wanted is not True:

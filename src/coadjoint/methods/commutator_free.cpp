@@ -7,7 +7,7 @@ namespace coadjoint {
 
 namespace {
 
-// A momentum of a Lie algebra with structure constants, and the group element that it carries.
+// A momentum of a Lie algebra with structure constants, and its group element.
 struct VectorOrbit {
     const StepTables& tables;
     const Own constants;
@@ -47,7 +47,7 @@ struct VectorOrbit {
         return true;
     }
 
-    // The stored group element is transposed, so that columns of rho are what is summed.
+    // The stored group element is transposed, so that columns of rho are summed.
     bool move_group(const double* k, const double* g) {
         const GroupField& group = tables.group;
         std::fill(sums.begin(), sums.end(), 0.0);
@@ -62,7 +62,7 @@ struct VectorOrbit {
     }
 };
 
-// A matrix W that moves by [P, W]; P is what is called the gradient above. One or two layers, as `Products` has them.
+// A matrix W that moves by [P, W], with P in the role of the gradient. One or two layers, as in `Products`.
 template <class T>
 struct MatrixOrbit {
     const int64_t size, all, n, square = 0;
@@ -119,9 +119,9 @@ struct MatrixOrbit {
     }
 };
 
-// `coefficients`: how many exponentials there are at the end, when each stage is, and for every stage but the first, then
-// for every exponential at the end, from which stage it starts and the combination of gradients. Then what the orbit
-// reads.
+// `coefficients`: the number of exponentials at the end, the nodes of the stages, and for every stage but the first,
+// then for every exponential at the end, the stage it starts from and the combination of gradients. They are followed
+// by the coefficients that the orbit reads.
 template <class Orbit>
 struct CommutatorFree final : StepScheme {
     const int64_t stages, ends;

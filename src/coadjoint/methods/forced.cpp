@@ -1,4 +1,5 @@
-// Half flows of forces, a step of another loop, and the half flows in the other order; with what each force has done.
+// Symmetric splitting of forces and a step of another loop: half flows, the step, half flows in reversed order; with
+// the account of each force.
 #include <memory>
 
 #include "forces/force.hpp"
@@ -19,8 +20,8 @@ struct Forced final : StepScheme {
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, room;
 
-    // `whole`: where the inner loop stands, how many forces there are, the addresses of their tables, and what
-    // `matrix_invariants` reads; that is followed of a matrix in place of the invariants of the tables.
+    // `whole`: the addresses of the inner loop, the number of forces, the addresses of their tables, and what
+    // `matrix_invariants` reads; for a matrix these invariants replace those of the tables.
     Forced(const StepTables& tables, const Own& constants)
         : tables(tables), constants(constants),
           matrices(matrix_invariants(tables.whole + 6 + tables.whole[5], tables.coefficients)), n(tables.field.size),
@@ -29,7 +30,7 @@ struct Forced final : StepScheme {
           arguments(tables.kept.longest + 1), room(2 * tables.kept.longest + 2) {
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
-        // What schemes of matrices remember are guesses, which forces between two steps leave good.
+        // The memory of schemes of matrices consists of initial guesses, which remain useful after forces.
         remembered = matrices ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
                (2 * tables.whole[5] + 2) *
@@ -62,8 +63,8 @@ struct Forced final : StepScheme {
         return true;
     }
 
-    // Let a force flow, and add what that changes to its accounts, which stand behind the coordinates. The invariants
-    // are those of the time `frozen`.
+    // Apply the flow of a force, and add its changes of invariants to its accounts, stored behind the coordinates. The
+    // invariants are those of the time `frozen`.
     int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen) {
         const int64_t status = force.flow(x, t, tau, member);
         evaluations += force.evaluations;

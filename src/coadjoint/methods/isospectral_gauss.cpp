@@ -1,8 +1,8 @@
 // Isospectral Gauss methods: W' = [P, W], P = stream(W, t), in a Lie algebra of matrices.
 //
-// One stage: W = M - (h/2)[P, M] - (h^2/4) P M P is solved for the middle M with P = stream(M), and W += h [P, M].
-// Several: V_i = 1 + h sum_j a_ij P_j V_j, U_i = 1 - h sum_j a_ij U_j P_j, M_i = V_i W U_i, and
-// W += h sum_i b_i [P_i, M_i]. Of skew-Hermitian matrices U_i = V_i*.
+// One stage: W = M - (h/2)[P, M] - (h^2/4) P M P is solved for the midpoint M with P = stream(M), and W += h [P, M].
+// Several: V_i = 1 + h sum_j a_ij P_j V_j, U_i = 1 - h sum_j a_ij U_j P_j, M_i = V_i W U_i, and W += h sum_i b_i [P_i,
+// M_i]. For skew-Hermitian matrices U_i = V_i*.
 #include "matrices/isospectral.hpp"
 #include "matrices/skew_midpoint.hpp"
 
@@ -10,7 +10,7 @@ namespace coadjoint {
 
 namespace {
 
-constexpr int64_t HISTORY = 3;  // middles of earlier steps, through which the next one is guessed
+constexpr int64_t HISTORY = 3;  // midpoints of earlier steps, from which the next one is extrapolated
 
 template <class T>
 struct Midpoint final : Isospectral<T> {
@@ -22,7 +22,7 @@ struct Midpoint final : Isospectral<T> {
         this->remembered = 2 + HISTORY * all * int64_t(sizeof(T) / sizeof(double));
     }
 
-    // memory: how many middles there are, the step that they are of, and the middles, the last one first.
+    // memory: the number of midpoints, the step that they belong to, and the midpoints, the last one first.
     void guess(const T* W, double h) {
         double* memory = this->memory;
         const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
@@ -154,7 +154,7 @@ StepScheme* made(const StepTables& tables) {
 
 }  // namespace
 
-// `whole`: what a stream reads, then what `Place` names.
+// `whole`: the integers that a stream reads, then those that `Place` names.
 EXPORT StepScheme* isospectral_gauss_step(const StepTables& tables, const Own&) {
     return tables.whole[COMPLEX] ? made<Complex>(tables) : made<double>(tables);
 }

@@ -1,5 +1,5 @@
-// Kahan's method: (1 - h/2 f'(x)) d = h f(x), x += d. In many dimensions by GMRES, with corrections until they no longer
-// fall.
+// Kahan's method: (1 - h/2 f'(x)) d = h f(x), x += d. In many dimensions by GMRES, with corrections until they no
+// longer fall.
 #include "field/derivatives.hpp"
 #include "numbers/krylov.hpp"
 #include "numbers/linear_solve.hpp"
@@ -10,7 +10,7 @@ namespace coadjoint {
 namespace {
 
 constexpr int64_t MOST_SOLUTIONS = 8;
-constexpr double SETTLED = 0x1p-40;  // of the move: a correction that falls no further is round-off below it
+constexpr double SETTLED = 0x1p-40;  // of the increment: below it, corrections that no longer fall are round-off
 
 struct Kahan final : StepScheme {
     const StepTables& tables;
@@ -28,7 +28,7 @@ struct Kahan final : StepScheme {
         work = (dense ? n : RESTART) * (work_of(field) + n * (dense ? n : RESTART));
     }
 
-    // Set out = f'(x) v. Where J is a function the difference has no error: f is quadratic.
+    // Set out = f'(x) v. If J is a function, the difference is exact, since f is quadratic.
     void derivative(const double* x, const double* v, double t, double* out) {
         if (!field.nonlinear) return jacobian_times(field, constants, x, u.data(), v, t, 1.0, out, bends);
         double large = 0.0, wide = 0.0;

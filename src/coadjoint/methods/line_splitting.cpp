@@ -1,9 +1,10 @@
 // A splitting of the fluid on the torus into the exact flows of lines of modes, {j k} for a direction k mod n.
 //
-// W has the entries sum over j of v(j, d) omega^(j (d + 2 a)) at (a, a + d), omega = exp(2 pi i / n), all mod n. A change
-// of both indices by a matrix of determinant one, (j, d) -> j k + d l, is an automorphism, which makes the modes of a
-// line diagonal matrices. Their flow multiplies the entries (a, b) by exp(i h (theta_a - theta_b)), where i theta is the
-// diagonal of the stream of the line: a Fourier transform along each coset d of the line, a product, and the way back.
+// W has the entries sum over j of v(j, d) omega^(j (d + 2 a)) at (a, a + d), omega = exp(2 pi i / n), all mod n. A
+// change of both indices by a matrix of determinant one, (j, d) -> j k + d l, is an automorphism, which makes the modes
+// of a line diagonal matrices. Their flow multiplies the entries (a, b) by exp(i h (theta_a - theta_b)), where i theta
+// is the diagonal of the stream of the line: a Fourier transform along each coset d of the line, a product, and the
+// inverse transform.
 #include "boundary/hearing.hpp"
 #include "matrices/circulants.hpp"
 #include "steps/step_scheme.hpp"
@@ -25,7 +26,7 @@ struct LineSplitting final : StepScheme {
     Fourier<double> one;
     Fourier<Eight> eight;
     ComplexNumber<Eight>* row;  // of one transform
-    // Modes at the start of the step and what has been added to them, n x n, real and imaginary parts apart.
+    // Modes at the start of the step and their increments, n x n, real and imaginary parts separate.
     std::vector<double> re, im, added_re, added_im;
     // exp(i h theta) - 1 at s, and at -s, beyond one period.
     std::vector<double> up_re, up_im, down_re, down_im;
@@ -79,10 +80,10 @@ struct LineSplitting final : StepScheme {
                     im[mirrored] = im[at];
                 }
         }
-        re[0] = im[0] = 0.0;  // the unit matrix, which nothing moves
+        re[0] = im[0] = 0.0;  // the unit matrix, which is constant
     }
 
-    // W += what was added to its modes, with what earlier sums owe.
+    // W += the increments of its modes, with compensation.
     void add_modes(double* x, double* dx) {
         for (int64_t first = 0; first <= half; first += L) {
             const int64_t lanes = std::min(L, half + 1 - first);
@@ -144,7 +145,7 @@ struct LineSplitting final : StepScheme {
         }
     }
 
-    // y := (exp(i h (theta_(s + d) - theta_(s - d))) - 1) y, from small numbers whose rounding is as small.
+    // y := (exp(i h (theta_(s + d) - theta_(s - d))) - 1) y, from small numbers with equally small rounding.
     INLINE void turn(ComplexNumber<Eight>& y, int64_t s, int64_t d) const {
         Eight a_re, a_im, b_re, b_im;
         std::memcpy(&a_re, up_re.data() + s + d, sizeof(Eight));
@@ -156,8 +157,8 @@ struct LineSplitting final : StepScheme {
         y = y.times(real, imaginary);
     }
 
-    // For each row j of eight cosets call `body(j, at, back, lane, count, edge)`: from `lane` on, `count` modes stand at
-    // `at`, ..., and their opposites at `back`, back - 1, ...; where the first one is at the edge, in column 0, its
+    // For each row j of eight cosets call `body(j, at, back, lane, count, edge)`: from `lane` on, `count` modes are at
+    // `at`, ..., and their opposites at `back`, back - 1, ...; if the first one is at the edge, in column 0, its
     // opposite is at back - n.
     template <class Body>
     INLINE void each_row(const Line& k, int64_t first, int64_t lanes, Body body) {
@@ -191,7 +192,7 @@ struct LineSplitting final : StepScheme {
     void scatter(const Line& k, int64_t first, int64_t lanes) {
         const double size = double(n);
         each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t back, int64_t lane, int64_t count, bool edge) {
-            const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // twice forward is once around
+            const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // forward twice: reversed
             double *to_re = added_re.data() + at, *to_im = added_im.data() + at;
             for (int64_t c = 0; c < count; ++c) to_re[c] += from_re[c] / size;
             for (int64_t c = 0; c < count; ++c) to_im[c] += from_im[c] / size;

@@ -1,4 +1,4 @@
-// A step of another loop, and back to the level set of the energy and of the Casimirs.
+// A step of another loop, and a projection to the level set of the energy and of the Casimirs.
 #include "steps/inner_step.hpp"
 #include "steps/projection.hpp"
 #include "steps/step_scheme.hpp"

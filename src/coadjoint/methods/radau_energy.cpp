@@ -1,5 +1,5 @@
-// Radau IIA on the energy surface: function iteration for the stages, and in each one a Newton iteration for the
-// multipliers.
+// Radau IIA on the energy surface: function iteration for the stages, with a Newton iteration for the multipliers in
+// each.
 #include "numbers/linear_solve.hpp"
 #include "steps/step_scheme.hpp"
 
@@ -59,7 +59,7 @@ struct RadauEnergy final : StepScheme {
                                      [&](int64_t c, double sum) { u[c] = x[c] + sum; });
                     excess[i] = wanted - energy(field, tables.values, constants, u.data(), t, room);
                 }
-                // Where the iteration has overflowed before, it is not the multiplier that is undefined.
+                // If the iteration has overflowed before, the failure is not an undefined multiplier.
                 const bool sound = finite(s * s, matrix.data());
                 undefined |= !factorize(matrix.data(), s, pivots.data()) && sound;
                 substitute(matrix.data(), s, pivots.data(), excess.data(), 1);

@@ -1,6 +1,6 @@
-// Steps of another loop whose length follows the motion and can be taken back: E. Hairer, G. Soederlind, Explicit, time
-// reversible, adaptive step size control, SIAM J. Sci. Comput. 26 (2005) 1838. With the speed Q of the motion, a step
-// has the length stride / rho, and rho goes on by stride * Q' / Q from step to step, by half of it at the start.
+// Steps of another loop with a reversible, adaptive length: E. Hairer, G. Soederlind, Explicit, time reversible,
+// adaptive step size control, SIAM J. Sci. Comput. 26 (2005) 1838. With the speed Q of the motion, a step has the
+// length stride / rho, and rho increases by stride * Q' / Q from step to step, by half of it at the start.
 #include "field/derivatives.hpp"
 #include "steps/inner_step.hpp"
 #include "steps/own_steps.hpp"
@@ -22,8 +22,8 @@ struct ReversibleSteps final : OwnSteps {
     DerivativeRoom<double> bends;
     std::vector<double> u, f, change, rising, rows, arguments, calls;
 
-    // `whole`: where the inner loop stands; the coefficient is the stride, and what is kept the polynomial of the speed.
-    // Remembered is rho.
+    // `whole`: the addresses of the inner loop; the coefficient is the stride, and the watched function the polynomial
+    // of the speed. The remembered number is rho.
     ReversibleSteps(const StepTables& tables, const Own& constants)
         : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 1), field(tables.field), kept(tables.kept),
           constants(constants), stride(tables.coefficients[0]), inner(tables.whole, size, square),
@@ -73,7 +73,7 @@ struct ReversibleSteps final : OwnSteps {
         return status;
     }
 
-    // The speed Q at a state, and the rate Q' / Q at which it changes with the motion.
+    // The speed Q at a state, and its relative rate of change Q' / Q along the motion.
     void measure(const double* x, double t, double& speed, double& rate) {
         gradient(field, constants, x, t, u.data(), room);
         product(field, constants, x, u.data(), 1.0, f.data(), room);
@@ -88,7 +88,7 @@ struct ReversibleSteps final : OwnSteps {
         }
     }
 
-    // The given polynomial at a point; its gradient is left in `rising`.
+    // The given polynomial at a point; its gradient is stored in `rising`.
     double value_at(const double* y, double t) {
         const Terms& terms = kept.terms;
         std::fill(rising.begin(), rising.end(), 0.0);

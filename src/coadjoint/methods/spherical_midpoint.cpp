@@ -1,4 +1,5 @@
-// The spherical midpoint method: x += h f(y), where y is the middle of the step, each spin as long as it is in x.
+// The spherical midpoint method: x += h f(y), where y is the midpoint of the step, each spin rescaled to its length in
+// x.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -25,7 +26,7 @@ struct SphericalMidpoint final : StepScheme {
     SphericalMidpoint(const StepTables& tables, const Own& constants)
         : tables(tables), constants(constants), field(tables.field), n(field.size), room(field), y(1, n, &HALF), u(n),
           point(n) {
-        // The row of a coordinate names the two others of its spin.
+        // The row of a coordinate has the two others of its spin.
         for (int64_t i = 0; i < n; ++i) {
             const uint32_t q = field.first[i];
             if (q == field.first[i + 1]) continue;

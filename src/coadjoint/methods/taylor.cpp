@@ -1,4 +1,4 @@
-// The Taylor series of the motion, and back to the level set of the energy and of the Casimirs; with the group element.
+// The Taylor series of the motion, and a projection to the level set of energy and Casimirs; with the group element.
 #include "steps/group_series.hpp"
 #include "steps/projection_crowd.hpp"
 #include "steps/series_crowd.hpp"
@@ -8,7 +8,7 @@ namespace coadjoint {
 
 namespace {
 
-// What members side by side read again and again must stay in the cache of a core.
+// Data that members side by side read repeatedly must stay in the cache of a core.
 constexpr int64_t MOST_ROOM = int64_t(1) << 18;
 
 template <int W>
@@ -65,7 +65,7 @@ struct Taylor final : StepScheme {
         for (int64_t b = 0; b < blocks; ++b) state[b] = load<Row>(x + b * W), owed.at[b] = load<Row>(dx + b * W);
         if (memory && !(memory[0] == memory[0])) projection.begin(state, memory);
         series.expand(h);
-        // Before the state takes the place of the first coefficient.
+        // Before the state overwrites the first coefficient.
         if (group) gradients_along(series, reinterpret_cast<double*>(gradients.at));
         for (int64_t b = 0; b < blocks; ++b) add_to(state[b], owed.at[b], series.increment(b));
         const bool restored = !memory || projection.restore(state, owed.at, blocks, memory);

@@ -1,5 +1,5 @@
-// The Taylor series of the motion over steps that the series itself tells, and back to the level set of the energy and
-// of the Casimirs; with the group element.
+// The Taylor series of the motion over steps of lengths determined by the series, and a projection to the level set of
+// energy and Casimirs; with the group element.
 #include "steps/dense_series.hpp"
 #include "steps/group_series.hpp"
 #include "steps/own_steps.hpp"
@@ -10,8 +10,8 @@ namespace coadjoint {
 
 namespace {
 
-constexpr int64_t ATTEMPTS = 24;          // to find powers of a time in which the terms are numbers
-constexpr double TINY = 0x1p-900;         // terms below have lost digits
+constexpr int64_t ATTEMPTS = 24;          // to find a time unit in which the terms are finite
+constexpr double TINY = 0x1p-900;         // smaller terms have lost digits
 constexpr double FAR = 64.0, ENDS = 900.0;  // logarithms: from one attempt to the next, and of the longest such time
 
 template <int W>
@@ -22,13 +22,13 @@ struct TaylorVariable final : OwnSteps {
     Projection<W, Own> projection;
     const StepLength rule;
     Room<Row> state, owed, expanded;
-    double scaled = 0.0;       // `series` holds the terms of `expanded` in powers of this; 0 where it holds none
+    double scaled = 0.0;       // `series` holds the terms of `expanded` in powers of this time; 0 if it holds none
     const std::unique_ptr<GroupMotion> group;
     std::vector<double> gradients;
-    std::vector<double> seen;  // for looks, which leave what the projection remembers as it is
+    std::vector<double> seen;  // for evaluations that leave the memory of the projection unchanged
 
-    // Remembered: in powers of which time the terms are, a power of two with the sign of the steps; the largest size of
-    // a state so far; and what the projection remembers.
+    // Remembered: the time unit of the terms, a power of two with the sign of the steps; the largest size of a state so
+    // far; and the memory of the projection.
     TaylorVariable(const StepTables& tables, const Own& constants)
         : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 2 + 2 * tables.kept.size), blocks(blocks_of<W>(tables.field.size)),
           series(tables.field, constants, tables.whole[0]), projection(tables.kept, constants, tables.field.size),
@@ -63,7 +63,7 @@ struct TaylorVariable final : OwnSteps {
             scale_of(base) = std::copysign(whole_power_of_two(exponent), base.length);
             expand(scale_of(base));
             const StepLength::Sizes sizes = rule.sizes([this](int64_t k) { return size_of_term(series, k); });
-            // Where a term overflows all that follow do, or their sum is no number.
+            // If a term overflows, all following ones do, or their sum is NaN.
             const bool overflows = !(sizes.sum - sizes.sum == 0.0);
             const bool lost = !overflows && !enlarged && !(sizes.largest > TINY * largest_of(base));
             const double first = overflows || lost ? size_of_term(series, 1) : 0.0;
@@ -114,7 +114,7 @@ struct TaylorVariable final : OwnSteps {
         return group ? turn(s, time, g, dg) : DONE;
     }
 
-    // The gradient along the step is a polynomial in the time over `time`.
+    // The gradient along the step is a polynomial in the time relative to `time`.
     int64_t turn(double s, double time, double* g, double* dg) {
         if (!finite(size, reinterpret_cast<const double*>(state.at))) return OVERFLOWED;
         gradients_along(series, gradients.data());

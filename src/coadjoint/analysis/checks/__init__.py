@@ -1,1 +1,1 @@
-"""What is looked at by a certificate? One file for each kind of check."""
+"""Checks of a certificate, one file for each kind."""

@@ -1,4 +1,4 @@
-"""What does the group element keep: the spatial momentum, its group? And does it follow the motion?"""
+"""Check of the group element: spatial momentum, invariant form of the group, and convergence to the exact element."""
 
 from __future__ import annotations
 
@@ -24,36 +24,25 @@ from coadjoint.runs.solution import Solution
 Floats = NDArray[np.float64]
 
 LARGEST = 64
-"""Dimension up to which the coadjoint matrix is carried."""
+"""Largest dimension in which the coadjoint matrix is integrated."""
 LARGEST_FOLLOWED = 16
-"""Dimension up to which it is also followed by the independent code."""
+"""Largest dimension in which the group element is compared with the independent integration."""
 SAVED = 16
 MOST_WORK = 5e7
-"""Steps times the cube of the dimension: on large algebras the element is followed over fewer steps."""
+"""Bound on steps times the cube of the dimension; on large algebras fewer steps carry the element."""
 SECONDS, FEWEST, MOST_STEPS = 1.0, 4, 2**53
-"""About how long the steps with an element may take, and how many are taken all the same."""
+"""Approximate time limit of the steps with an element, and the limits of their number."""
 LARGE_CONDITION = 1e3
 KEEPING = ("every representation", "coadjoint")
 
 Seen = tuple[float, float, str]
-"""A defect, its bound, and what was seen."""
+"""Defect, bound, and description of the measurement."""
 
 
 def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row]:
-    """Return the rows on the group element; one that says why, where there is none.
+    """Return the rows on the group element, or one row with the reason if there is none.
 
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-    study : Study or None
-        The study of the convergence of the momentum. The element is followed over its span.
-    steps : int
-        Number of steps that are taken with the element.
-
-    Returns
-    -------
-    list of Row
+    The element takes `steps` steps, and is compared over the span of the study, which is None without a reference.
     """
     system, properties = subject.system, subject.claims.properties
     kind = "none" if properties is None else properties.attitude
@@ -86,7 +75,7 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
             rows.append(
                 _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, with_matrix))
             )
-    # Without a declared order there is no step that an element would tend to its limit with.
+    # Without a declared order the rate of convergence of the element is unknown.
     if study is not None and subject.claims.order is not None and system.dim <= LARGEST_FOLLOWED:
         rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
     return rows
@@ -108,7 +97,7 @@ def _row(subject: Subject, key: str, what: str, kind: str, claimed: bool, look: 
 
 
 def _affordable(subject: Subject, representation: Any) -> int:
-    """Return how many steps with an element may be taken in some seconds, by counted work."""
+    """Return the number of steps with an element that fit into the time limit, by the cost model."""
     each = subject.seconds_with(representation) * len(subject.states)
     return max(FEWEST, int(SECONDS / each)) if each > 0.0 else MOST_STEPS
 
@@ -122,10 +111,10 @@ def _carried(subject: Subject) -> bool:
 
 
 def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
-    """Take the steps, or half as many until the run does not fail and the condition of the element is not large.
+    """Run the steps, halved until the run succeeds and the condition of the element is at most `LARGE_CONDITION`.
 
-    A rounding at the time s is multiplied by g_s^-1 g_t until the time t. So elements that grow and shrink again have
-    lost digits. The run, its elements and their largest condition are returned.
+    A rounding at time s is multiplied by g_s^-1 g_t until time t, so elements that grow and shrink again lose digits.
+    Return the run, its elements and their largest condition number.
     """
     while True:
         try:
@@ -153,7 +142,7 @@ def _size(matrices: Floats) -> Floats:
 
 
 def _momentum(subject: Subject, steps: int) -> Seen:
-    """K x is constant, K the coadjoint matrix."""
+    """Measure the spatial momentum K x, which is constant; K is the coadjoint matrix."""
     run, K, condition = _run(subject, "coadjoint", steps)
     moved = np.einsum("kmij,kmj->kmi", K, run.x) - run.x[0]
     size = float(np.max(_size(K) * np.linalg.norm(run.x, axis=-1))) * condition
@@ -162,7 +151,7 @@ def _momentum(subject: Subject, steps: int) -> Seen:
 
 
 def _form(subject: Subject, form: Floats, steps: int) -> Seen:
-    """g^T P g = P, P the form that the group of the representation keeps; the unit matrix for rotations."""
+    """Measure g^T P g - P, with P the invariant form of the representation (the unit matrix for rotations)."""
     run, g, condition = _run(subject, True, steps)
     defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
     size = float(np.max(_size(g)) ** 2 * np.linalg.norm(form)) * condition
@@ -171,7 +160,7 @@ def _form(subject: Subject, form: Floats, steps: int) -> Seen:
 
 
 def _one_element(subject: Subject, steps: int) -> Seen:
-    """The element of the representation is that of the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
+    """Compare the element of the representation with the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
     rho = np.asarray(subject.system.representation)
     in_K, K, of_K = _run(subject, "coadjoint", steps)
     in_rho, g, of_g = _run(subject, True, in_K.stats.steps)
@@ -187,7 +176,7 @@ def _one_element(subject: Subject, steps: int) -> Seen:
 
 
 class _WithElement:
-    """The motion of a momentum with its coadjoint matrix, K' = -sign K D_u, u = grad H(x)."""
+    """The motion of a momentum with its coadjoint matrix, K' = -sign K D_u with u = grad H(x)."""
 
     closed_form = None
 
@@ -201,12 +190,12 @@ class _WithElement:
         return np.concatenate([system.vector_field(x, t), -system.sign * turned.ravel()])
 
 
-# One for each system, so that a motion is followed once.
+# Cached for each system, so that a reference motion is integrated once.
 _with_element = lru_cache(maxsize=16)(_WithElement)
 
 
 def _limit(subject: Subject, study: Study) -> Seen | None:
-    """Small steps lead to the element that the independent code has."""
+    """Compare the element at small steps with the independent integration."""
     n, x = subject.system.dim, subject.states[0]
     start = np.concatenate([x, np.eye(n).ravel()])
     reference = motion(_with_element(subject.system), start[None], study.span)  # type: ignore[arg-type]
@@ -214,7 +203,7 @@ def _limit(subject: Subject, study: Study) -> Seen | None:
         return None
     element = reference.states[0, n:].reshape(n, n)
     size = float(np.linalg.norm(element))
-    # The smaller half of the steps at which errors of the momentum stand above round-off, or the smallest step.
+    # The smallest step at which the error of the momentum is above round-off, else the smallest step.
     clear = [k for k, error in enumerate(study.errors) if error > CLEAR * study.floors[k]]
     place = clear[-1] if clear else len(study.counts) - 1
     counts = (study.counts[place], 2 * study.counts[place])

@@ -1,4 +1,4 @@
-"""Do small steps lead to the motion, and at which order? Against an independent reference."""
+"""Checks of the order and of the convergence to an independent reference."""
 
 from __future__ import annotations
 
@@ -15,33 +15,20 @@ from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MOST_SINGLE = 12
-# A slope with a larger uncertainty cannot tell an order from its neighbour. For high orders the uncertainty may be a
-# part of the order.
+# A slope with a larger uncertainty does not distinguish neighbouring orders. For high orders the uncertainty may be a
+# fraction of the order.
 UNSURE, UNSURE_PART = 0.4, 1.0 / 10.0
 NEAR, NEAR_PART = 0.5, 1.0 / 16.0
-# Orders are whole numbers. A quarter of the way to the next is left for what the uncertainty does not contain: later
-# terms of the error.
+# Orders are integers; a margin of 1/4 allows for higher terms of the error, which the uncertainty omits.
 MARGIN = 0.25
-# The error may exceed the estimate from the last change of the step by this factor. Where steps are halved, errors of
-# half the declared order exceed it by 1 + 2^(p/2) at most. Those of the first steps exceed it by their next term.
+# The error may exceed the estimate from the last change of the step by this factor. If steps are halved, errors of
+# half the declared order exceed it by at most 1 + 2^(p/2). Those of the first steps exceed it by their next term.
 LIMIT = 6.0
 LIMIT_OF_STEPS = "limit of small steps"
 
 
 def convergence_rows(subject: Subject, found: Study | None) -> list[Row]:
-    """Return the rows on the order and on the reference.
-
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-    found : Study or None
-        From `study`.
-
-    Returns
-    -------
-    list of Row
-    """
+    """Return the rows on the order and on the limit of small steps, from the study (None without a reference)."""
     p = subject.claims.order
     declared = "nothing" if p is None else str(p)
     converges = "nothing" if p is None else "converges"
@@ -66,7 +53,9 @@ def _unsure(fitted: Slope) -> bool:
 
 
 def _single_steps(subject: Subject, found: Study) -> Slope | None:
-    """Return the order by the errors of single steps, less one, as few steps of a high order fit into the span."""
+    """Return the order from errors of single steps (their slope less one), since few steps of a high order fit into the
+    span.
+    """
     p, size = subject.claims.order or 4, float(np.linalg.norm(subject.states)) or 1.0
     largest = found.telling(math.copysign(subject.span_time, subject.h))
     steps, errors, floors = [], [], []
@@ -139,7 +128,7 @@ def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str
 
 
 def _reference_row(subject: Subject, found: Study, p: int | None, declared: str, evidence: dict[str, object]) -> Row:
-    """Return the row on whether small steps lead to the motion; a flow at another speed leads elsewhere."""
+    """Return the row on the limit of small steps; the flow of another speed has another limit."""
     last, bound = found.errors[-1], CLEAR * found.floors[-1]
     size = float(np.linalg.norm(found.reference.states)) or 1.0
     if len(found.counts) > 1:
@@ -172,26 +161,9 @@ def _reference_row(subject: Subject, found: Study, p: int | None, declared: str,
 
 
 def allowed(change: float, ratio: float, order: int | None) -> float:
-    """Return the error at the smaller of two steps that the change from the larger one to it allows.
+    """Return the error at the smaller of two steps that is consistent with the change from the larger one to it.
 
-    Parameters
-    ----------
-    change : float
-        The difference of what the two steps lead to.
-    ratio : float
-        The ratio of the steps, above 1.
-    order : int or None
-        The order that is declared; taken as 1 where none is.
-
-    Returns
-    -------
-    float
-        6 times change / (ratio^order - 1). Without the factor this is the error of a scheme whose error is C h^order
-        alone.
-
-    Examples
-    --------
-    >>> round(allowed(3e-6, 2.0, 2), 12)
-    6e-06
+    6 change / (ratio^order - 1), where ratio > 1 is that of the steps; an undeclared order counts as 1. Without the
+    factor 6 this is the error of a scheme whose error is exactly C h^order.
     """
     return LIMIT * change / (ratio ** (order or 1) - 1.0)

@@ -1,4 +1,4 @@
-"""How do deviations grow with time: not, like the root of it, in proportion to it, or otherwise?"""
+"""Growth of deviations with time: bounded, like sqrt(t), linear, or another power."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 WINDOWS = 5
-"""The run in halves: the last half, the half before it, and so on; each window twice as long as the one before."""
+"""Number of windows: the last half of the run, the half before it, and so on."""
 KINDS = ((-0.25, 0.25, "bounded"), (0.25, 0.75, "like sqrt(t)"), (0.75, 1.25, "linear"))
 
 
 class Growth(NamedTuple):
-    """How deviations grow over a run.
+    """Growth of deviations over a run.
 
     Parameters
     ----------
     power : float
-        The power of time, fitted over the windows; NaN where nothing deviates in any bit.
+        The power of time, fitted over the windows; NaN if no deviation differs from zero.
     kind : str
         "none", "bounded", "like sqrt(t)", "linear", or "like t^...".
     times, sizes : ndarray, shape (windows,)
@@ -35,14 +35,14 @@ class Growth(NamedTuple):
 
 
 def growth(t: Floats, deviations: Floats) -> Growth:
-    """Return how the root mean square of deviations grows.
+    """Return the power of time with which the root mean square of deviations grows.
 
     Parameters
     ----------
     t : ndarray, shape (k,)
-        Times since the start, increasing in size.
+        Times since the start, increasing in absolute value.
     deviations : ndarray, shape (k, members)
-        Deviations from the value at the start.
+        Deviations from the initial value.
 
     Returns
     -------
@@ -50,10 +50,10 @@ def growth(t: Floats, deviations: Floats) -> Growth:
 
     Notes
     -----
-    Each window is twice as long as the one before. From window to window the logarithm of the root mean square of a
-    deviation c t^a rises by a log 2. A deviation that oscillates, with a period shorter than the windows, has equal
-    root mean squares. So the fitted slope is a. A kind is taken within 1/4 of its power, half of the distance to its
-    neighbour. For a random walk of m members the slope has a standard deviation of about 0.3 / sqrt(m).
+    Each window is twice as long as the previous one, so the logarithm of the root mean square of a deviation c t^a
+    rises by a log 2 from window to window, and the fitted slope is a. An oscillation with a period shorter than the
+    windows has equal root mean squares. A kind is assigned within 1/4 of its power, half of the distance to the next
+    kind. For a random walk of m members the slope has a standard deviation of about 0.3 / sqrt(m).
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Which invariants does the scheme keep, by how much does it miss in a step, and how does that grow over a long run?"""
+"""Checks of energy and Casimirs: errors in one step, and their growth over a long run."""
 
 from __future__ import annotations
 
@@ -24,35 +24,16 @@ Floats = NDArray[np.float64]
 
 STEPS = 2000
 FEWEST_STEPS = 32
-"""Of the long run where nobody says how many; fewer would not tell how deviations grow."""
+"""Lower limit on the default length of the long run; fewer steps do not show the growth of deviations."""
 SECONDS = 3.0
 SAVED = 128
 MUCH_LARGER = 16.0
 LOOKED_AT = 8
-"""Points along the run, at which the sizes of the invariants are taken."""
+"""Number of points along the run at which the sizes of the invariants are evaluated."""
 
 
 def keeps(properties: Properties, casimir: Any) -> bool:
-    """Return whether a scheme declares to keep a Casimir.
-
-    Parameters
-    ----------
-    properties : Properties
-        What the scheme declares.
-    casimir : Polynomial, Quadratic or Invariant
-        One of the Casimirs of the system.
-
-    Returns
-    -------
-    bool
-
-    Examples
-    --------
-    >>> cubic = Polynomial({(3, 0): 1.0})
-    >>> declared = {"poisson": False, "energy": False, "attitude": "none"}
-    >>> [keeps(Properties(**declared, casimirs=kind), cubic) for kind in ("all", "polynomial", "quadratic", "none")]
-    [True, True, False, False]
-    """
+    """Return whether a scheme declares to keep a Casimir."""
     if properties.casimirs == "all":
         return True
     if not isinstance(casimir, Polynomial | Quadratic) or properties.casimirs == "none":
@@ -62,16 +43,9 @@ def keeps(properties: Properties, casimir: Any) -> bool:
 
 @dataclass(frozen=True)
 class LongRun:
-    """The long run, or the part of it that could be made.
+    """The long run, as far as it succeeded.
 
-    Parameters
-    ----------
-    solution : Solution or None
-        None where not even one step was taken.
-    failed : str
-        The message of the failure, if it failed.
-    until : float
-        When it failed.
+    The solution is None if not even one step succeeded; `failed` is the error message, `until` the time of the failure.
     """
 
     solution: Solution | None
@@ -80,17 +54,17 @@ class LongRun:
 
 
 def steps_of(subject: Subject) -> int:
-    """Return the number of steps of the long run: what was asked for, or what takes some seconds."""
+    """Return the number of steps of the long run: as given, or limited to `SECONDS` of computing time."""
     if subject.steps is not None:
         return subject.steps
     return min(STEPS, max(FEWEST_STEPS, subject.affordable(SECONDS)))
 
 
 def long_run(subject: Subject) -> LongRun:
-    """Take the steps of the long run from every state, or half as many until they do not fail.
+    """Integrate the long run from every state, halving the number of steps until it succeeds.
 
-    It is also shortened where states have grown much. The step is then a different one in units of the motion, and the
-    linear systems are conditioned worse than the bounds on round-off assume.
+    It is also halved if states have grown by more than `MUCH_LARGER`: the step is then too large for the motion, and
+    the linear systems are worse conditioned than the bounds on round-off assume.
     """
     count, failed, until = steps_of(subject), "", 0.0
     start = np.linalg.norm(subject.states, axis=1)
@@ -107,9 +81,9 @@ def long_run(subject: Subject) -> LongRun:
 
 
 def run_row(subject: Subject, run: LongRun) -> Row:
-    """Return the row on the run itself: does it come to its end, where the motion can be followed so far?
+    """Return the row on completion of the long run, if the motion itself exists that long.
 
-    A run that fails keeps nothing. So a scheme that declares anything must come to the end.
+    A failed run keeps nothing, so a scheme that declares anything must complete it.
     """
     key, what, ends = "run", "long run", "ends"
     count, reason = steps_of(subject), ""
@@ -130,18 +104,7 @@ def run_row(subject: Subject, run: LongRun) -> Row:
 def invariant_rows(subject: Subject, run: LongRun, telling: float) -> list[Row]:
     """Return a row for the energy, and one for each Casimir.
 
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-    run : LongRun
-        From `long_run`.
-    telling : float
-        A larger step, at which the scheme is still near the motion.
-
-    Returns
-    -------
-    list of Row
+    `telling` is a larger step at which the scheme still approximates the motion.
     """
     system, properties = subject.system, subject.claims.properties
     single = _single_steps(subject, telling)
@@ -175,7 +138,7 @@ def _single_steps(subject: Subject, telling: float) -> list[tuple[float, Solutio
 def _row(
     subject: Subject, run: LongRun, single: list[tuple[float, Solution]], name: str, invariant: Any, row: Row
 ) -> Row:
-    """Return the row of an invariant: its errors in one step and over the run, each beside its round-off."""
+    """Return the row of an invariant: its errors in one step and over the run, each with its round-off bound."""
     noise = subject.noise / (float(np.min(np.linalg.norm(subject.states, axis=1))) or 1.0)
     looks: list[tuple[float, float, str, str]] = []
     evidence: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Is a step a Poisson map? P J(x) P^T - J(step(x)), with the tangent P as exact as the scheme allows."""
+"""Check of the Poisson map property, P J(x) P^T = J(step(x)), with the most accurate tangent P available."""
 
 from __future__ import annotations
 
@@ -20,27 +20,18 @@ from coadjoint.waiting import at
 
 SLOPES = 4
 LARGEST_ALONG = 1100
-"""Dimension up to which it is looked at along directions, on a Lie algebra: each flow is read in Python."""
+"""Largest dimension for derivatives along directions on a Lie algebra, where each flow is evaluated in Python."""
 LARGEST_UNDECLARED = 48
-"""Dimension up to which the bracket is looked at where nothing is declared."""
-# The roundings of a step that is a function are not counted. They are taken as those of so many evaluations of the
-# field.
+"""Largest dimension in which an undeclared bracket is measured."""
+# Roundings of a step given as a function are not counted; this many evaluations of the field are assumed.
 UNCOUNTED = 64
 
 
 def poisson_row(subject: Subject, telling: float) -> Row:
     """Return the row on the Poisson bracket.
 
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-    telling : float
-        A larger step, at which the scheme is still near the motion: defects of high order are seen there.
-
-    Returns
-    -------
-    Row
+    `telling` is a larger step at which the scheme still approximates the motion, so that defects of high order are
+    visible.
     """
     properties = subject.claims.properties
     claimed = properties is not None and properties.poisson
@@ -58,7 +49,7 @@ def poisson_row(subject: Subject, telling: float) -> Row:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     worst: tuple[float, float, float, str] | None = None
     reason = ""
-    # Where nothing is declared, one state and one step are enough.
+    # If nothing is declared, one state and one step suffice.
     states = subject.states if claimed else subject.states[:1]
     for h in dict.fromkeys((subject.h, telling) if claimed else (telling,)):
         for x in states:
@@ -98,11 +89,11 @@ def poisson_row(subject: Subject, telling: float) -> Row:
 
 
 def _along(subject: Subject, telling: float, row: Row) -> Row:
-    """Return the row of a scheme whose steps are dear, from the derivatives of a step and of the step back along some
+    """Return the row of a scheme with expensive steps, from derivatives of a step and of its inverse along some
     directions.
 
-    P J(x) P^T = J(y) says that P J(x) = J(y) Q^T, where y is the step and Q the derivative of the step back at y. A
-    number b.P J(x) a and the number -a.Q J(y) b show the difference of both for two covectors a and b.
+    P J(x) P^T = J(y) is equivalent to P J(x) = J(y) Q^T, where y is the step and Q the derivative of the step back at
+    y. For covectors a and b, the difference is measured by b.P J(x) a and -a.Q J(y) b.
     """
     if not subject.claims.symmetric:
         why = f"a step takes about {subject.seconds:.1g} s; without a step back that undoes it, the whole P is needed"
@@ -148,7 +139,7 @@ def _seen_along(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[flo
 
 
 def _turned(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return J(x) on vectors in columns."""
+    """Return J(x) applied to vectors in columns."""
     if isinstance(system, LiePoissonSystem):
         return np.asarray(system.algebra.structure_operator(x) @ vectors)
     return np.asarray(system.structure_matrix(x) @ vectors)
@@ -171,7 +162,7 @@ def _defect(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, 
 
 
 def _slopes(subject: Subject, largest: float) -> Slope | None:
-    """Return the power of the step that the defect at the first state follows."""
+    """Return the power of the step with which the defect at the first state scales."""
 
     def look(h: float) -> tuple[float, float]:
         defect, bound, _ = _defect(subject, subject.states[0], h)

@@ -1,4 +1,4 @@
-"""Where does the motion lead? By a closed form, or an independent code on the vector field; by no scheme."""
+"""Reference motions for certificates, by a closed form or an independent integration (DOP853) of the vector field."""
 
 from __future__ import annotations
 
@@ -14,29 +14,20 @@ from coadjoint.waiting import at
 
 Floats = NDArray[np.float64]
 
-# The smallest tolerance that DOP853 takes, and a larger one. The difference of the two runs shows the error.
+# The smallest tolerance that DOP853 accepts, and a larger one; the difference of the two runs estimates the error.
 FINE, COARSE = 2.3e-14, 1e-12
-# DOP853 has order 8, so the error for each unit of time falls like the tolerance. The finer run has 1/43 of the error
-# that is seen; 1/8 is claimed.
+# DOP853 has order 8, so its error per unit of time is proportional to the tolerance. The finer run has 1/43 of the
+# difference as its error; 1/8 is assumed.
 CLAIMED = 0.125
 MOST_STEPS = 1500
-# A closed form may differ by so much from the vector field. More is a fault of one of them.
+# Largest relative difference of a closed form from the integrated field; beyond it, one of them is wrong.
 AGREEMENT = 1e-8
 
 
 class Motion(NamedTuple):
-    """Where states are after a time.
+    """States (k, n) after a time, and their error relative to their size, with a safety margin.
 
-    Parameters
-    ----------
-    states : ndarray, shape (k, n)
-        There.
-    error : float
-        Error of the states, relative to their size, with some room.
-    by : str
-        How they were found.
-    doubt : str
-        The message where a closed form contradicts the vector field; else empty.
+    `by` names the source; `doubt` is a message if a closed form contradicts the vector field, else empty.
     """
 
     states: Floats
@@ -46,21 +37,9 @@ class Motion(NamedTuple):
 
 
 def motion(system: System, x: Floats, t: float) -> Motion | None:
-    """Return where states are after the time t, from the time 0.
+    """Return the states after time t from states x (k, n) at time 0; t is negative for backward.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system. Its vector field is used, and its closed form where it has one.
-    x : ndarray, shape (k, n)
-        Where they start.
-    t : float
-        Negative for backward.
-
-    Returns
-    -------
-    Motion or None
-        None where the motion leaves the range of float64, or takes too many steps to be followed.
+    None if the motion leaves the range of float64 or takes more than `MOST_STEPS` steps. The result is cached.
     """
     return _motion(system, x.tobytes(), x.shape, t)
 
@@ -79,7 +58,7 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float) -> M
     again = None if halved is None else _closed(system, halved, t / 2)
     if closed is None or again is None:
         return followed
-    # Going the way in two pieces shows the rounding of the closed form.
+    # Two half steps estimate the rounding of the closed form.
     rounding = 2 * float(np.linalg.norm(again - closed)) / size + 16 * UNIT_ROUNDOFF
     apart = float(np.linalg.norm(closed - fine)) / size
     if apart > AGREEMENT:
@@ -93,7 +72,7 @@ def _closed(system: System, x: Floats, t: float) -> Floats | None:
     try:
         return np.array([system.exact(y, t) for y in x], dtype=np.float64)
     except (ValueError, ArithmeticError):
-        return None  # where the closed form does not reach
+        return None  # outside the domain of the closed form
 
 
 def _followed(system: System, x: Floats, t: float, tolerance: float) -> Floats | None:
@@ -122,7 +101,7 @@ def _followed(system: System, x: Floats, t: float, tolerance: float) -> Floats |
 
 
 def natural_time(system: System, x: Floats) -> float:
-    """Return the time in which the state, or its velocity, changes by its own size; 0 where it rests."""
+    """Return the time in which the state, or its velocity, changes by its own size; 0 at an equilibrium."""
     velocity = np.asarray(system.vector_field(x, 0.0), dtype=np.float64)
     speed, size = float(np.linalg.norm(velocity)), float(np.linalg.norm(x))
     if not speed > 64 * UNIT_ROUNDOFF * size or size == 0.0:

@@ -1,4 +1,4 @@
-"""How large is an invariant before its terms cancel? What a relative change of the state could make of it."""
+"""Sizes of invariants before cancellation, the scale of their round-off."""
 
 from __future__ import annotations
 
@@ -14,24 +14,7 @@ Floats = NDArray[np.float64]
 
 
 def size_of(invariant: Any, x: Floats) -> float:
-    """Return |gradient| |x| plus the sum of the absolute terms: roundings of x and of terms change u times that.
-
-    Parameters
-    ----------
-    invariant : Polynomial, Quadratic, Invariant or Hamiltonian
-        A conserved quantity.
-    x : ndarray, shape (n,)
-        A state.
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> round(size_of(Polynomial({(2, 0): 1.0, (0, 2): -1.0}), np.array([1.0, 1.0])), 12)
-    6.0
-    """
+    """Return |gradient| |x| plus the sum of the absolute terms; rounding of x and of the terms changes u times that."""
     value = invariant(x) if callable(invariant) else invariant.value(x)
     terms = max(abs(float(value)), _absolute(invariant, x))
     return terms + float(np.linalg.norm(_gradient(invariant, x)) * np.linalg.norm(x))
@@ -55,7 +38,7 @@ def _absolute(invariant: Any, x: Floats) -> float:
 
 
 class _Absolute:
-    """Reads terms of a Hamiltonian: the sum of their absolute values."""
+    """Visitor of the terms of a Hamiltonian that returns the sum of their absolute values."""
 
     def __init__(self, size: Floats) -> None:
         self.size = size

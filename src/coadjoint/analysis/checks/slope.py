@@ -1,4 +1,4 @@
-"""Which power of the step do errors follow, and how sure is that?"""
+"""Fitted power of the step in errors, with an uncertainty."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from coadjoint.errors import IntegrationError
 
 MOST_POINTS = 5
 FEWEST_POINTS = 3
-# Where rounding is 1/16 of an error, its logarithm is off by so much.
+# Points with errors below this multiple of their round-off are excluded; at 16, the logarithm is off by 1/16.
 CLEAR = 16.0
 
 
 class Slope(NamedTuple):
-    """A power of the step.
+    """A fitted power of the step.
 
     Parameters
     ----------
     value : float
         The slope at the smallest steps.
     uncertainty : float
-        How far it may be from the slope in the limit of vanishing steps.
+        Estimated distance from the slope in the limit of vanishing steps.
     steepening : float
-        The slope at the smallest steps less that at the largest ones. Where errors fall ever faster, the order is not
-        yet seen.
+        The slope at the smallest steps minus that at the largest ones. A positive value indicates that the asymptotic
+        order is not yet reached.
     steps, errors : ndarray, shape (k,)
-        The points that it comes from, largest step first.
+        The fitted points, largest step first.
     """
 
     value: float
@@ -40,28 +40,28 @@ class Slope(NamedTuple):
     errors: NDArray[np.float64]
 
     def __str__(self) -> str:
-        """Return the slope with its uncertainty."""
+        """Format the slope with its uncertainty."""
         return f"{self.value:.2f} +- {self.uncertainty:.2f}"
 
 
 def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope | None:
-    """Return the slope of the logarithms at the smallest steps whose errors stand above round-off.
+    """Return the slope of log(error) against log(step) at the smallest steps whose errors are above round-off.
 
     Parameters
     ----------
     steps, errors, floors : list of float
-        Steps, errors, and what round-off alone may have made of each error; all positive.
+        Steps, errors, and the round-off of each error; all positive.
 
     Returns
     -------
     Slope or None
-        None where fewer than three points are above the floor.
+        None if fewer than three points are above the floor.
 
     Notes
     -----
-    With an error C h^p (1 + a h + ...) the slope of some points around the step h is p + a h + .... From the larger
-    points to the smaller ones the step falls by a ratio r. So a h at the smaller ones is the change of the slope
-    divided by r - 1. Round-off may be 1/16 of an error; what that does to the slope is added.
+    For an error C h^p (1 + a h + ...) the slope at points near the step h is p + a h + .... From the larger to the
+    smaller points the step falls by a ratio r, so a h at the smaller ones is the change of the slope divided by
+    r - 1. The uncertainty also includes the effect of round-off, which may be 1/16 of an error.
 
     Examples
     --------
@@ -85,21 +85,10 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
 
 
 def slope_of_defects(largest: float, count: int, look: Callable[[float], tuple[float, float]]) -> Slope | None:
-    """Return the power of the step that a defect follows, from the largest step down by roots of two.
+    """Return the power of the step with which a defect scales, at `count` steps from the largest one down by factors
+    sqrt(2).
 
-    Parameters
-    ----------
-    largest : float
-        Step, with its sign.
-    count : int
-        Of steps.
-    look : callable
-        Of a step: the defect and its floor. Steps at which it fails are left out.
-
-    Returns
-    -------
-    Slope or None
-        As `slope`.
+    `look` maps a signed step to the defect and its floor; steps at which it fails are skipped.
     """
     steps, defects, floors = [], [], []
     for k in range(count):

@@ -1,4 +1,4 @@
-"""Errors at the end of a span for several numbers of steps: as few as tell how they depend on the step."""
+"""Convergence study: errors at the end of a span for several numbers of steps."""
 
 from __future__ import annotations
 
@@ -16,42 +16,29 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = NDArray[np.float64]
 
-# The span, in natural times: long enough for errors to be those of the motion, short enough not to amplify them.
+# The span in natural times: long enough to sample the motion, short enough not to amplify errors.
 NATURAL_TIMES = 2.0
 SHORTER = 4
-"""How often the span is halved where the motion cannot be followed over it."""
-# Errors above this relative size say nothing about the order.
+"""Number of spans tried, each half of the previous one, if the motion has no reference over the longer ones."""
+# Larger relative errors are outside the asymptotic range.
 LARGE = 0.05
 FINEST, FINEST_OF_PYTHON = 512, 128
-"""Steps over the span that are not exceeded, of compiled steps and others, unless the given step takes more."""
+"""Upper limits on steps over the span for compiled and other steps, unless the given step needs more."""
 MOST_GIVEN = 4096
 FEW = 64
 MOST_TRIALS = 16
 SECONDS = 3.0
-"""Of all runs, where a step is dear: about so long the study takes."""
-# Errors of high order fall by so much from one step of the study to the next. For low orders the step is halved.
+"""Approximate time limit of the study if steps are expensive."""
+# Ratio of consecutive errors of the study at high order; at low order the step is halved.
 FALL = 16.0
 
 
 @dataclass(frozen=True)
 class Study:
-    """Errors at the end of a span for several numbers of steps.
+    """Errors at the end of a span for several numbers of steps, increasing.
 
-    Parameters
-    ----------
-    span : float
-        Its length, negative for backward.
-    counts : list of int
-        Numbers of steps, increasing.
-    ends : list of ndarray, shape (k, n)
-        The states at the end.
-    errors, floors : list of float
-        Errors relative to the size of the states, and what rounding may have made of them.
-    reference : Motion
-    given : int
-        The number of steps of the given size; 0 where they are not among these.
-    failed : list of str
-        The messages of runs that failed.
+    `ends` are states (k, n); errors are relative to the size of the states, `floors` is their round-off. `given` is the
+    number of steps of the given size, 0 if not included; `failed` has the messages of failed runs; the span is signed.
     """
 
     span: float
@@ -70,38 +57,27 @@ class Study:
 
     @property
     def slope(self) -> Slope | None:
-        """The slope of the errors that are neither large nor round-off."""
+        """The slope of the errors that are below `LARGE` and above round-off."""
         inside = [k for k, error in enumerate(self.errors) if error < LARGE]
         return slope(*([values[k] for k in inside] for values in (self.steps, self.errors, self.floors)))
 
     def telling(self, h: float) -> float:
-        """Return the largest step at which the scheme is still near the motion, or the given one if that is larger."""
+        """Return the largest step at which the scheme still approximates the motion; at least the given one."""
         near = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < LARGE / 5]
         largest = near[0] if near else h
         return largest if abs(largest) > 1.01 * abs(h) else h
 
 
 def study(subject: Subject) -> Study | None:
-    """Run the scheme over a span with the given step, then with smaller and larger ones, while that is of use.
-
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-
-    Returns
-    -------
-    Study or None
-        None where there is no reference.
-    """
+    """Run the scheme over a span with the given step, then with smaller and larger ones; None without a reference."""
     p = subject.claims.order
     finest = FINEST if subject.compiled else FINEST_OF_PYTHON
-    # All runs of the study together have about twice the steps of the longest.
+    # All runs together take about twice the steps of the longest.
     most = subject.affordable(SECONDS / 2)
     most_given, few, finest = min(MOST_GIVEN, most), min(FEW, max(1, most // 4)), min(finest, most)
     for halving in range(SHORTER):
         wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
-        # Where the given step is tiny, the order is measured with larger ones; where it is huge, with smaller ones.
+        # For a tiny given step the order is measured with larger steps, for a huge one with smaller steps.
         given = round(min(wanted / abs(subject.h), 2.0 * MOST_GIVEN))
         given = given if halving else max(1, given)
         given = 0 if given > most_given else given
@@ -135,8 +111,7 @@ def study(subject: Subject) -> Study | None:
         k = found.counts.index(count)
         return found.errors[k] > CLEAR * found.floors[k]
 
-    # Where errors are round-off alone, steps grow fast until they are not. Then come finer steps down to round-off, and
-    # coarser ones up to large errors.
+    # First steps grow until errors are above round-off; then finer steps down to round-off, coarser ones up to `LARGE`.
     known = tried(first)
     while known and first > 1 and not clear(first):
         first = max(1, first // 2)

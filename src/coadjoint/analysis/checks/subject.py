@@ -1,4 +1,4 @@
-"""What all checks look at: a system, a scheme with its claims, a step, and states along the motion."""
+"""Subject of a certificate: system, scheme with its claims, step, and states along the motion."""
 
 from __future__ import annotations
 
@@ -24,15 +24,14 @@ Floats = NDArray[np.float64]
 
 FEWEST_STATES = 4
 MOST_STATES = 8
-# Time between states along the motion, as a part of the natural time: neighbours are then different, and few steps lead
-# to them.
+# Time between states along the motion, as a fraction of the natural time: distinct states, few steps apart.
 APART = 0.7
 LARGEST_DENSE = 256
-"""Dimension up to which matrices of a step are looked at."""
+"""Largest dimension in which dense matrices of a step are computed."""
 ROTATION = 1.1e-8
-"""Seconds of one core that the unit of counted work takes."""
+"""Seconds on one core for a unit of the cost model."""
 DEAR = 2.5e-4
-"""Seconds of a step from which on matrices are looked at along some directions, and fewer states are taken."""
+"""Seconds per step above which derivatives are taken along some directions, at fewer states."""
 STATES_OF_DEAR_STEPS = 2
 DIRECTIONS = 4
 SEED = 1993
@@ -40,21 +39,10 @@ SEED = 1993
 
 @dataclass(frozen=True)
 class Subject:
-    """What is looked at.
+    """A system, a scheme with its claims, a signed step h, and the given states (k, n).
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-    method : Method
-    claims : Claims
-    h : float
-        The step; negative for backward.
-    given : ndarray, shape (k, n)
-        The states that were given.
-    steps : int or None
-        Number of steps of the long run; None is as many as take a few seconds, 2000 at most.
-    compiled : bool
-        Whether steps are cheap; those of a function of the user are not.
+    `steps` of the long run is None for the default; `compiled` is false for steps by a function of the user, whose cost
+    is unknown.
     """
 
     system: System
@@ -69,7 +57,7 @@ class Subject:
 
     @cached_property
     def states(self) -> Floats:
-        """States, shape (k, n): those given, and where they are few, further ones along the motion of the first."""
+        """States (k, n): those given, extended along the motion of the first if they are few."""
         fewest, most = (STATES_OF_DEAR_STEPS,) * 2 if self.dear else (FEWEST_STATES, MOST_STATES)
         if len(self.given) >= fewest:
             return self.given[:most]
@@ -85,14 +73,14 @@ class Subject:
 
     @cached_property
     def seconds(self) -> float:
-        """About how many seconds of one core a step of one state takes, by counted work: no clock is asked.
+        """Estimated seconds on one core for a step of one state, by the cost model (no clock).
 
-        0 where that is not known: where the step is a function of the user, or fails.
+        0 if unknown: for a step by a function of the user, or a step that fails.
         """
         return self.seconds_with(None)
 
     def seconds_with(self, representation: Any) -> float:
-        """Return the same with a group element in a representation, (n, d, d) or "coadjoint"."""
+        """Return the estimate for a step with a group element in a representation, (n, d, d) or "coadjoint"."""
         if not self.compiled:
             return 0.0
         try:
@@ -104,28 +92,28 @@ class Subject:
 
     @property
     def dear(self) -> bool:
-        """Whether a step takes so long that fewer states and steps are taken."""
+        """Whether steps are so expensive that fewer states and steps are taken."""
         return self.seconds > DEAR
 
     def affordable(self, seconds: float) -> int:
-        """Return how many steps of all states may be taken in some seconds: a very large number for cheap ones."""
+        """Return how many steps of all states fit into some seconds; 2^53 if steps are cheap."""
         each = self.seconds * len(self.states)
         return max(1, int(seconds / each)) if self.dear else 2**53
 
     @cached_property
     def time(self) -> float:
-        """The time in which the motion changes by its own size, at the state where that is shortest."""
+        """The shortest natural time over the given states."""
         times = [natural_time(self.system, x) for x in self.given]
         return min((time for time in times if time > 0.0), default=abs(self.h))
 
     @cached_property
     def rests(self) -> bool:
-        """Whether no state moves."""
+        """Whether every state is an equilibrium."""
         return all(natural_time(self.system, x) == 0.0 for x in self.given)
 
     @cached_property
     def span_time(self) -> float:
-        """The same time at the fastest of all states."""
+        """The shortest natural time over all states."""
         return min([self.time, *(time for time in map(self._time_at, self.states) if time > 0.0)])
 
     def _time_at(self, x: Floats) -> float:
@@ -133,7 +121,7 @@ class Subject:
 
     @cached_property
     def evaluations(self) -> float:
-        """Flows or evaluations of the field in a step of one member; at least 1, and 1 where the step fails."""
+        """Flows or evaluations of the field in a step of one member; 1 if the step fails."""
         try:
             run = self.run(self.states, self.h, 1)
         except IntegrationError:
@@ -142,9 +130,9 @@ class Subject:
 
     @cached_property
     def noise(self) -> float:
-        """How far rounding, or an iteration that stops early, moves a step; from second differences of neighbours.
+        """Noise of a step from rounding or a truncated iteration, from second differences of neighbouring states.
 
-        At distances of 2^-40 of the state a smooth map has no second differences. Those of independent errors are
+        At distances of 2^-40 of the state a smooth map has no second differences; those of independent errors are
         sqrt(6) times the errors.
         """
         worst = 0.0
@@ -160,14 +148,14 @@ class Subject:
         return worst
 
     def rounding(self, h: float, evaluations: float | None = None) -> float:
-        """Return what a step of the given states rounds at most, relative to the state: 4 n u for each evaluation."""
+        """Return the bound on the round-off of a step relative to the state: 4 n u for each evaluation."""
         count = self.evaluations if evaluations is None else evaluations
         return 4 * self.system.dim * UNIT_ROUNDOFF * (count + 1)
 
     def condition(self, x: Floats, h: float) -> float:
-        """Return how much a step of length h and one back amplify, by differences: |P| |P^-1|.
+        """Return the condition number |P| |P^-1| of a step of length h, by differences.
 
-        Where a step is dear, the norms are those of some directions, and the inverse is the step back.
+        For expensive steps the norms are estimated along some directions, and the inverse is the step back.
         """
         key = x.tobytes(), h
         if key not in self._conditions:
@@ -191,13 +179,13 @@ class Subject:
         ahead, behind = self.step(x + units, h), self.step(x - units, h)
         P = (ahead - behind) / (2 * small)
         if isinstance(self.system, MatrixSystem):
-            # Beside the algebra nothing moves.
+            # Directions outside the algebra do not move: their singular values are zero.
             values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
             return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))
         return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
 
     def step(self, x: Floats, h: float, t: float = 0.0) -> Floats:
-        """Return the states (k, n) after a step of length h from the time t."""
+        """Return the states (k, n) after a step of length h from time t."""
         return np.asarray(self.run(x, h, 1, t=t).x[-1])
 
     def run(
@@ -210,7 +198,7 @@ class Subject:
         watch: bool = False,
         t: float = 0.0,
     ) -> Solution:
-        """Run so many steps of length h, from the time t."""
+        """Run `count` steps of length h from time t."""
         at("a run of one step" if count == 1 else f"a run of {count} steps")
         kind = attitude if isinstance(attitude, bool | str) else "given"
         key = (abs(h), kind, watch)
@@ -222,12 +210,6 @@ class Subject:
 
 
 def directions(size: int, number: int = 0) -> Floats:
-    """Return `DIRECTIONS` vectors of length 1 in columns, the same ones always; `number` tells one set from another.
-
-    Examples
-    --------
-    >>> directions(100).shape, bool((directions(100) == directions(100)).all())
-    ((100, 4), True)
-    """
+    """Return `DIRECTIONS` unit vectors in columns, the same in every run; `number` selects an independent set."""
     found = np.random.default_rng([SEED, number]).standard_normal((size, DIRECTIONS))
     return np.asarray(found / np.linalg.norm(found, axis=0))

@@ -1,4 +1,4 @@
-"""Does a step back undo a step, and does a reflection turn a step into its inverse?"""
+"""Checks of symmetry (a step back inverts a step) and of reversibility under reflections."""
 
 from __future__ import annotations
 
@@ -19,27 +19,17 @@ Floats = NDArray[np.float64]
 There = Callable[[Floats, float], Floats]
 
 MOST_COORDINATES = 10
-"""Up to so many, all reflections of coordinates are tried; beyond, x -> -x alone."""
+"""Largest dimension in which all reflections of coordinates are tried; above it, only x -> -x."""
 SLOPES = 6
 ALONG = f", seen along {DIRECTIONS} directions"
-# A step that is a function of the user may iterate. What the iteration leaves is measured as noise, and allowed up to
-# this size.
+# Largest relative noise allowed for the iteration error of a step given as a function.
 MOST_NOISE = 1e-6
 
 
 def symmetry_row(subject: Subject, telling: float) -> Row:
     """Return the row on psi_(-h) psi_h = 1.
 
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-    telling : float
-        A larger step, at which the scheme is still near the motion.
-
-    Returns
-    -------
-    Row
+    `telling` is a larger step at which the scheme still approximates the motion.
     """
     claim = subject.claims.symmetric
 
@@ -50,17 +40,8 @@ def symmetry_row(subject: Subject, telling: float) -> Row:
 
 
 def reversibility_row(subject: Subject, telling: float) -> Row:
-    """Return the row on R psi_h R psi_h = 1, where a reflection R of coordinates reverses the motion.
-
-    Parameters
-    ----------
-    subject, telling
-        As for `symmetry_row`.
-
-    Returns
-    -------
-    Row
-        Nothing is declared of it.
+    """Return the row on R psi_h R psi_h = 1 for a reflection R of coordinates that reverses the motion; it has no
+    claim.
     """
     what = "reversible as the motion"
     signs = None if subject.system.hamiltonian.timed else reversing(subject)
@@ -77,7 +58,7 @@ def reversibility_row(subject: Subject, telling: float) -> Row:
 
 
 def reversing(subject: Subject) -> Floats | None:
-    """Return signs R with R f(R x) = -f(x) at every state, x -> -x tried first; None where none of those tried fits."""
+    """Return signs R with R f(R x) = -f(x) at every state, x -> -x tried first; None if no candidate fits."""
     n, field = subject.system.dim, subject.system.vector_field
     tried: Any = [(-1.0,) * n]
     if n <= MOST_COORDINATES:
@@ -134,7 +115,7 @@ def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | No
 
 
 def _bound(subject: Subject, x: Floats, h: float) -> float:
-    """Return what the rounding of two steps makes, amplified by at most the condition of the step back."""
+    """Return the round-off of two steps, amplified by the condition of the step back."""
     size = float(np.linalg.norm(x))
     run = subject.run(x, h, 1)
     noise = min(8 * subject.noise, MOST_NOISE * size)

@@ -1,4 +1,4 @@
-"""The derivative of a step, as exactly as the scheme allows: by formula, complex steps, more digits, differences."""
+"""Derivative of a step in the most accurate way available: formula, complex step, multiprecision, or differences."""
 
 from __future__ import annotations
 
@@ -18,14 +18,9 @@ DIGITS = 40
 
 
 class Tangent(NamedTuple):
-    """The derivative of a step at a state.
+    """The derivative P (n, n) of a step at a state, d step_i / d x_j, and the way it was computed.
 
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        d step_i / d x_j.
-    by : str
-        "formula", "complex step", "multiprecision" or "differences".
+    `by` is "formula", "complex step", "multiprecision" or "differences".
     """
 
     P: Floats
@@ -33,35 +28,21 @@ class Tangent(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        """Whether it is exact to round-off."""
+        """Whether the derivative is accurate to round-off."""
         return self.by != "differences"
 
 
 def tangent(subject: Subject, x: Floats, h: float) -> Tangent:
-    """Return the derivative of a step of length h at x, from the time 0.
-
-    Parameters
-    ----------
-    subject : Subject
-        What is looked at.
-    x : ndarray, shape (n,)
-        Where.
-    h : float
-        The step.
-
-    Returns
-    -------
-    Tangent
-    """
+    """Return the derivative of a step of length h at x, from time 0."""
     method, system = subject.method, subject.system
     try:
         by = method.tangent_by(system, x, 0.0, h)
         P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
     except TypeError:
-        # The system lacks a derivative; the step itself may still be differentiated.
+        # The system lacks a derivative; differentiate the step itself.
         by, P = _of_the_step(subject, x, h)
     if by == "differences":
-        # A step that rounds to float64 on its way loses these differences, which shows.
+        # A step that rounds to float64 internally is detected by the disagreement of both derivatives.
         precise = _in_many_digits(subject, x, h)
         size = 1.0 + float(np.linalg.norm(P))
         if precise is not None and np.max(np.abs(precise - P)) <= AGREEMENT * size:
@@ -80,7 +61,7 @@ def _of_the_step(subject: Subject, x: Floats, h: float) -> tuple[str, Floats]:
 
 
 def _in_many_digits(subject: Subject, x: Floats, h: float) -> Floats | None:
-    """Return central differences in 40 digits, where the step takes numbers of mpmath."""
+    """Return central differences in 40 digits, or None if the step does not accept mpmath numbers."""
     try:
         import mpmath
     except ImportError:
@@ -88,7 +69,7 @@ def _in_many_digits(subject: Subject, x: Floats, h: float) -> Floats | None:
     with mpmath.workdps(DIGITS):
         point = np.array([mpmath.mpf(float(v)) for v in x])
         length, size = mpmath.mpf(h), float(np.max(np.abs(x))) or 1.0
-        # The square of this difference leaves an error of 1e-26; the last digits, divided by it, leave 1e-27.
+        # The truncation error is 1e-26, the cancellation error 1e-27.
         small = mpmath.mpf(10) ** -13 * size
         columns = []
         try:

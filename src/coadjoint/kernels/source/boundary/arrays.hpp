@@ -1,5 +1,5 @@
 // The arrays of a run: each with its type, its name, and its axes as a product of numbers of `Extent` and of limits.
-// `coadjoint.kernels.arrays` says what they hold.
+// `coadjoint.kernels.arrays` documents their contents.
 #pragma once
 
 #include "boundary/codes.hpp"
@@ -7,13 +7,13 @@
 
 namespace coadjoint {
 
-// What a run leaves at its saved points.
+// Results at the saved points.
 #define SAVED_ARRAYS(_)                        \
     _(numbers, x, points * members * size)     \
     _(numbers, group, points * members * square) \
     _(numbers, values, points * members * invariants)
 
-// What a run is between two steps.
+// The state of a run between two steps.
 #define STATE_ARRAYS(_)                          \
     _(numbers, momenta, members * size)          \
     _(numbers, errors, members * size)           \
@@ -33,7 +33,7 @@ namespace coadjoint {
 #define PLACE_ARRAY(type, name, axes) name = reinterpret_cast<coadjoint::type>(at), at += axes;
 #define DESCRIBE_ARRAY(type, name, axes) #type " " #name " " #axes ";"
 
-// Each kind stands in one piece of memory, array after array, and every number takes eight bytes.
+// Each kind is one block of memory, array after array; every number takes eight bytes.
 struct Arrays : Extent {
     SAVED_ARRAYS(DECLARE_ARRAY)
     STATE_ARRAYS(DECLARE_ARRAY)

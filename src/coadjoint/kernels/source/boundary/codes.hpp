@@ -1,4 +1,4 @@
-// The codes and limits that Python and the kernels share. Each is written here, once, and told to Python by its name.
+// The codes and limits that Python and the kernels share, defined here once and exported to Python by name.
 #pragma once
 
 #include <cstdint>
@@ -11,17 +11,17 @@ namespace coadjoint {
     LIST(DECLARE_CODE)    \
     constexpr char Name##_codes[] = "codes " #Name ":" LIST(DESCRIBE_CODE) "\n";
 
-// How a step ended. UNDEFINED: its scheme does not define it. PARALLEL: one tangent vector is what others are. ENDED: an
-// event has ended the run of the member before.
+// Status of a step. UNDEFINED: its scheme does not define it. PARALLEL: a tangent vector depends linearly on the
+// others. ENDED: an event ended the run of the member before.
 #define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3) _(PARALLEL, 4) _(ENDED, 5)
 CODES(Status, STATUSES)
 
-// What a loop returns in place of a count, where it did not take all steps.
+// Return values of a loop that did not complete all steps.
 #define OUTCOMES(_) _(INTERRUPTED, -1) _(NO_MEMORY, -2)
 CODES(Outcome, OUTCOMES)
 
-// What is noted of an event in a step: that its function g rises through zero, or falls; that it may have gone through
-// zero and back; that it is no number; or that by its series it goes through zero once between two points of the step.
+// Records of an event in a step: its function g rises through zero, or falls; it may have crossed zero and back; it is
+// NaN; or its series has one zero crossing between two points of the step.
 namespace crossings {
 #define CROSSINGS(_) _(NONE, 0) _(RISING, 1) _(FALLING, 2) _(NEAR, 3) _(UNDEFINED, 4) _(BETWEEN, 5)
 CODES(Crossing, CROSSINGS)
@@ -31,8 +31,8 @@ CODES(Crossing, CROSSINGS)
 #define TERM_KINDS(_) _(LINEAR, 0) _(POLYNOMIAL, 1) _(FUNCTION, 2)
 CODES(TermKind, TERM_KINDS)
 
-// The role of a form in a function that is no polynomial: held for the next one, the second polynomial of a term, or
-// the argument of a hyperbolic function.
+// The role of a form in a non-polynomial function: held for the next one, the second polynomial of a term, or the
+// argument of a hyperbolic function.
 #define ROLES(_) _(HOLD, 0) _(QUOTIENT, 1) _(LOGARITHM, 2) _(ANGLE, 3) _(SINH, 4) _(SINH_SQUARED, 5) _(COSH, 6)
 CODES(Role, ROLES)
 
@@ -40,7 +40,7 @@ CODES(Role, ROLES)
 #define BLOCK_KINDS(_) _(SCALE, 0) _(ROTATE, 1) _(PLANE, 2) _(SHEAR, 3) _(CUBIC, 4) _(SERIES, 5)
 CODES(Kind, BLOCK_KINDS)
 
-// The closed form by which a Casimir that was taken off a Hamiltonian turns the group element.
+// The closed form by which a Casimir subtracted from the Hamiltonian rotates the group element.
 namespace turns {
 #define TURNS(_) _(NILPOTENT, 0) _(PLANE, 1) _(CUBIC, 2) _(PAIR, 3) _(SKEW, 4) _(GENERAL, 5)
 CODES(Turn, TURNS)
@@ -50,12 +50,12 @@ CODES(Turn, TURNS)
 #define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4)
 CODES(StreamKind, STREAMS)
 
-// How the stages of a Runge-Kutta method are found.
+// Solution of the stages of a Runge-Kutta method.
 #define SOLVERS(_) _(EXPLICIT, 0) _(ITERATED, 1) _(IMPLICIT, 2) _(STRUCTURE, 3) _(GRADIENT, 4)
 CODES(Solver, SOLVERS)
 
-// How a force moves a state: towards a point; by a torque that is constant, or a function of time or of state and time;
-// along coadjoint orbits; by a flow that is a function; or modes of a matrix, by rates of their own or by a noise.
+// Kinds of forces: towards a point; a torque that is constant, or a function of time or of state and time; along
+// coadjoint orbits; a flow given as a function; or on modes of a matrix, by their own rates or a noise.
 #define FORCES(_)                                                                                            \
     _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5) _(MODE_RATES, 6) \
     _(MODE_NOISE, 7)
@@ -65,23 +65,22 @@ CODES(ForceKind, FORCES)
 #define MODES(_) _(HARMONICS, 0) _(WAVES, 1)
 CODES(ModeKind, MODES)
 
-// What is given of a matrix: a multiple of the unit, its diagonal, or all of it.
+// Storage of a matrix: a multiple of the unit, its diagonal, or the full matrix.
 #define SHAPES(_) _(MULTIPLE, 0) _(DIAGONAL, 1) _(FULL, 2)
 CODES(Shape, SHAPES)
 
-// TENTHS: pieces of a run whose largest deviations are told apart. RATIONAL: added to the kind of a rotation by
-// tan(angle/2) := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries.
-// MOST_SUBSTEPS: of norm one, in a step of a series; a longer step would have lost the motion anyway.
-// LARGEST_DENSE: unknowns of Newton's method with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT:
-// unknowns of a linear scheme; above, iterating costs less than LU factors, and their square is not stored. WIDEST:
-// dimension up to which members go side by side, since lanes of states stay in the cache. LARGEST_CROWD: the most
-// members that go side by side on any processor; crews begin at multiples of it. STATE_VERSION: of what a run is between
-// two steps; to be raised where the meaning of an array of the state changes.
-// PROJECTION_EXACT: the defect that rounding leaves, in round-offs of the sum of the terms of x . dC/dx.
-// PROJECTION_STAGNANT: times that, the defect that is accepted where corrections no longer help.
-// PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a gradient is taken for a combination of those before it
-// where the square of its rest is smaller than its own by so many bits. GROWTH_BITS: an iteration is given up where a
-// correction is larger than the first by so many bits.
+// TENTHS: pieces of a run with separate largest deviations. RATIONAL: added to the kind of a rotation by tan(angle/2)
+// := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries. MOST_SUBSTEPS: of norm
+// one, in a step of a series; a longer step would not follow the motion anyway. LARGEST_DENSE: unknowns of Newton's
+// method with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT: unknowns of a linear scheme; above,
+// iterating costs less than LU factors, and the matrix is not stored. WIDEST: largest dimension in which members are
+// lanes, since lanes of states stay in the cache. LARGEST_CROWD: the most members side by side on any processor; crews
+// begin at multiples of it. STATE_VERSION: version of the state of a run between two steps; to be raised if the meaning
+// of an array of the state changes. PROJECTION_EXACT: the defect left by rounding, in round-offs of the sum of the
+// terms of x . dC/dx. PROJECTION_STAGNANT: multiple of that for the defect accepted if corrections stagnate.
+// PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a gradient counts as a combination of the previous ones if
+// the square of its remainder is smaller than its own by this many bits. GROWTH_BITS: an iteration is abandoned if a
+// correction is larger than the first by this many bits.
 #define LIMITS(_)                                                                                             \
     _(TENTHS, 10) _(RATIONAL, 8) _(CUBIC_HEADER, 6) _(MOST_SUBSTEPS, 4096) _(LARGEST_DENSE, 200)              \
     _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(LARGEST_CROWD, 32) _(STATE_VERSION, 1) _(PROJECTION_EXACT, 4)    \

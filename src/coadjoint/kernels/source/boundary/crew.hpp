@@ -1,4 +1,4 @@
-// The members that one call moves, and how many of them go side by side.
+// The members advanced by one call, and how many of them go side by side.
 #pragma once
 
 #include <limits>
@@ -9,20 +9,20 @@
 
 namespace coadjoint {
 
-// The members of a call: positions first to last - 1 of a crew, neighbours in the arrays. With a stride the constants
-// of the tables differ by position, `stride` of them side by side.
+// The members of a call: positions first to last - 1 of a crew, adjacent in the arrays. With a stride the constants of
+// the tables differ by position, `stride` of them side by side.
 struct Crew {
     const int64_t* members;
     int64_t first, last, stride;
 };
 
-// Clear what a run leaves of the members of a crew, and save their start from the momenta and groups of the state.
+// Clear the results of the members of a crew, and save their start from the momenta and groups of the state.
 void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew);
 
-// How many members of a crew have failed. Where the run has ended, an energy that is not finite is a failure too.
+// The number of failed members of a crew. If the run has ended, a non-finite energy is a failure too.
 int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended);
 
-// The loop over the steps of one call, for a family of schemes with tables of its own: the arrays are those of all
+// The loop over the steps of one call, for a family of schemes with tables of its own; the arrays are those of all
 // members.
 template <class Tables>
 struct Loop {
@@ -44,8 +44,8 @@ struct Loop {
     }
 };
 
-// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`. Where
-// not all steps were taken, return why; then what the crew has left is of no use.
+// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start if k0 is 0; return `wrong`. If not all
+// steps were taken, return the outcome; the results of the crew are then invalid.
 template <class Tables, class Follow>
 int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
                    const Schedule& schedule, int64_t k0, int64_t k1, Hearing& hearing, Follow follow) {
@@ -61,11 +61,12 @@ int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, c
     }
 }
 
-// What a step of another scheme calls: the loop, inside of which the call that Python made is heard.
+// The loop called by a step of another scheme, inside of which interrupts of the outer call are checked.
 typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const Crew* crew, const Arrays* arrays,
                              const Schedule* schedule, int64_t k0, int64_t k1);
 
-// What Python calls for a family of schemes: its loop, and how many numbers a member remembers from step to step.
+// The entry point of a family of schemes for Python: its loop, and how many numbers a member remembers from step to
+// step.
 #define EXPORT_LOOP(name, Tables, follow, remembered_by)                                                             \
     EXPORT int64_t name##_remembers(const Tables* tables) {                                                          \
         try {                                                                                                        \
@@ -86,7 +87,7 @@ typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const Crew*
         return take_steps(*tables, *watch, *crew, *arrays, *schedule, k0, k1, Hearing::of_this_call(), follow);     \
     }
 
-// Members as lanes, from rows of `length` numbers for each; the last member fills what is left of the lanes.
+// Load members as lanes, from rows of `length` numbers for each; the last member fills unused lanes.
 template <class A>
 void read_lanes(A* to, const double* from, int64_t length, const int64_t* members, int64_t count) {
     for (int64_t i = 0; i < length; ++i)
@@ -94,14 +95,14 @@ void read_lanes(A* to, const double* from, int64_t length, const int64_t* member
             set_lane(to[i], int(lane), from[members[std::min(lane, count - 1)] * length + i]);
 }
 
-// The row of one member, from its lane.
+// Store the row of one member from its lane.
 template <class A>
 void write_lane(const A* from, double* to, int64_t length, int64_t member, int lane) {
     for (int64_t i = 0; i < length; ++i) to[member * length + i] = lane_of(from[i], lane);
 }
 
 constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
-constexpr int64_t FEWEST = 3;        // members that are worth lanes
+constexpr int64_t FEWEST = 3;        // fewest members for which lanes pay off
 static_assert(LARGEST_CROWD % CROWD == 0, "crews begin at multiples of LARGEST_CROWD, and crowds within them of CROWD");
 
 }  // namespace coadjoint

@@ -1,4 +1,5 @@
-// All that Python and the kernels share, as text: a line for each table, each kind of arrays, and each list of codes.
+// Everything that Python and the kernels share, as text: a line for each table, each kind of arrays, and each list of
+// codes.
 #include <string>
 
 #include "boundary/arrays.hpp"

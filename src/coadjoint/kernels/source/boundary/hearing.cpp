@@ -1,4 +1,4 @@
-// Python's lock and its signals, as far as loops have to do with them.
+// Python's global lock and signals in compiled loops.
 #include "boundary/hearing.hpp"
 
 #include <atomic>
@@ -18,10 +18,10 @@ namespace {
 constexpr int64_t BETWEEN_LOOKS = int64_t(1) << 20;
 constexpr std::chrono::milliseconds BETWEEN_SIGNALS(50);
 
-// Longest wait for loops of other threads when the process exits.
+// Longest wait for loops of other threads at process exit.
 constexpr std::chrono::milliseconds LONGEST_WAIT(2000);
 
-// PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals and Py_IsFinalizing, where there is a Python.
+// PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals and Py_IsFinalizing, if there is a Python.
 struct Python {
     void* (*release)();
     void (*acquire)(void*);
@@ -31,10 +31,10 @@ struct Python {
 
 std::atomic<int64_t> running{0};  // calls whose threads are not suspended
 std::atomic<bool> exiting{false};
-thread_local bool in_finalizer = false;  // this thread ends the interpreter, and still runs Python
+thread_local bool in_finalizer = false;  // this thread finalizes the interpreter, and still runs Python
 
-// The interpreter ends while a daemon thread is inside a loop. To take Python's lock would now end the thread by an
-// unwinding that no destructor survives, so the thread sleeps until the process is gone.
+// The interpreter finalizes while a daemon thread is inside a loop. Acquiring Python's lock would now end the thread by
+// an unwinding that no destructor survives, so the thread sleeps until the process exits.
 [[noreturn]] void suspend() {
     --running;
     for (;;) std::this_thread::sleep_for(std::chrono::hours(1));
@@ -45,7 +45,7 @@ void suspend_at_exit() {
         suspend();
 }
 
-// Called with Python's lock: while the interpreter ends, only the thread that ends it has this.
+// Called with Python's lock; during finalization only the finalizing thread holds it.
 void* release() {
     in_finalizer = python.finalizing && python.finalizing();
     ++running;
@@ -56,12 +56,12 @@ void acquire(void* thread) {
     suspend_at_exit();
     try {
         python.acquire(thread);
-    } catch (...) {  // pthread_exit of a Python that began to end while this thread waited for its lock
+    } catch (...) {  // pthread_exit by a Python that began to finalize while this thread waited for its lock
         suspend();
     }
 }
 
-// Machine code of the user and BLAS are taken apart after this: no loop may be inside of them.
+// Machine code of the user and BLAS are unloaded after this, so no loop may be inside of them.
 void wait_for_loops() {
     exiting = true;
     const auto last = std::chrono::steady_clock::now() + LONGEST_WAIT;
@@ -99,19 +99,19 @@ void Hearing::look() {
     if (__atomic_load_n(stop, __ATOMIC_RELAXED)) throw Interrupted();
     if (!python.signals) return;
     acquire(thread);
-    // What a handler raises stays raised, and Python sees it when the call returns.
+    // An exception raised by a handler stays pending until the call returns to Python.
     const int raised = python.signals();
     thread = python.release();
     if (raised) throw Interrupted();
 }
 
-// For steps that are compiled apart: Python hands it to their `borrow`.
+// For steps compiled separately: Python passes it to their `borrow`.
 EXPORT const Lent* lent_to_others() {
     static const Lent lent{Hearing::now_heard, Hearing::look_at};
     return &lent;
 }
 
-// Called once, before the loops: they are then called with Python's lock.
+// Called once, before the loops, which are then called with Python's lock.
 EXPORT void listen(void* (*release)(), void (*acquire)(void*), int (*signals)(), int (*finalizing)()) {
     python = {release, acquire, signals, finalizing};
     std::atexit(wait_for_loops);

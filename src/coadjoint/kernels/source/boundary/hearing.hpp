@@ -1,5 +1,5 @@
-// How a loop hears that it is to stop. Each piece of work says how large it was. After about a millisecond of work the
-// clock is looked at, and some times a second Python's signals.
+// Interrupts of loops. Each piece of work reports its size. After about a millisecond of work the clock is read, and a
+// few times a second Python's signals are checked.
 #pragma once
 
 #include <chrono>
@@ -7,9 +7,9 @@
 
 namespace coadjoint {
 
-struct Interrupted {};  // thrown where a call is to end at once
+struct Interrupted {};  // thrown to end a call at once
 
-// What one call listens to: the interpreter, whose lock it gives back meanwhile, and a number that other threads set.
+// Interrupt state of one call: the interpreter, whose lock it releases meanwhile, and a flag that other threads set.
 class Hearing {
   public:
     explicit Hearing(const int64_t* stop);
@@ -17,16 +17,16 @@ class Hearing {
     Hearing(const Hearing&) = delete;
     Hearing& operator=(const Hearing&) = delete;
 
-    // The one of the call that this thread is in. Loops of short steps ask for it once, before they begin.
+    // The object of the current call of this thread. Loops of short steps fetch it once, before they begin.
     static Hearing& of_this_call();
 
-    // Say that `work` was done, in multiplications or what takes as long.
+    // Report `work`, in multiplications or operations of equal cost.
     void after(int64_t work) {
         left -= work;
         if (__builtin_expect(left < 0, 0)) look();
     }
 
-    // For a step that was compiled apart.
+    // For a step compiled separately.
     static Hearing* now_heard() { return current; }
     static void look_at(Hearing* hearing) { hearing->look(); }
 
@@ -36,13 +36,13 @@ class Hearing {
     int64_t left = 0;
     const int64_t* stop;
     void* thread;
-    Hearing* const outer;  // of the call inside which this one is: a step written in Python may run another loop
+    Hearing* const outer;  // of the enclosing call: a step written in Python may run another loop
     Clock::time_point next;
 
     void look();
 };
 
-// What the kernels lend to a step that was compiled apart from them, into a library of its own.
+// What the kernels export to a step compiled separately, in its own library.
 struct Lent {
     Hearing* (*now_heard)();
     void (*look_at)(Hearing*);

@@ -1,4 +1,4 @@
-// The elementary functions and linear solves of the kernels on arrays, so that tests can look at each by itself.
+// The elementary functions and linear solves of the kernels on arrays, for tests of each by itself.
 #include <vector>
 
 #include "forces/random.hpp"
@@ -28,7 +28,7 @@ EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, do
     }
 }
 
-// A block of the generator; the normal deviate of each word; the deviates of a member from a moment on.
+// A block of the generator; the normal deviate of each word; the deviates of a member from a time on.
 EXPORT void probe_philox(const uint64_t* counter, uint64_t key, uint64_t other, uint64_t* out) {
     const Words words = philox({{counter[0], counter[1], counter[2], counter[3]}}, key, other);
     for (int k = 0; k < 4; ++k) out[k] = words.at[k];
@@ -55,8 +55,8 @@ EXPORT double probe_fma(double a, double b, double c) { return fma(a, b, c); }
 EXPORT double probe_rational_angle(double phi, double frequency) { return rational_angle(phi, frequency); }
 EXPORT double probe_shortfall(double s, double c, double square) { return shortfall(s, c, square); }
 
-// Solve a dense system for `count` right-hand sides, side by side; 0 where the matrix is singular or no number. The
-// same system in every lane must give the same bits: else -1.
+// Solve a dense system for `count` right-hand sides, side by side; 0 if the matrix is singular or not finite. The same
+// system in every lane must give the same bits, else -1.
 EXPORT int64_t probe_solve(double* matrix, int64_t size, double* right, int64_t count) {
     typedef Lanes<4> Four;
     std::vector<double> pivots(size);

@@ -1,4 +1,4 @@
-// Which of the levels that the kernels are built for this x86-64 processor has.
+// The highest level of kernels that this x86-64 processor supports.
 #if defined(_WIN32)
 #define EXPORT extern "C" __declspec(dllexport)
 #else

@@ -1,4 +1,4 @@
-// The tables that the loops read. Their fields, in this order, are told to Python, which fills them by name.
+// The tables that the loops read. Their fields, in this order, are exported to Python, which fills them by name.
 #pragma once
 
 #include <cstdint>
@@ -11,8 +11,8 @@ namespace coadjoint {
 #define EXPORT extern "C" __attribute__((visibility("default")))
 #endif
 
-// What a field is. Where the constants of members differ, `constants` and `addresses` (of compiled functions) hold a
-// column for each member; all else is the same for all of them.
+// Types of fields. If the constants of members differ, `constants` and `addresses` (of compiled functions) hold a
+// column for each member; everything else is shared.
 typedef int64_t integer;
 typedef double number;
 typedef int64_t flag;
@@ -50,7 +50,7 @@ TABLE(Forms, FORMS_FIELDS)
     _(indices, indices) _(constants, constants)
 TABLE(Action, ACTION_FIELDS)
 
-// called[k] is the free body that share k calls, else -1. Body b has six entries of body_column and fifteen of body.
+// called[k] is the free body evaluated by share k, else -1. Body b has six entries of body_column and fifteen of body.
 // `tau` belongs to steps of the length `step`; those of another length are scaled to it.
 #define FLOW_FIELDS(_)                                                                                               \
     _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
@@ -64,11 +64,11 @@ TABLE(FlowTables, FLOW_FIELDS)
     _(constants, period) _(integer, longest)
 TABLE(Watch, WATCH_FIELDS)
 
-// Functions whose zeros are looked for, and what is noted of them. Of every event: its `direction`, and for each member
-// how many crossings are `left` until it ends its run (0: it does not). Of every member: the last step of its run,
-// `limit`; its finished states one and two steps ago, `before`, and the last three `values` of the events. Of each step
-// that is noted, `noted` so far of at most `capacity`: in `found` its member, its number, and a code for each event; in
-// `places` the state before it, and the values of the events before and after it.
+// Event functions, and records of their zeros. For every event: its `direction`, and for each member how many crossings
+// are `left` until it ends its run (0: it does not). For every member: the last step of its run, `limit`; its finished
+// states one and two steps ago, `before`, and the last three `values` of the events. Of the recorded steps, `noted` so
+// far of at most `capacity`: in `found` its member, its number, and a code for each event; in `places` the state before
+// it, and the values of the events before and after it.
 #define EVENT_FIELDS(_)                                                                                              \
     _(Watch, watch) _(integers, direction) _(integers, left) _(integers, limit) _(numbers, before) _(numbers, values) \
     _(integer, capacity) _(integers, noted) _(integers, found) _(numbers, places)
@@ -80,15 +80,15 @@ TABLE(EventTables, EVENT_FIELDS)
 TABLE(Extent, EXTENT_FIELDS)
 
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
-// last. The first `passed` of them were taken before, and a run that goes on has no room for them.
-// With `starts` and `lengths` every member takes one step of its own: from that time, of that length.
+// last. The first `passed` of them are already saved, and have no memory in a resumed run. With `starts` and `lengths`
+// every member takes one step of its own: from that time, of that length.
 // `events` is the address of `EventTables`, or zero.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
     _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
-// How long the steps of a member are, and when its step k begins; step k + 1 begins where step k ends.
+// The length of the steps of a member, and the time at which its step k begins; step k + 1 begins where step k ends.
 inline double length_of(const Schedule& schedule, int64_t member) {
     return schedule.lengths ? schedule.lengths[member] : schedule.h;
 }
@@ -117,13 +117,13 @@ TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
     _(Field, field) _(addresses, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
 TABLE(StepTables, STEP_FIELDS)
 
-// A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. What it changes of the
-// first `accounts` invariants is added up behind the coordinates, from place `account` on. The directions of a noise,
-// columns of the root, fall into `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
-// Of a force on modes of a matrix of `extent` rows, at `place` of a state, `shape` says which modes they are; on the
-// diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries of
-// `rate`, and of `turning` where they may turn. They are those of the matrix less that of `aim`, where `sets` is one.
-// `basis` is described in matrices/modes.hpp.
+// A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. Its changes of the
+// first `accounts` invariants are accumulated behind the coordinates, from index `account` on. The directions of a
+// noise, columns of the root, form `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
+// For a force on modes of a matrix of `extent` rows, at `place` of a state, `shape` selects the modes; on the diagonal
+// d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries of `rate`,
+// and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`. `basis` is
+// described in matrices/modes.hpp.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
     _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
@@ -136,9 +136,9 @@ TABLE(ForceTable, FORCE_FIELDS)
     _(integer, serial)
 TABLE(Stepping, STEPPING_FIELDS)
 
-// What is carried beside a state of `size` components: `carried` tangent vectors, made orthonormal after every `every`-th step. They start as
-// `frame`, vector after vector. Second derivatives of functions of the user stand at `hessians`, a term each, and the
-// derivative of a structure matrix that is a function at `derivative`.
+// Tangent vectors beside a state of `size` components: `carried` of them, orthonormalized after every `every`-th step.
+// They start as `frame`, vector after vector. Second derivatives of functions of the user are at `hessians`, one for
+// each term, and the derivative of a structure matrix given as a function at `derivative`.
 #define TANGENTS_FIELDS(_)                                                                                           \
     _(integer, size) _(integer, carried) _(integer, every) _(numbers, frame) _(addresses, hessians) _(addresses, derivative)
 TABLE(Tangents, TANGENTS_FIELDS)
@@ -155,9 +155,9 @@ TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
     _(numbers, weight) _(integers, metric) _(numbers, metrics)
 TABLE(UnshiftTables, UNSHIFT_FIELDS)
 
-// Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d); which members and
-// saved points are wanted. X acts `rate` times as fast. Without the schedule, `elapsed` (points, members) are the times
-// since the start.
+// Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d), and the members
+// and saved points requested. X acts at `rate`. Without the schedule, `elapsed` (points, members) are the times since
+// the start.
 #define UNSHIFTED_FIELDS(_)                                                                                          \
     _(numbers, momenta) _(numbers, initial) _(numbers, held) _(numbers, out) _(integer, members) _(integer, first)   \
     _(integer, last) _(integer, k0) _(integer, k1) _(number, rate) _(numbers, elapsed)

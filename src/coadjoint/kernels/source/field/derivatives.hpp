@@ -1,14 +1,14 @@
-// Derivatives of the field in a direction. They are exact for LINEAR and POLYNOMIAL terms and for structure constants.
-// For functions of the user they are central differences.
+// Directional derivatives of the field: exact for LINEAR and POLYNOMIAL terms and for structure constants, central
+// differences for functions of the user.
 #pragma once
 
 #include "field/field.hpp"
 
 namespace coadjoint {
 
-constexpr double DIFFERENCE = 0x1p-17;  // about the cube root of the unit round-off: most digits are right
+constexpr double DIFFERENCE = 0x1p-17;  // about the cube root of the unit round-off: the best accuracy
 
-// The step of a difference at y in the direction v: relative to the size of y; zero where v is zero.
+// The step of a difference at y in the direction v: relative to the size of y; zero if v is zero.
 template <class A>
 NOINLINE A difference_step(const A* y, const A* v, int64_t count) {
     A large(0.0), wide(0.0);

@@ -8,7 +8,7 @@
 
 namespace coadjoint {
 
-// Room for evaluations of a field: rows of a term, arguments of functions, J where it is a function, calls.
+// Scratch memory for evaluations of a field: rows of a term, arguments of functions, J as a function, calls.
 template <class A>
 struct FieldRoom {
     Room<A> rows, arguments, matrix;
@@ -18,7 +18,7 @@ struct FieldRoom {
           calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
 };
 
-// About how many multiplications a field takes.
+// Approximate number of multiplications of a field evaluation.
 inline int64_t work_of(const Field& field) {
     const int64_t n = field.size;
     return n + work_of_terms(field.terms, 0, field.terms.size) +
@@ -52,14 +52,14 @@ INLINE void gradient(const Field& field, const C& constants, const A* x, const A
     }
 }
 
-// Fill room.matrix with J(x) where it is a function of the user.
+// Fill room.matrix with J(x) if it is a function of the user.
 template <class A, class C>
 INLINE void structure(const Field& field, const C& constants, const A* x, FieldRoom<A>& room) {
     call_function(constants, field.structure, 0, x, field.size, A(0.0), room.matrix.at, field.size * field.size,
                   room.calls.data());
 }
 
-// Set f = factor * sign * J(x) u. The factor comes last: products may cancel, and should be rounded once.
+// Set f = factor * sign * J(x) u. The factor comes last, so that cancelling products are rounded once.
 template <class A, class C>
 INLINE void product(const Field& field, const C& constants, const A* x, const A* u, const A& factor, A* f,
                     FieldRoom<A>& room) {
@@ -127,7 +127,7 @@ NOINLINE void group_matrix(const GroupField& group, const C& constants, const A*
     }
 }
 
-// Set f = factor * -sign * g rho(u); component c of row r of a matrix stands at c * d + r.
+// Set f = factor * -sign * g rho(u); component c of row r of a matrix is at c * d + r.
 template <class A, class C>
 INLINE void group_slope(const GroupField& group, const C& constants, const A* u, const A* g, const A& factor, A* f) {
     const int64_t d = group.size;

@@ -1,5 +1,5 @@
-// Functions that are no polynomials and need no function of the user: sums of logarithms, angles, quotients and
-// hyperbolic functions of polynomials.
+// Non-polynomial functions without functions of the user: sums of logarithms, angles, quotients and hyperbolic
+// functions of polynomials.
 #pragma once
 
 #include <limits>
@@ -10,7 +10,8 @@
 
 namespace coadjoint {
 
-// The value at y, NaN where the function is undefined; up to the rounding of its functions that of `Forms` in Python.
+// The value at y, NaN if the function is undefined; equal to that of `Forms` in Python up to rounding of the elementary
+// functions.
 inline double value_of_forms(const Forms& forms, const double* y) {
     double total = 0.0, held = 0.0;
     for (int64_t f = 0; f < forms.size; ++f) {

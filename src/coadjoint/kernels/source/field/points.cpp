@@ -1,4 +1,4 @@
-// The field of a system at one point, for steps that are written in Python and compiled by Numba.
+// The field of a system at one point, for steps written in Python and compiled by Numba.
 #include <memory>
 
 #include "field/points.hpp"
@@ -7,7 +7,7 @@ namespace coadjoint {
 
 namespace {
 
-// Room by its size, kept by each thread for the next call.
+// Scratch memory by its size, cached by each thread for the next call.
 DerivativeRoom<double>& room_of(const Field& field) {
     struct Kept {
         int64_t size = -1, longest = -1, nonlinear = -1;
@@ -72,7 +72,7 @@ EXPORT void hessian_at(const Seen* seen, const double* x, double t, double* out)
     }
 }
 
-// Set out to the derivative of the field, n x n: exact where J(x) and H have no functions of the user.
+// Set out to the derivative of the field, n x n: exact if J(x) and H have no functions of the user.
 EXPORT void jacobian_at(const Seen* seen, const double* x, double t, double* out) {
     const Field& field = *seen->field;
     const int64_t n = field.size;

@@ -1,12 +1,12 @@
-// What a step that is a function is told of its system.
+// Data of the system passed to a step that is a function.
 #pragma once
 
 #include "field/derivatives.hpp"
 
 namespace coadjoint {
 
-// The field with the compiled values of the terms of H, the constants of the member, and what is added to the energy.
-// `size` and `sign` are read by the function itself.
+// The field with the compiled values of the terms of H, the constants of the member, and the constant of the energy.
+// The function itself reads `size` and `sign`.
 struct Seen {
     int64_t size;
     double sign, constant;

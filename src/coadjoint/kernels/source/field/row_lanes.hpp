@@ -1,5 +1,5 @@
-// Sparse sums whose rows are lanes, so that a single trajectory fills vectors. A vector has four rows where there are
-// up to four coordinates, else eight.
+// Sparse sums whose rows are lanes, so that a single trajectory fills vectors. A vector has four rows for up to four
+// coordinates, else eight.
 #pragma once
 
 #include <vector>
@@ -17,7 +17,7 @@ struct alignas(8 * W) Places {
 template <int W>
 INLINE int64_t blocks_of(int64_t rows) { return (rows + W - 1) / W; }
 
-// The numbers at some places of a vector that is padded to whole blocks.
+// Gather the numbers at given indices of a vector that is padded to whole blocks.
 template <int W>
 INLINE Lanes<W> take(const double* from, const Places<W>& places) {
     Lanes<W> taken;
@@ -31,7 +31,7 @@ INLINE Lanes<W> take(const double* from, const Places<W>& places) {
     return taken;
 }
 
-// The same of K blocks in registers.
+// The same for K blocks in registers.
 template <int K, int W>
 INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
 #if defined(__AVX512F__) && defined(__AVX512VL__)
@@ -62,7 +62,7 @@ INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
 #endif
 }
 
-// Where numbers are taken from: K blocks in registers, or memory.
+// Source of the numbers: K blocks in registers, or memory.
 template <int K, int W>
 struct Newest {
     Lanes<W> at[K];
@@ -76,7 +76,7 @@ struct Newest<0, W> {
     INLINE Lanes<W> operator()(const Places<W>& places) const { return take<W>(at, places); }
 };
 
-// The sum of the lanes. Of eight, those that are four apart are added first; then those two apart, then one.
+// The sum of the lanes. Of eight, those at distance four are added first; then those at distance two, then one.
 template <int W>
 INLINE double sum_of_lanes(const Lanes<W>& a) {
     if constexpr (W == 4) return (a[0] + a[2]) + (a[1] + a[3]);
@@ -92,8 +92,8 @@ INLINE double sum_of_lanes(const Lanes<W>& a) {
     return (p + r) + (q + s);
 }
 
-// Sparse sums, sum_e weight_e x[left_e] (y[right_e]), the rows in blocks of W; rows with fewer entries than others of
-// their block have entries of weight zero.
+// Sparse sums, sum_e weight_e x[left_e] (y[right_e]), the rows in blocks of W; shorter rows of a block are padded with
+// entries of weight zero.
 struct Entry {
     double weight;
     int64_t left, right;
@@ -113,7 +113,7 @@ struct Sums {
 
     int64_t size() const { return first.back(); }
 
-    // Add rows, from a block of their own on.
+    // Add rows, starting a new block.
     void add(const std::vector<SparseSum>& rows) {
         for (size_t low = 0; low < rows.size(); low += W) {
             const int64_t entries = longest(rows, low);
@@ -128,14 +128,14 @@ struct Sums {
         }
     }
 
-    // Entries of the block that begins with row `low`.
+    // The longest row of the block that begins with row `low`.
     static int64_t longest(const std::vector<SparseSum>& rows, size_t low) {
         size_t entries = 0;
         for (size_t r = low; r < std::min(low + W, rows.size()); ++r) entries = std::max(entries, rows[r].size());
         return int64_t(entries);
     }
 
-    // Lay everything out for reading, after the last row.
+    // Store the entries in the order of reading, after the last row.
     void finish() {
         at.clear(size());
         for (size_t k = 0; k < given.size(); ++k) {

@@ -1,4 +1,4 @@
-// The verb `angle`: gradients and values of the terms of a table.
+// Gradients and values of the terms of a table (the operation `angle`).
 #pragma once
 
 #include "field/forms.hpp"
@@ -7,9 +7,9 @@
 
 namespace coadjoint {
 
-constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // multiplications that a function of the user counts as
+constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // cost of a function of the user, in multiplications
 
-// About how many multiplications the terms first to last - 1 take.
+// Approximate number of multiplications of the terms first to last - 1.
 inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
     int64_t work = 0;
     for (int64_t k = first; k < last; ++k) {
@@ -25,7 +25,7 @@ inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
 
 typedef void (*UserFunction)(const double* y, double t, double* out);
 
-// Calls what stands at an address: a compiled function of the user, or at the negative of one the table of a formula.
+// Call the function at an address: a compiled function of the user, or, for a negative address, a table of `Forms`.
 inline void call(int64_t address, const double* y, double t, double* out) {
     if (address < 0)
         *out = value_of_forms(*reinterpret_cast<const Forms*>(-address), y);
@@ -33,7 +33,7 @@ inline void call(int64_t address, const double* y, double t, double* out) {
         reinterpret_cast<UserFunction>(address)(y, t, out);
 }
 
-// Calls a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
+// Call a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
 template <class A, class C>
 void call_function(const C& constants, const int64_t* addresses, int64_t k, const A* y, int64_t count, const A& t,
                    A* out, int64_t results, double* room) {
@@ -48,7 +48,7 @@ void call_function(const C& constants, const int64_t* addresses, int64_t k, cons
         for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, lane_of(out[i], used - 1));
 }
 
-// x to a whole power by repeated multiplication, in an order that depends on the exponent alone.
+// x to an integer power by repeated multiplication, in an order that depends on the exponent alone.
 template <class A>
 INLINE A power(const A& x, uint32_t exponent) {
     A result(1.0);
@@ -77,8 +77,8 @@ INLINE A monomial_without(const Terms& terms, const C& constants, uint32_t monom
     return product;
 }
 
-// Fills out[row - first] with every row of term k: the angles of a share, or components of a gradient. `y` is room for
-// the arguments of a user function, `room` for one lane of them and of its results.
+// Fill out[row - first] with every row of term k: the angles of a share, or components of a gradient. `y` is scratch
+// memory for the arguments of a user function, `room` for one lane of them and of its results.
 template <class A, class C>
 NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
                           const A& t, A* out, int64_t first, A* y, double* room) {

@@ -1,12 +1,12 @@
-// The verb `act`: exp(theta D) of one part on vectors side by side (a state, or the rows of a group element).
+// exp(theta D) of one part on vectors side by side: a state, or the rows of a group element (the operation `act`).
 #pragma once
 
 #include "flows/sparse_blocks.hpp"
 
 namespace coadjoint {
 
-// The last lone angle of a part and its sine. Other blocks of the part, and the group element, often turn by the same
-// angle.
+// The last single angle of a part and its sine. Other blocks of the part, and the group element, often rotate by the
+// same angle.
 template <class A>
 struct Turned {
     A phi = A(NAN);
@@ -46,7 +46,7 @@ NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t 
                      index, repeat, x);
 }
 
-// Runs that few steps need, or that are so long that a call does not matter.
+// Runs that are rare, or so long that the cost of a call is negligible; not inlined.
 template <Care care, class A, class V, class C>
 NOINLINE void act_apart(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
                         Vectors<V> x) {
@@ -95,9 +95,9 @@ NOINLINE void act_in_turn(const Action& action, const C& constants, uint32_t par
     }
 }
 
-// Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED also adds what rounding left of the increment itself,
-// so that no rounding keeps its sign. A lone angle with a single run stays in registers, since memory would delay the
-// step. With `again` the part has just moved other vectors, by the angle in `turned`.
+// Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED also adds the rounding error of the increment itself,
+// so that rounding has no systematic sign. A single angle with a single run stays in registers, since memory would
+// delay the step. With `again` the part has just moved other vectors, by the angle in `turned`.
 template <Care care, bool again, class A, class V, class C>
 INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, bool single, A lone,
                 const A* theta, Turned<A>& turned, const Vectors<V>& x) {

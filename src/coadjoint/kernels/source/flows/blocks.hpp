@@ -1,7 +1,7 @@
-// What one block of a part does to vectors side by side: rotations, shears, scalings, and planes.
+// The action of one block of a part on vectors side by side: rotations, shears, scalings, and planes.
 //
 // An angle is an A, a component of a vector is a V: both one number, or both lanes of members, or one angle for the
-// rows of a group element as lanes. Component i of vector r stands at i * rows + r.
+// rows of a group element as lanes. Component i of vector r is at i * rows + r.
 #pragma once
 
 #include "boundary/codes.hpp"
@@ -10,14 +10,14 @@
 
 namespace coadjoint {
 
-// Rational rotations, by tan(phi/2) = half the angle: the same blocks with another sine and cosine.
+// Rational rotations, tan(phi/2) = half the angle: the same blocks with other sines and cosines.
 constexpr int64_t RATIONAL_ROTATE = ROTATE + RATIONAL, RATIONAL_CUBIC = CUBIC + RATIONAL;
 
-constexpr uint32_t MANY = 4;  // blocks of one angle that are worth a call
+constexpr uint32_t MANY = 4;  // blocks of one angle for which a call pays off
 
 enum Care { PLAIN, COMPENSATED, CORRECTED };
 
-// Add an increment to a component of known value. With compensation, what rounding lost is kept and added the next
+// Add an increment to a component of known value. With compensation, the rounding error is stored and added the next
 // time.
 template <Care care, class V>
 INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment) {
@@ -29,22 +29,22 @@ INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment)
     }
 }
 
-// Add an increment with compensation. What the increment owes, and what adding the error to it lost, is kept as well.
-// The next rotation waits for none of that.
+// Add an increment with compensation. The rounding error of the increment, and that of adding the error to it, are
+// stored as well, off the critical path of the next rotation.
 template <class V>
 INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const V& increment, const V& error,
                       const V& owed) {
     V whole = increment + error;
     V now = old + whole;
     V kept = now - old;
-    // Where the error is larger than the increment, both are so small that what their sum loses does not matter.
+    // If the error is larger than the increment, both are so small that the rounding of their sum is negligible.
     errors[place] = (old - (now - kept)) + (whole - kept) + ((increment - whole) + error) + owed;
     vectors[place] = now;
 }
 
-// An increment owes what its own rounding left. What is kept for later is multiplied in each flow by the size of the
-// flow less the unit matrix, and would grow without end where that is above 1. So it is added at once where the square
-// of that size (2 (1 - cos) for a rotation) is above this.
+// The rounding error of an increment. A stored error is multiplied in each flow by the norm of the flow minus the unit
+// matrix, and would grow without bound if that is above 1. So it is added at once if the square of that norm (2 (1 -
+// cos) for a rotation) is above this.
 constexpr double WIDE = 0.25;
 
 template <class V, class Mask>
@@ -57,7 +57,7 @@ INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const 
     add_owing(vectors, errors, place, old, increment, error, owed);
 }
 
-// What an action is applied to: `rows` vectors and their compensation. Room is three times their length.
+// The target of an action: `rows` vectors and their compensation. Scratch memory is three times their length.
 template <class V>
 struct Vectors {
     V *at, *errors;
@@ -65,7 +65,7 @@ struct Vectors {
     V* room;
 };
 
-// Many blocks that turn by one angle. Their coordinates are disjoint, so loads need not wait for stores.
+// Many blocks that rotate by one angle. Their coordinates are disjoint, so loads need not wait for stores.
 NOINLINE inline void rotate_many(double sine, double lowered, const uint32_t* index, uint32_t repeat, double* x) {
     constexpr int together = 4;
     uint32_t block = 0;
@@ -100,7 +100,7 @@ INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repe
             V a = x.at[i + row], b = x.at[j + row];
             V forth = sine * a, back = sine * b;
             if constexpr (care == CORRECTED) {
-                // The rotation of the errors, the rounding of a product, and the shortfall.
+                // The rotation of the errors, the rounding of a product, and the defect of the rotation in length.
                 V e = x.errors[i + row], f = x.errors[j + row];
                 V first = fma(lowered, e, -fma(sine, f, fma(sine, b, -back))) - dearth * a;
                 V second = fma(lowered, f, fma(sine, e, fma(sine, a, -forth))) - dearth * b;
@@ -148,7 +148,7 @@ NOINLINE void plane(const A& mean, const A& half, const A& upper, const A& lower
                     uint32_t repeat, const A& theta, const Vectors<V>& x) {
     A delta = fma(half, half, upper * lower);
     Rotation<A> pair = entire_pair(theta * theta * delta);
-    // Not from expm1 alone. Where the mean decays and cosh grows, what 1 + expm1 lost would be amplified.
+    // Not from expm1 alone: if the mean decays and cosh grows, the rounding of 1 + expm1 would be amplified.
     const Growth<A> growth = growth_by(theta * mean);
     const V diagonal(fma(growth.whole, pair.lowered, growth.beyond)), s(growth.whole * (theta * pair.sine));
     for (uint32_t block = 0; block < repeat; ++block, index += 2) {

@@ -1,11 +1,11 @@
-// The bonds of a part: in each, two momenta turn about their sum. What one gains the other loses.
+// The bonds of a part: in each, two momenta rotate about their sum, which is conserved.
 #pragma once
 
 #include "flows/called_parts.hpp"
 
 namespace coadjoint {
 
-// By how much z changes over the time tau where z and w turn about their sum by the angle strength tau |z + w|.
+// The change of z over the time tau if z and w rotate about their sum by the angle strength tau |z + w|.
 template <class A>
 INLINE void bond_change(const A& strength, double tau, const A* z, const A* w, A* change) {
     A sum[3], across[3], back[3];
@@ -30,8 +30,8 @@ INLINE void turn_bond(const FlowTables& tables, const C& constants, int64_t bond
     for (int i = 0; i < 3; ++i) x[column[i]] = z[i] + change[i], x[column[3 + i]] = w[i] - change[i];
 }
 
-// Turn the momenta by all bonds of a part, which share none and have basis elements of unit scale. A lattice has many
-// bonds: those of one trajectory go side by side.
+// Rotate the momenta by all bonds of a part, which are disjoint and have basis elements of unit scale. The many bonds
+// of one trajectory on a lattice are lanes.
 template <class A, class C>
 NOINLINE void turn_bonds(const FlowTables& tables, const C& constants, uint32_t part, double tau, A* x) {
     uint32_t k = tables.share[part];

@@ -1,11 +1,11 @@
-// Parts whose flow is called by its name: their generators do not commute, and their angles change on the way.
+// Parts with called flows: their generators do not commute, and their angles change along the flow.
 //
-// A called flow moves by a group element, and that is written as turns about fixed generators, one after the other. So
-// the blocks of the table turn whatever the algebra and the group element have, as they do for other parts. For the free
-// body on e1, e2, e3 the turns are about e3, e1, e2, e3, in this order; the first one is zero except where the turn
-// about e2 is near a right angle.
+// A called flow moves by a group element, which is written as a product of rotations about fixed generators. So the
+// blocks of the table act on any algebra and group element, as they do for other parts. For the free body on e1, e2, e3
+// the rotations are about e3, e1, e2, e3, in this order; the first one is zero unless the rotation about e2 is near a
+// right angle.
 //
-// A bond is a spherical body whose momentum is the sum of two: it turns both about their sum.
+// A bond is a spherical body whose momentum is the sum of two: it rotates both about their sum.
 #pragma once
 
 #include <vector>
@@ -16,19 +16,19 @@
 namespace coadjoint {
 
 constexpr int BODY_TURNS = 4;
-constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond; of a free body the same again
+constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond; repeated for a free body
 constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of components, lengths of the generators
-constexpr double UPRIGHT = 0.9;       // the sine from which a turn about e2 counts as near a right angle
-constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications that a short flow of a body takes
+constexpr double UPRIGHT = 0.9;       // the sine above which a rotation about e2 counts as near a right angle
+constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications of a short flow of a body
 constexpr int64_t WORK_OF_A_BOND = 60;
 constexpr int DIRECT = 1, TOGETHER = 2;  // bits of FlowTables::direct
 constexpr double TWO_PI = 6.2831853071795865;
 
-// The turns of a called flow: each by sine and cosine minus one, or by its angle.
+// The rotations of a called flow: each by sine and cosine minus one, or by its angle.
 template <class A>
 struct Turns {
     A *angle, *sine, *lowered;
-    bool direct;  // every block turns by the angle itself: angles are not needed
+    bool direct;  // every block rotates by the angle itself: angles are not needed
 };
 
 // The free body or the bond that a share calls, in the numbers of one member or of lanes.
@@ -54,7 +54,7 @@ struct CalledBody {
         }
     }
 
-    // The quaternion of the turn along the principal axes.
+    // The quaternion of the rotation along the principal axes.
     template <class R, class T>
     Quaternion<R> turn(const R* z, const T& tau) const {
         return bond ? spherical_turn<A, R>(moments[0], z, tau) : body_turn<A, R>(moments, z, tau);
@@ -81,7 +81,7 @@ inline double angle_of(double sine, double cosine) {
     return cosine < 0.0 ? (sine < 0.0 ? -0.5 * TWO_PI : 0.5 * TWO_PI) - angle : angle;
 }
 
-// The turn by the angle of (along, across), whose length is `size`.
+// The rotation by the angle of (along, across), whose length is `size`.
 template <class A>
 INLINE void set_turn(const Turns<A>& turns, int k, const A& across, const A& along, const A& size) {
     const A sum = along + size, inverse = A(1.0) / (size * sum);
@@ -98,7 +98,7 @@ INLINE void set_turn(const Turns<A>& turns, int k, const A& across, const A& alo
                      angle_of(lane_of(turns.sine[k], lane), 1.0 + lane_of(turns.lowered[k], lane)));
 }
 
-// Whether four turns are minus a quaternion, which matters where a block turns by half the angle.
+// Whether the product of four rotations is minus a quaternion, which matters if a block rotates by half the angle.
 inline bool opposite(const double* angle, const Quaternion<double>& q) {
     Quaternion<double> total{1.0, {0.0, 0.0, 0.0}};
     const int axis[BODY_TURNS] = {2, 0, 1, 2};
@@ -111,7 +111,7 @@ inline bool opposite(const double* angle, const Quaternion<double>& q) {
     return fma(total.whole, q.whole, dot(total.vector, q.vector)) < 0.0;
 }
 
-// A quaternion as turns about e3, e1, e2, e3.
+// A quaternion as rotations about e3, e1, e2, e3.
 template <class A>
 INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
     const A w = q.whole, x = q.vector[0], y = q.vector[1], z = q.vector[2];
@@ -145,7 +145,7 @@ INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
     }
 }
 
-// The turns that a share calls, over the time tau.
+// The rotations that a share calls, over the time tau.
 template <class A, class C, class T>
 NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t body, const T& tau, const A* x,
                            const Turns<A>& turns) {
@@ -160,8 +160,8 @@ NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t
     }
 }
 
-// How the element that a share calls is turned further where the momentum changes: by changes of its turns about e1,
-// e2, e3 that come last, for vectors side by side.
+// The further rotation of the element of a called share under changes of the momentum: changes of its rotations about
+// e1, e2, e3 that are applied last, for vectors side by side.
 template <class A, class V>
 NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau, const A* x, const V* vectors,
                              int64_t rows, V* changes) {
@@ -197,7 +197,8 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
     for (int64_t b = 0; b < rows; ++b) changes[b] = V(0.0);
 }
 
-// Move vectors by the turns of a part. A first turn that is zero leaves everything as it is, the bits of errors too.
+// Move vectors by the rotations of a part. A first rotation of zero is skipped, so that it changes no bits, of errors
+// either.
 template <Care care, class A, class V, class C>
 NOINLINE void act_called(const Action& action, const C& constants, uint32_t part, const Turns<A>& turns,
                          const Vectors<V>& x, int64_t size) {

@@ -1,6 +1,5 @@
-// Rows that only rotate and shear by linear forms, read from the tables when a loop starts. What a step needs of them
-// then stands in one place, and few instructions are left. Those for the group element are done while the momentum
-// waits for its sine.
+// Rows that only rotate and shear by linear forms, preprocessed when a loop starts, so that their data are contiguous
+// and few instructions remain. Those for the group element overlap with the latency of the sine for the momentum.
 #pragma once
 
 #include "flows/flow_rows.hpp"
@@ -16,7 +15,7 @@ struct AngleBlocks {
     int kind;
 };
 
-// theta = offset + weight . x and what it moves; or a whole row of the program, where that is more.
+// theta = offset + weight . x and the blocks it moves; or a whole row of the program, if that is more.
 struct ElementaryFlow {
     int kind;
     uint32_t row, entries;
@@ -32,7 +31,7 @@ class FlowsOfRows {
     FlowsOfRows(const FlowTables& tables, bool carry)
         : tables(tables), carry(carry), moved_by(tables.state.size, ~uint32_t(0)) {}
 
-    // The flows of rows, one after the other. There are none where all would be whole rows; then the tables are read.
+    // The flows of rows, one after the other. Empty if all would be whole rows; then the tables are read.
     std::vector<ElementaryFlow> operator()(uint32_t first, uint32_t last) {
         std::vector<ElementaryFlow> flows;
         bool some = false;
@@ -51,10 +50,10 @@ class FlowsOfRows {
   private:
     const FlowTables& tables;
     const bool carry;
-    std::vector<uint32_t> moved_by;  // the row that moved a coordinate last
+    std::vector<uint32_t> moved_by;  // the last row that moved a coordinate
     std::vector<AngleBlocks> momentum, group;
 
-    // Whether a part only rotates and shears, with too few angles for lanes; their blocks, in their order.
+    // Whether a part only rotates and shears, with too few angles for lanes; its blocks, in order.
     static bool blocks_of(const Action& action, uint32_t part, double tau, std::vector<AngleBlocks>& found) {
         found.clear();
         for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
@@ -70,7 +69,7 @@ class FlowsOfRows {
         return true;
     }
 
-    // A part knows all its angles before it moves anything. So no flow of a part may move what a later one of its
+    // A part computes all its angles before it moves anything. So no flow of a part may move what a later one of its
     // angles reads.
     bool append(uint32_t r, std::vector<ElementaryFlow>& flows) {
         const Terms& terms = tables.terms;
@@ -101,7 +100,7 @@ INLINE void shear_blocks(const AngleBlocks& blocks, double theta, const Vectors<
         shear<care>(turn * blocks.constants[block], blocks.pairs + 2 * block, x);
 }
 
-// Apply a flow that is no whole row.
+// Apply a flow that is not a whole row.
 template <Care care, bool carry, class G>
 INLINE void apply_flow(const ElementaryFlow& flow, const Vectors<double>& x, const Vectors<G>& group) {
     double theta = flow.offset;

@@ -1,4 +1,4 @@
-// What Python calls for flow methods.
+// Entry points of flow methods for Python.
 #include "flows/flow_alone.hpp"
 #include "flows/flow_crowd.hpp"
 
@@ -29,8 +29,8 @@ static void advance_crew(const FlowLoop& loop, const Crew& crew) {
     }
 }
 
-// Between calls the state is unfinished. The outer flow of a step is merged with that of the next one, and the finish
-// acts on a copy.
+// Between calls the state is unfinished: the last flow of a step is merged with the first of the next one, and the
+// finish acts on a copy.
 static void follow(const FlowLoop& loop, const Crew& crew) {
     const bool carry = loop.arrays.square > 0;
     if (loop.tables.compensated)

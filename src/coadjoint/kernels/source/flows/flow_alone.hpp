@@ -1,4 +1,4 @@
-// The loop over steps for programs: one trajectory.
+// The loop over steps of programs, for one trajectory.
 #pragma once
 
 #include "flows/elementary_flows.hpp"
@@ -62,7 +62,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             dg[to] = arrays.group_errors[member * d * d + from];
         });
     const Vectors<double> momentum{x, dx, 1, scratch.at};
-    // The group element is finished on a copy, and turned by angles of a copy of the momentum.
+    // The group element is finished on a copy, and rotated by angles of a copy of the momentum.
     auto finish_copies = [&](int64_t k) {
         std::copy_n(x, 2 * size, copies.at);
         if (carry) std::copy_n(elements.at, 2 * d * rows, finished.at);
@@ -85,7 +85,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     };
     FlowsOfRows flows_of(tables, carry);
     std::vector<ElementaryFlow> opening, repeated;
-    if (!pace.other) {  // they hold the angles of the tables
+    if (!pace.other) {  // they contain the angles of the tables
         opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
@@ -98,7 +98,8 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     const auto is_finite = [&](const double* at, const GroupRows* element) {
         return finite(size, at) && (!carry || all(finite(d * rows, element)));
     };
-    // The step that made numbers of step k infinite: where the finish of the step before does so, it was that one.
+    // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
+    // was that one.
     const auto step_that_failed = [&](int64_t k) {
         if (k == 1) return k;
         std::copy_n(kept_momenta.at, 2 * size, x);
@@ -134,7 +135,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         if (k % KEPT_EVERY == 0) keep(k);
         if ((failed = recorder.after(k, x, dx, finished_group))) break;
     }
-    // Momenta are finished several at a time. One that waited may have failed before.
+    // Momenta are finished several at a time; a pending one may have failed earlier.
     if (const int64_t earlier = recorder.flush()) failed = earlier;
     loop.arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
     if (failed) loop.overflow(member, failed);

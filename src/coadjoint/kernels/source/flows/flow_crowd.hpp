@@ -1,4 +1,4 @@
-// The loop over steps for programs: members side by side.
+// The loop over steps of programs, for members side by side.
 #pragma once
 
 #include <optional>
@@ -7,7 +7,7 @@
 
 namespace coadjoint {
 
-// Members as lanes; the last member fills what is left of the lanes. While one crowd waits for a sine, another goes on.
+// Members as lanes; the last member fills unused lanes. Several vectors of lanes hide the latency of sines.
 template <Care care, bool carry, class A, class C>
 struct FlowCrowd {
     const FlowLoop& loop;
@@ -55,7 +55,7 @@ struct FlowCrowd {
         std::copy_n(elements.at, 2 * square, kept_elements.at);
     }
 
-    // Stop the lanes that are not `sound`, in step k or, where they are not sound `earlier` either, in the one before.
+    // Stop the lanes that are not `sound`, in step k or, if they are not sound `earlier` either, in the previous one.
     template <class Mask>
     void stop_where_not(const Mask& sound, int64_t k, int64_t status = OVERFLOWED, const Mask* earlier = nullptr) {
         if (__builtin_expect(all(sound), 1)) return;
@@ -79,7 +79,7 @@ struct FlowCrowd {
             if (going[lane] && !at(sound, int(lane))) return stop_infinite(sound, k, copies, scratch, angles);
     }
 
-    // Where the finish of the step before makes a number infinite, it was that one.
+    // If the finish of the previous step makes a number infinite, the previous step failed.
     template <class Mask>
     NOINLINE void stop_infinite(const Mask& sound, int64_t k, A* copies, A* scratch, AngleRoom<A>& angles) {
         if (k == 1) return stop_where_not(sound, k);
@@ -102,7 +102,7 @@ struct FlowCrowd {
         return loop.schedule.starts ? pace.start : A(loop.schedule.t0 + double(k - 1) * loop.schedule.h);
     }
 
-    // Finish copies of the momenta, and of the group elements where they are to be `turned`.
+    // Finish copies of the momenta, and of the group elements if they are to be `turned`.
     void finish(const A& t, bool turned, A* copies, A* scratch, AngleRoom<A>& angles) {
         const uint32_t first = loop.tables.section[2], last = loop.tables.section[3];
         A* element = copies + 2 * size;
@@ -117,7 +117,7 @@ struct FlowCrowd {
         }
     }
 
-    // Finish copies, the group element where it is saved.
+    // Finish copies, including the group element if it is saved.
     NOINLINE FinishedRows<A> finished(int64_t k, bool saving, const A& t, A* copies, A* scratch, AngleRoom<A>& angles) {
         finish(t, saving, copies, scratch, angles);
         stop_where_not(finite(size, copies), k);
@@ -134,7 +134,7 @@ struct FlowCrowd {
 
 constexpr int CROWDS = 2;
 
-// `constants_from(place)` are those of the lanes from a place of the crew.
+// `constants_from(place)` returns those of the lanes from a position of the crew.
 template <Care care, bool carry, class A, class ConstantsFrom>
 void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, const int64_t* members, int64_t first,
                      int64_t last) {

@@ -1,4 +1,4 @@
-// The rows of a program, read from their table, and what a loop over steps is given.
+// The rows of a program, read from their table, and the arguments of a loop over steps.
 #pragma once
 
 #include <algorithm>
@@ -10,8 +10,8 @@
 
 namespace coadjoint {
 
-// Which linear terms of many rows have one offset and one weight for all of them, as a lattice in a uniform field has?
-// Only the columns of such a term are read in each step. Constants are those of one system.
+// Find the linear terms of many rows that share one offset and one weight, as on a lattice in a uniform field. Only the
+// columns of such a term are read in each step. Constants are those of one system.
 inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
     constexpr int64_t many = 1024;
     std::vector<bool> even;
@@ -44,11 +44,11 @@ NOINLINE void even_rows(const Terms& terms, int64_t k, const A* x, A* out) {
     }
 }
 
-// A step of another length than that of the tables: every angle is `scale` times as large.
+// A step of another length than that of the tables: every angle is scaled by `scale`.
 template <class A>
 struct Pace {
     A start, length, scale;
-    bool other = false;  // whether it is of another length; not where it only might be, so that bits have no company
+    bool other = false;  // true for all given lengths, so that the bits do not depend on other members
     void set(const FlowTables& tables, const Schedule& schedule, int64_t member, int lane) {
         const double own = length_of(schedule, member);
         set_lane(start, lane, start_of(schedule, member, 1));
@@ -58,7 +58,7 @@ struct Pace {
     }
 };
 
-// Room for the angles of a part and for the calls of user functions, and what is known of the terms.
+// Scratch memory for the angles of a part and for the calls of user functions, and properties of the terms.
 template <class A>
 struct AngleRoom {
     const Pace<A>* pace = nullptr;  // of a step of another length
@@ -69,7 +69,7 @@ struct AngleRoom {
         : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
 };
 
-// The turns of a part whose shares are called.
+// The rotations of a part with called shares.
 template <class A, class C, class T>
 Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, const T& tau, const A* x,
                        AngleRoom<A>& room) {
@@ -82,7 +82,7 @@ Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t pa
     return turns;
 }
 
-// Whether a part is made of bonds that turn momenta without blocks. Compensated sums take the blocks.
+// Whether a part consists of bonds that rotate momenta directly. Compensated sums use the blocks.
 template <Care care>
 bool goes_together(const FlowTables& tables, uint32_t part) {
     return care == PLAIN && (tables.direct[part] & TOGETHER) != 0;
@@ -90,8 +90,8 @@ bool goes_together(const FlowTables& tables, uint32_t part) {
 
 inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
 
-// Apply row r: angles from its share, then the action on the momentum and on the group element. Without `paced` the step
-// is that of the tables.
+// Apply row r: angles from its share, then the action on the momentum and on the group element. Without `paced` the
+// step is that of the tables.
 template <Care care, bool carry, bool paced = true, class A, class G, class C>
 INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
                       const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
@@ -156,17 +156,17 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
 
 typedef Loop<FlowTables> FlowLoop;
 
-// Steps after which a loop keeps its unfinished state: from there a step that failed is found again.
+// Number of steps after which a loop stores its unfinished state, from which a failed step is located.
 constexpr int64_t KEPT_EVERY = 64;
 
-// How many rows of the program the steps k0 + 1 to k apply.
+// The number of rows of the program that the steps k0 + 1 to k apply.
 inline int64_t rows_applied(const FlowTables& tables, int64_t k0, int64_t k) {
     const int64_t taken = k - k0, start = k0 == 0 && taken > 0;
     return start * (int64_t(tables.section[1]) - tables.section[0]) +
            (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
 }
 
-// About how many multiplications some rows take for one vector, their angles apart.
+// Approximate number of multiplications of some rows for one vector, without their angles.
 inline int64_t work_of_rows(const FlowTables& tables, const Action& action, uint32_t first, uint32_t last) {
     int64_t work = 0;
     for (uint32_t r = first; r < last; ++r)
@@ -176,7 +176,7 @@ inline int64_t work_of_rows(const FlowTables& tables, const Action& action, uint
     return work;
 }
 
-// The same for a step of one member: the momentum, the group element, and what is watched.
+// The same for a step of one member: the momentum, the group element, and watched invariants.
 inline int64_t work_of_step(const FlowLoop& loop) {
     const FlowTables& tables = loop.tables;
     const uint32_t first = tables.section[1], last = tables.section[3];

@@ -1,21 +1,21 @@
-// The free rigid body over a time, exactly: by which quaternion does it turn? And how does that depend on the momentum?
+// Exact flow of the free rigid body: the quaternion of its rotation, and the derivative of that by the momentum.
 //
 // On coordinates z of so(3) with H = (m1 z1^2 + m2 z2^2 + m3 z3^2)/2 the motion z' = (m z) cross z is
 //     z_i(s) = (z_i C_j C_k + s a_i C_i z_j z_k)/D,    C_i^2 = D + s^2 p_i,    D = s^2 (P(s) - p),
-// with a_1 = m2 - m3 and so on, p_1 = a2 a3 z1^2 and so on, 3 p = p1 + p2 + p3, and Weierstrass's function P, whose
+// with a_1 = m2 - m3 and so on, p_1 = a2 a3 z1^2 and so on, 3 p = p1 + p2 + p3, and the Weierstrass function P, whose
 // roots are e_i = p - p_i: the addition theorem from the pole of P. It holds for moments of any sign and order, equal
-// ones too, on a separatrix and at rest, and nothing in it is small where z is not. Time goes in pieces so short that
-// the series of P and of the roots converge in a few terms.
+// ones too, on a separatrix and at rest, without cancellation. Time is divided into pieces so short that the series of
+// P and of the roots converge in a few terms.
 //
-// The body turns by the shortest rotation from z to z(s), and then about z(s) by an angle whose rate is a smooth
-// function of z(s): Gauss's quadrature with five points is exact to rounding over such a piece.
+// The body rotates by the shortest rotation from z to z(s), and then about z(s) by an angle whose rate is a smooth
+// function of z(s): Gauss quadrature with five points is exact to rounding over such a piece.
 #pragma once
 
 #include "numbers/dual.hpp"
 
 namespace coadjoint {
 
-// The five points of the quadrature, the end of the piece, and what fills the lanes.
+// The five points of the quadrature, the end of the piece, and padding of the lanes.
 constexpr int POINTS = 6, WIDTH = 8;
 constexpr double NODE[WIDTH] = {0.046910077030668004, 0.23076534494715845, 0.5,
                                 0.7692346550528415, 0.953089922969332, 1.0, 1.0, 1.0};
@@ -23,7 +23,7 @@ constexpr double SHARE[POINTS - 1] = {0.11846344252809454, 0.23931433524968324, 
                                       0.23931433524968324, 0.11846344252809454};
 
 constexpr double PIECE = 0.125;       // the longest time, in units of 1/(|z| max |a|)
-constexpr double MOST_PIECES = 65536; // in one flow; a longer one would have lost the motion anyway
+constexpr double MOST_PIECES = 65536; // in one flow; a longer one would not follow the motion anyway
 
 template <class A>
 struct Quaternion {
@@ -43,7 +43,8 @@ INLINE A dot(const A* u, const A* v) {
     return fma(u[2], v[2], fma(u[1], v[1], u[0] * v[0]));
 }
 
-// What one piece of time has at all of its points: m, a, z, p, and s^2 P(s) = 1 + c2 s^4 + c3 s^6 + ... + c6 s^12.
+// The data of one piece of time that all of its points share: m, a, z, p, and s^2 P(s) = 1 + c2 s^4 + c3 s^6 + ... + c6
+// s^12.
 template <class A>
 struct BodyPiece {
     A m[3], a[3], z[3], p[3], middle, energy, length2, c[5];
@@ -86,7 +87,7 @@ struct BodyPiece {
         return A(V(b.value), V(b.slope[0]), V(b.slope[1]), V(b.slope[2]));
     }
 
-    // At s, with square = s^2: by how much z has changed, and the rate of the turn about z(s), over |z|.
+    // At s, with square = s^2: the change of z, and the rate of the rotation about z(s), over |z|.
     INLINE A at(const A& s, const A& square, A* change) const {
         const A fourth = square * square;
         const A r = fourth * fma(fourth, fma(fourth, c[4], fma(square, c[3], c[2])), fma(square, c[1], c[0]));
@@ -114,7 +115,7 @@ struct BodyPiece {
     }
 };
 
-// How one number, and how lanes, go through all points of a piece: side by side, or one after the other. Each point is
+// Evaluation of all points of a piece for one number and for lanes: side by side, or one after the other. Each point is
 // computed by the same operations.
 typedef Lanes<WIDTH> Wide;
 
@@ -158,7 +159,7 @@ NOINLINE A through_points(const BodyPiece<A>& piece, A* change) {
     return added_up(rates);
 }
 
-// The quaternion of one piece of time, which is contained in m and a; moves z.
+// The quaternion of one piece of time, whose length is contained in m and a; moves z.
 template <class A, class Mask>
 INLINE Quaternion<A> turn_in_piece(const A* m, const A* a, A* z, const Mask& moving) {
     BodyPiece<A> piece(m, a, z);
@@ -199,7 +200,7 @@ INLINE Lanes<N> value_of(const Lanes<N>& a) { return a; }
 template <class A>
 INLINE A value_of(const Dual<A>& a) { return a.value; }
 
-// The quaternion of the turn of a body with three equal moments: about the momentum, by the angle moment tau |z|.
+// The quaternion of the rotation of a body with three equal moments: about the momentum, by the angle moment tau |z|.
 template <class A, class R, class T>
 INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, const T& tau) {
     const A size = larger(absolute(value_of(momentum[0])),
@@ -213,8 +214,8 @@ INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, const T&
     return Quaternion<R>{turn.lowered + R(1.0), {sine * z[0], sine * z[1], sine * z[2]}};
 }
 
-// The quaternion of the turn over the time tau from the momentum z along the principal axes; no numbers where the time
-// is more than MOST_PIECES pieces. R is A, or A with its derivatives by z; T is A, or a number for all lanes.
+// The quaternion of the rotation over the time tau from the momentum z along the principal axes; NaN if the time is
+// more than MOST_PIECES pieces. R is A, or A with its derivatives by z; T is A, or a number for all lanes.
 template <class A, class R, class T>
 INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, const T& tau) {
     R z[3];

@@ -1,4 +1,4 @@
-// The planes that a skew matrix turns, each by its frequency, and products of small matrices, column after column.
+// The invariant planes of a skew matrix with their frequencies, and products of small matrices, column after column.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,7 @@ namespace coadjoint {
 
 typedef std::vector<double> Matrix;
 
-// Some rows of a few columns of C += A B: these stay in registers.
+// Some rows of a few columns of C += A B, in registers.
 template <class A, int COLUMNS>
 INLINE void add_tile(const double* a, const double* b, double* c, int64_t rows, int64_t inner) {
     A sum[COLUMNS];
@@ -62,9 +62,9 @@ struct SkewPlanes {
 
 class SkewPlanesOf {
   public:
-    // Reflections make D tridiagonal. A tridiagonal skew matrix couples its even coordinates with its odd ones, by a
-    // bidiagonal matrix. Rotations make the rows of that orthogonal. The planes are orthonormal to rounding, however
-    // near frequencies are to each other.
+    // Householder reflections make D tridiagonal. A tridiagonal skew matrix couples its even coordinates with its odd
+    // ones, by a bidiagonal matrix, whose rows are made orthogonal by rotations. The planes are orthonormal to
+    // rounding, even for nearly equal frequencies.
     SkewPlanesOf(Matrix skew, int64_t m) : m(m), odd(m / 2), even(m - m / 2), T(std::move(skew)), Q(m * m), v(m), image(m) {
         for (int64_t i = 0; i < m; ++i) Q[i * (m + 1)] = 1.0;
         for (int64_t k = 0; k + 2 < m; ++k) reflect(k);
@@ -89,7 +89,7 @@ class SkewPlanesOf {
         found.vectors.resize(2 * odd * m);
         double* u = found.vectors.data();
         for (int64_t a = 0; a < odd; ++a) {
-            // Rounding must not turn what D leaves where it is.
+            // Rounding must not rotate the kernel of D.
             if (all[a] <= 4.0 * double(m) * UNIT_ROUNDOFF * fastest) continue;
             double* w = u + m;
             for (int64_t e = 0; e < even; ++e) {
@@ -110,7 +110,7 @@ class SkewPlanesOf {
     const int64_t m, odd, even;
     Matrix T, Q, rows, mixed, v, image;
 
-    // Make the entries of column k below the one under the diagonal zero, by a reflection 1 - factor v v^T on both sides.
+    // Eliminate the entries of column k below the subdiagonal by a reflection 1 - factor v v^T on both sides.
     void reflect(int64_t k) {
         const double* column = &T[k * m];
         const double beyond = dot(column + k + 2, column + k + 2, m - k - 2);
@@ -132,7 +132,7 @@ class SkewPlanesOf {
             for (int64_t i = 0; i < m; ++i) Q[j * m + i] -= factor * image[i] * v[j];
     }
 
-    // One-sided Jacobi: turn rows against each other, and those of `mixed` with them, until all are orthogonal.
+    // One-sided Jacobi: rotate pairs of rows, and those of `mixed` with them, until all are orthogonal.
     void make_orthogonal() {
         bool turned = true;
         std::vector<double> square(odd);
@@ -157,7 +157,7 @@ class SkewPlanesOf {
         }
     }
 
-    // Fused by hand. Where a product is added in one place and subtracted beside it, compilers would fuse unasked.
+    // Explicit fma: compilers may contract a product that is added in one place and subtracted in another.
     static void turn(double* a, double* b, int64_t count, double c, double s) {
         for (int64_t i = 0; i < count; ++i) {
             const double one = a[i], other = b[i];

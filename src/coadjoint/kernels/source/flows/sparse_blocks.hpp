@@ -1,4 +1,4 @@
-// Blocks of several coordinates that are given by the entries of D: CUBIC ones by a closed form, others by a series.
+// Blocks of several coordinates given by the entries of D: CUBIC ones by a closed form, others by a series.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace coadjoint {
 
-constexpr int64_t BETWEEN_CHECKS = 64;  // substeps; after so many, blocks that have overflowed are left alone
+constexpr int64_t BETWEEN_CHECKS = 64;  // substeps between checks for blocks that have overflowed
 
 // A CUBIC or SERIES block: its coordinates and the compressed sparse rows of D in them.
 struct BlockRows {
@@ -25,7 +25,7 @@ struct BlockRows {
           entries(action.entries[run]) {}
 };
 
-// target = factor D source in the block's own coordinates (the verb `apply`).
+// target = factor D source in the coordinates of the block (the operation `apply`).
 template <class A, class V, class C>
 INLINE void apply_block(const Action& action, const C& constants, const BlockRows& block, int64_t values,
                         const V* source, const A& factor, V* target, int64_t rows) {
@@ -48,7 +48,7 @@ INLINE void gather(const BlockRows& block, const Vectors<V>& x) {
             x.room[k * x.rows + row] = x.at[block.coordinates[k] * x.rows + row];
 }
 
-// Sine and cosine minus one of root * theta where lam < 0, of their hyperbolic kin elsewhere.
+// Sine and cosine minus one of root * theta for lam < 0, their hyperbolic counterparts otherwise.
 template <class A>
 INLINE Rotation<A> cubic_rotation(const A& lam, const A& phi) {
     auto circular = lam < A(0.0);
@@ -59,7 +59,8 @@ INLINE Rotation<A> cubic_rotation(const A& lam, const A& phi) {
     return {select(circular, turn.sine, hyperbolic.sine), select(circular, turn.lowered, hyperbolic.lowered)};
 }
 
-// D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam > 0.
+// D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula for lam < 0 and its hyperbolic counterpart for lam >
+// 0.
 template <Care care, class A, class V, class C>
 INLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
     const BlockRows block(action, run);
@@ -70,12 +71,12 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
     gather(block, x);
     const A lam = constant(base), phi = constant(base + 1) * theta;
     Rotation<A> turn = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
-    // What the constants lost by rounding is added, since it would stretch every step alike.
+    // The rounding error of the constants is added, since it would stretch every step in the same way.
     const A s = fma(turn.sine, constant(base + 2), turn.sine * constant(base + 3));
     const A c = fma(turn.lowered, constant(base + 4), turn.lowered * constant(base + 5));
     const V along(s), across(c);
     if constexpr (care == CORRECTED) {
-        // D (D x) and not D^2 x: the rounding of the entries of D^2 always pulls the same way.
+        // D (D x) and not D^2 x: the rounding of the entries of D^2 has a systematic sign.
         apply_block(action, constants, block, values, x.room, A(1.0), x.room + length, x.rows);
         apply_block(action, constants, block, values, x.room + length, A(1.0), x.room + 2 * length, x.rows);
         const V dearth(shortfall(s, c, -lam));
@@ -89,7 +90,7 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
         }
         return;
     }
-    // Rows of D and D^2 are summed in registers, while the processor still works on the sine.
+    // Rows of D and D^2 are summed in registers, during the latency of the sine.
     for (uint32_t k = 0; k < block.width; ++k) {
         int64_t i = block.coordinates[k] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row) {
@@ -106,8 +107,8 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
     }
 }
 
-// Up to the norm r = REACH[m - 1] the series is cut after the degree m. There r^m / (m + 1)! is below 2^-65. It must be
-// so small, since what is left out has one sign and adds up over the steps.
+// Up to the norm r = REACH[m - 1] the series is truncated after the degree m. There r^m / (m + 1)! is below 2^-65. It
+// must be so small, since the truncation error has one sign and adds up over the steps.
 constexpr double REACH[] = {5.42e-20, 4.03e-10, 8.66e-07, 4.24e-05, 0.000455, 0.00227, 0.00728, 0.0177, 0.0358,
                             0.0635, 0.102, 0.153, 0.217, 0.293, 0.383, 0.485, 0.6, 0.727,
                             0.866, 1.02};
@@ -118,7 +119,7 @@ INLINE uint32_t degree_of(double r, uint32_t most) {
     return degree;
 }
 
-// Where all coordinates of a block are finite, for each lane of members on its own.
+// Whether all coordinates of a block are finite, for each lane of members separately.
 template <class A, class V>
 INLINE auto finite_block(const BlockRows& block, const Vectors<V>& x) {
     V total(0.0);
@@ -130,7 +131,7 @@ INLINE auto finite_block(const BlockRows& block, const Vectors<V>& x) {
         return total == V(0.0);
 }
 
-// The sum of theta^k D^k / k!: finite where D is nilpotent, else in substeps of norm at most 1.
+// The sum of theta^k D^k / k!: finite if D is nilpotent, else in substeps of norm at most 1.
 template <Care care, class A, class V, class C>
 NOINLINE void series(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
     const BlockRows block(action, run);
@@ -151,7 +152,7 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
             longest = std::max(longest, degree);
             most = own > double(most) ? int64_t(own) : most;
         } else {
-            // No step of an integration needs more. Near a blow-up it would run for ever; NaN makes it stop.
+            // No step of an integration needs more. Near a blow-up the loop would not end; NaN stops it.
             set_lane(step, lane, NAN);
         }
     }
@@ -184,7 +185,7 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
             }
         }
         if (done % BETWEEN_CHECKS != BETWEEN_CHECKS - 1) continue;
-        // What is NaN stays NaN. The substeps that are left would only take time.
+        // A NaN block remains NaN; the remaining substeps would only take time.
         substeps = select(finite_block<A>(block, x), substeps, A(0.0));
         if (!any(A(double(done)) < substeps)) return;
     }

@@ -1,6 +1,6 @@
-// What a Casimir that was taken off the Hamiltonian still does to the group element: g(t) = g0 exp(t X) g_shifted(t), X
-// constant and linear in the initial momentum. The components of X and their kinds are in the tables, found once for a
-// system (`coadjoint.program.unshift`, which says what they are); here only numbers change.
+// The effect on the group element of a Casimir that was subtracted from the Hamiltonian: g(t) = g0 exp(t X)
+// g_shifted(t), X constant and linear in the initial momentum. The components of X and their kinds are in the tables,
+// computed once for a system (`coadjoint.program.unshift`, which documents them); only numbers change here.
 #include <limits>
 
 #include "numbers/arithmetic.hpp"
@@ -12,14 +12,14 @@ namespace coadjoint {
 
 namespace {
 
-constexpr int64_t TAYLOR = 20;   // the rest of the series, 1/21! = 2e-20, is below rounding where the norm is at most 1
+constexpr int64_t TAYLOR = 20;   // the remainder of the series, 1/21! = 2e-20, is below rounding for norms up to 1
 constexpr int64_t POWERS = 5;    // powers of D from which the series is summed
 
 void add(double factor, const Matrix& from, Matrix& to) {
     for (size_t e = 0; e < from.size(); ++e) to[e] += factor * from[e];
 }
 
-// sinh(w t)/w and (cosh(w t) - 1)/w^2 for w^2 = lam of either sign, root = |w|: t and t^2/2 where lam is 0.
+// sinh(w t)/w and (cosh(w t) - 1)/w^2 for w^2 = lam of either sign, root = |w|: t and t^2/2 if lam is 0.
 Rotation<double> entire_turn(double lam, double root, double t) {
     const double z = lam * t * t;
     if (absolute(z) < 0.25) {
@@ -30,7 +30,7 @@ Rotation<double> entire_turn(double lam, double root, double t) {
     return {turn.sine / root, turn.lowered / lam};
 }
 
-// A component of X, D times a power of two, and exp(t X) - 1 of it.
+// A component of X, D times a power of two, and its exp(t X) - 1.
 class Component {
   public:
     Component(const UnshiftTables& tables, int64_t b, const double* x)
@@ -50,7 +50,7 @@ class Component {
         for (double value : D) largest = std::max(largest, absolute(value));
         still = largest == 0.0;
         if (still) return;
-        // So its squares neither over- nor underflow.
+        // So that its squares neither overflow nor underflow.
         int exponent;
         std::frexp(largest, &exponent);
         exponent = std::max(exponent - 1, -1023);
@@ -65,7 +65,7 @@ class Component {
         if (kind == turns::SKEW) find_planes(tables.metric[b] < 0 ? nullptr : tables.metrics + tables.metric[b]);
     }
 
-    // Find exp(t X) - 1.
+    // Compute exp(t X) - 1.
     void move_to(double time) {
         if (still) return;
         const double t = time * scale;
@@ -83,7 +83,7 @@ class Component {
         if (kind == turns::SKEW) planes_at(t);
         if (kind == turns::GENERAL) series_at(t);
         if (!leaned.empty()) {
-            // X leaves x where it is. Rounded, X would push x away in proportion to time.
+            // X leaves x unchanged. Rounded, X would move x away linearly in time.
             change.assign(m, 0.0);
             add_product(increment.data(), leaned.data(), change.data(), m, m, 1);
             for (int64_t j = 0; j < m; ++j)
@@ -154,7 +154,7 @@ class Component {
         increment[3] += even;
     }
 
-    // D^3 = lam D: the eigenvalues but 0 are `order` roots of lam.
+    // D^3 = lam D: the non-zero eigenvalues are `order` roots of lam.
     void find_cubic() {
         powers.push_back(product(D.data(), D.data(), m));
         for (int64_t i = 0; i < m; ++i) lam += powers[0][i * (m + 1)];
@@ -162,7 +162,7 @@ class Component {
         root = std::sqrt(absolute(lam));
     }
 
-    // The two parts of a rotation of four dimensions that commute: the square of each is a multiple of one.
+    // The two commuting parts of a rotation of four dimensions: the square of each is a multiple of one.
     void find_pair() {
         const auto at = [&](int i, int j) { return D[4 * j + i]; };
         for (double s : {1.0, -1.0}) {
@@ -187,7 +187,7 @@ class Component {
         for (int i = 0; i < 4; ++i) increment[5 * i] += even;
     }
 
-    // Where a metric L L^T is kept, L^T D L^-T is the skew matrix.
+    // If a metric L L^T is kept, L^T D L^-T is the skew matrix.
     void find_planes(const double* metric) {
         Matrix skew = D;
         if (metric) {
@@ -280,7 +280,7 @@ void transpose(const double* from, double* to, int64_t size) {
 
 }  // namespace
 
-// The group elements of a run from those of its loop. At the start they are what was given, to the bit.
+// The group elements of a run from those of its loop. The initial ones are the given ones, to the bit.
 EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Schedule* schedule) {
     const int64_t d = tables->size, square = d * d;
     Matrix moved(square), placed, before;

@@ -1,4 +1,4 @@
-// The flow of one force over some time: what moves a state beside the Hamiltonian.
+// The flow of one force, which acts in addition to the Hamiltonian.
 #pragma once
 
 #include <memory>
@@ -24,7 +24,7 @@ class Force {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
     }
 
-    // Move x from time t on for the time tau, negative for backward; return a status.
+    // Apply the flow to x from time t for the time tau, negative for backward; return a status.
     int64_t flow(double* x, double t, double tau, int64_t member) {
         iterations = evaluations = 0;
         residual = std::numeric_limits<double>::quiet_NaN();
@@ -47,7 +47,7 @@ class Force {
     FieldRoom<double> room;
     ExponentialAction exponential;
     std::vector<double> one, two, three, four, five, six, beyond;
-    double known = 0.0;  // the time that `beyond` is for
+    double known = 0.0;  // the time for which `beyond` is computed
     std::unique_ptr<ModeForce> modes;
 
     void call_at(const double* y, double t, double* out) {
@@ -80,7 +80,7 @@ class Force {
             for (int64_t i = 0; i < count; ++i) beyond[i] = growth_by(-table.rate[i] * tau).beyond;
             return;
         }
-        // exp(D) - 1 by its series for a D that was halved until its norm is below 1/2, and doubled as often.
+        // exp(D) - 1 by its series for D halved until its norm is below 1/2, doubled again as often.
         double norm = 0.0;
         for (int64_t i = 0; i < n; ++i) {
             double sum = 0.0;
@@ -119,7 +119,7 @@ class Force {
         return DONE;
     }
 
-    // The integral of a function of time by Gauss' formula with five points, exact up to degree nine.
+    // The integral of a function of time by Gauss quadrature with five points, exact up to degree nine.
     int64_t push_by_time(double* x, double t, double tau) {
         constexpr double FAR = 0.90617984593866399280, NEAR = 0.53846931010568309104;
         constexpr double NODE[] = {-FAR, -NEAR, 0.0, NEAR, FAR};
@@ -134,7 +134,7 @@ class Force {
         return defined(x);
     }
 
-    // A step of the classical method of Runge and Kutta: its error is of the fifth order in tau.
+    // A step of the classical Runge-Kutta method, whose local error is of fifth order in tau.
     int64_t push_by_state(double* x, double t, double tau) {
         constexpr double PLACE[] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
         std::fill_n(two.data(), n, 0.0);
@@ -159,8 +159,8 @@ class Force {
 
     int64_t defined(const double* x) const { return finite(n, x) ? DONE : UNDEFINED; }
 
-    // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, between two halves of the noise in b. All that moves x are
-    // exponentials, so that every Casimir is kept, also where an iteration ends early.
+    // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, between two halves of the noise in b. All maps are
+    // exponentials, so every Casimir is kept, even if an iteration ends early.
     int64_t stay_on_orbit(double* x, double t, double tau, int64_t member) {
         const bool random = table.amplitude > 0.0;
         if (random && !shake(x, t, tau, 0, member)) return failed(two.data());
@@ -169,8 +169,9 @@ class Force {
         return !random || shake(x, t, tau, 1, member) ? DONE : failed(two.data());
     }
 
-    // Half of the noise of the time tau. Directions that commute move together, by an exponential whose law is exact;
-    // the sets follow each other, in the second half the other way: a symmetric splitting, of weak order two.
+    // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact
+    // distribution; the sets follow each other, in the second half in reversed order: a symmetric splitting, of weak
+    // order two.
     bool shake(double* x, double t, double tau, int half, int64_t member) {
         double *v = two.data(), *deviates = three.data();
         const double size = table.amplitude * std::sqrt(0.5 * tau);
@@ -208,7 +209,7 @@ class Force {
             for (int64_t i = 0; i < n; ++i) residual += absolute(middle[i] - before[i]);
             if (!(residual - residual == 0.0)) return failed(v);
             if (iterations == 1) first = residual;
-            // Done where corrections are round-off, and have stopped falling.
+            // Stop if corrections are round-off, and have stopped falling.
             if (residual == 0.0 || (residual >= 0.5 * last && residual <= NEAR_ROUND_OFF * scale)) break;
             if (residual > GROWN * (first + scale)) return NOT_CONVERGED;
             last = residual;

@@ -1,4 +1,4 @@
-// What moves the modes of a matrix: rates of their own, or a noise.
+// Forces on the modes of a matrix: individual rates, or a noise.
 #pragma once
 
 #include "forces/random.hpp"
@@ -20,8 +20,8 @@ class ModeForce {
         });
     }
 
-    // The noise of a time: each mode moves by normal numbers of variance rate^2 tau, in its real and its imaginary part
-    // half each; harmonics of the main diagonal have an imaginary part alone.
+    // The noise of a time: each mode changes by normal numbers of variance rate^2 tau, half each in its real and its
+    // imaginary part; harmonics of the main diagonal have an imaginary part only.
     void shake(double* x, double t, double tau, int64_t member) {
         const int64_t count = modes.count();
         beyond.resize(2 * count);
@@ -38,7 +38,7 @@ class ModeForce {
     const ForceTable& table;
     Modes modes;
     std::vector<double> beyond;
-    double known = 0.0;  // the time that `beyond` is for
+    double known = 0.0;  // the time for which `beyond` is computed
 
     // exp(-(rate + i turning) tau) - 1.
     void prepare(double tau) {

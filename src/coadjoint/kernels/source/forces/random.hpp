@@ -1,5 +1,5 @@
-// Random numbers that are a function of what they are for: a counter-based generator, and normal deviates of it. Every
-// operation is exact or rounded once, so that the bits are the same everywhere.
+// Random numbers as a function of their purpose: a counter-based generator, and normal deviates. Every operation is
+// exact or rounded once, so that the bits are the same on every machine.
 #pragma once
 
 #include <cmath>
@@ -76,11 +76,11 @@ inline double normal_of(uint64_t word) {
     return word & 1 ? -size : size;
 }
 
-// Independent normal deviates for the coordinates of a member, from a moment on, and for each part of what begins then:
-// a function of these, of the seed and of nothing else.
+// Independent normal deviates for the coordinates of a member, from a time on, and for each part that begins then: a
+// function of these and of the seed only.
 inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
     uint64_t when;
-    moment += 0.0;  // minus zero is zero
+    moment += 0.0;  // normalize minus zero
     std::memcpy(&when, &moment, 8);
     for (int64_t first = 0; first < count; first += 4) {
         const Words words = philox({{uint64_t(first / 4), when, stream, part}}, seed, 0);

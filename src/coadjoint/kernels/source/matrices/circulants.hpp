@@ -1,5 +1,5 @@
 // Circulant matrices times the cyclic diagonals of a skew-Hermitian matrix of odd size, by Fourier transforms of eight
-// diagonals side by side. From n = 5 on that takes less time than the sums themselves.
+// diagonals side by side. From n = 5 on that is faster than the sums.
 #pragma once
 
 #include "matrices/fourier.hpp"
@@ -10,7 +10,7 @@ namespace coadjoint {
 constexpr int64_t SIDE_BY_SIDE = 8;
 typedef Lanes<SIDE_BY_SIDE> Eight;
 
-// The real parts of eight numbers, and then their imaginary parts.
+// The real parts of eight numbers, followed by their imaginary parts.
 inline double* numbers_of(ComplexNumber<Eight>& numbers) { return reinterpret_cast<double*>(&numbers); }
 inline const double* numbers_of(const ComplexNumber<Eight>& numbers) {
     return reinterpret_cast<const double*>(&numbers);
@@ -53,8 +53,8 @@ class Circulants {
             for (int64_t a = 0; a < n; ++a)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
                     const int64_t c = beyond(a + first + lane);
-                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // twice forward is once around
-                    // the main diagonal has no real part but rounding
+                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // forward twice: reversed
+                    // the real part of the main diagonal is only rounding
                     store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
                     if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
                 }

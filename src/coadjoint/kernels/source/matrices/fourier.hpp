@@ -1,8 +1,8 @@
 // The discrete Fourier transform of any length, X_k = sum over j of x_j exp(-2 pi i j k / n), lanes side by side.
 //
-// A length falls into factors 4 and primes, one pass for each, by Stockham's order. Small primes are summed as they are
-// written, terms j and p - j together. Rader's permutation makes a cyclic convolution of p - 1 numbers of a large prime
-// p, or a longer one of small factors where p - 1 has large primes itself.
+// A length is factored into 4 and primes, with one pass for each, in Stockham's order. Small primes are summed
+// directly, terms j and p - j together. For a large prime p, Rader's permutation gives a cyclic convolution of p - 1
+// numbers, or a longer one of small factors if p - 1 has large primes itself.
 #pragma once
 
 #include <cmath>
@@ -16,7 +16,7 @@
 
 namespace coadjoint {
 
-constexpr int64_t LARGEST_SUMMED = 53;  // primes above are convolutions: about where the two cost the same
+constexpr int64_t LARGEST_SUMMED = 53;  // larger primes are convolutions: about where the costs are equal
 
 template <class A>
 struct ComplexNumber {
@@ -27,7 +27,7 @@ struct ComplexNumber {
     INLINE friend ComplexNumber operator-(const ComplexNumber& a, const ComplexNumber& b) {
         return {a.re - b.re, a.im - b.im};
     }
-    // a times the complex number c + i s, of numbers or lanes.
+    // a times the complex number c + i s, for numbers or lanes.
     template <class B>
     INLINE ComplexNumber times(const B& c, const B& s) const {
         return {fma(re, A(c), -(im * A(s))), fma(re, A(s), im * A(c))};
@@ -45,14 +45,14 @@ inline ComplexNumber<double> root_of_unity(int64_t k, int64_t n) {
     return turned[quarter];
 }
 
-// c^2 + s^2 - 1 to some hundred bits.
+// c^2 + s^2 - 1 to about a hundred bits.
 inline double beyond_circle(double c, double s) {
     const double square = c * c, other = s * s, rest = fma(c, c, -square) + fma(s, s, -other);
     return (square > other ? (square - 1.0) + other : (other - 1.0) + square) + rest;
 }
 
-// All of them. Where together they miss the circle, a few are moved by a unit in the last place: a transform and its
-// inverse, which are applied millions of times, would else stretch what they turn a little every time.
+// All roots. If their sum of squares deviates, a few are changed by a unit in the last place: a transform and its
+// inverse, applied millions of times, would otherwise scale their argument a little every time.
 inline std::vector<ComplexNumber<double>> roots_of_unity(int64_t n) {
     constexpr int MOST_MOVED = 4;
     std::vector<ComplexNumber<double>> roots(n, ComplexNumber<double>{1.0, 0.0});
@@ -87,7 +87,7 @@ inline int64_t power_modulo(int64_t base, int64_t exponent, int64_t p) {
     return result;
 }
 
-// 4 as often as it goes, then primes, rising.
+// Factors 4 as often as possible, then primes in ascending order.
 inline std::vector<int64_t> factors_of(int64_t n) {
     std::vector<int64_t> found;
     for (; n % 4 == 0; n /= 4) found.push_back(4);
@@ -111,17 +111,18 @@ class Fourier {
         column.clear(4 * largest);
     }
 
-    // About how many multiplications one transform takes.
+    // Approximate number of multiplications of one transform.
     int64_t work() const {
         int64_t total = 0;
         for (int64_t p : factors) total += n * (p > LARGEST_SUMMED ? 64 : p + 4);
         return total;
     }
 
-    // A place for numbers to be transformed.
+    // Memory for numbers to be transformed.
     ComplexNumber<A>* place() { return first.at; }
 
-    // Transform what is at x, and say where that is then: there, or in a place of this object. What was at x is lost.
+    // Transform the numbers at x, and return the address of the result: x, or memory of this object. The contents of x
+    // are lost.
     ComplexNumber<A>* transform(ComplexNumber<A>* x) {
         ComplexNumber<A>*from = x, *to = x == first.at ? second.at : first.at;
         int64_t stride = 1, convolution = 0;
@@ -188,7 +189,7 @@ class Fourier {
         else sum<fixed>(x, X, p);
     }
 
-    // The same as it is written.
+    // The same by direct sums.
     template <int fixed>
     INLINE void sum(ComplexNumber<A>* x, ComplexNumber<A>* X, int64_t prime) const {
         const int64_t p = fixed ? fixed : prime, half = (p - 1) / 2, step = n / p;
@@ -209,7 +210,7 @@ class Fourier {
         if (k <= half) sums<1>(x, X, p, k, half, step);
     }
 
-    // The terms k, k + 1, ... and p - k, p - k - 1, ...: so many at once share what they load.
+    // The terms k, k + 1, ... and p - k, p - k - 1, ...: several at once share their loads.
     template <int count>
     INLINE void sums(const ComplexNumber<A>* x, ComplexNumber<A>* X, int64_t p, int64_t k, int64_t half,
                      int64_t step) const {
@@ -258,7 +259,7 @@ class Rader {
         for (int64_t j = 0; j < p - 1; ++j) {
             const ComplexNumber<double> root = root_of_unity(p - to[j], p);
             roots[j] = {root.re / double(length), root.im / double(length)};
-            // a longer convolution sees the period before its beginning
+            // a longer convolution starts with the end of the previous period
             if (j > 0) roots[length - (p - 1) + j] = roots[j];
         }
         std::copy_n(once.transform(roots), length, kernel.begin());
@@ -273,7 +274,7 @@ class Rader {
         X[0] = first + y[0];
         for (int64_t k = 0; k < length; ++k) y[k] = y[k].times(kernel[k].re, kernel[k].im);
         y = inner.transform(y);
-        // twice forward is once around: place -j
+        // two forward transforms reverse the order: index -j
         for (int64_t j = 0; j < p - 1; ++j) X[to[j]] = first + y[j ? length - j : 0];
     }
 

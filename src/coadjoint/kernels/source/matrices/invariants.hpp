@@ -1,5 +1,5 @@
-// The quadratic invariants of a state of matrices, in as many operations as its stream takes: the energy, and tr W^2 of
-// one matrix, tr Theta^2 and tr W Theta of two layers; complex skew-Hermitian matrices count as -i W.
+// The quadratic invariants of a state of matrices, at the cost of its stream: the energy, and tr W^2 of one matrix, tr
+// Theta^2 and tr W Theta of two layers; complex skew-Hermitian matrices count as -i W.
 #pragma once
 
 #include <memory>
@@ -11,10 +11,10 @@ namespace coadjoint {
 
 struct MatrixInvariants {
     virtual ~MatrixInvariants() = default;
-    // How many values there are.
+    // The number of values.
     virtual int64_t count() const = 0;
     virtual int64_t work() const = 0;
-    // Set them; return whether the stream is defined there.
+    // Compute them; return whether the stream is defined there.
     virtual bool of(const double* x, double t, double* values) = 0;
 };
 
@@ -40,7 +40,7 @@ struct InvariantsOf final : MatrixInvariants {
         if (!stream.apply(X, t, Y.data())) return false;
         double energy = 0.0;
         for (int64_t l = 0; l < layers; ++l) {
-            // the stream is H's derivative by the other layer, and half of it is H but for what is constant
+            // the stream is H's derivative by the other layer, and half of it gives H up to its constant part
             const T *const of = X + (layers - 1 - l) * square, *const y = Y.data() + l * square;
             energy += 0.5 * pairing(y, of);
             if (constant) energy += 0.5 * pairing(constant + l * square, of);
@@ -56,7 +56,8 @@ struct InvariantsOf final : MatrixInvariants {
     static double imaginary(const double&) { return 0.0; }
     static double imaginary(const Complex& value) { return value.imag(); }
 
-    // The real part of tr(a* b), of matrices that are not skew-Hermitian that of tr(a b). Sums of rows are added up, so that rounding grows with the rows alone.
+    // The real part of tr(a* b), for matrices that are not skew-Hermitian that of tr(a b). Row sums are added, so that
+    // rounding grows with the number of rows only.
     double pairing(const T* a, const T* b) const {
         if (general) return trace(a, b);
         double total = 0.0;
@@ -84,7 +85,7 @@ struct InvariantsOf final : MatrixInvariants {
     }
 };
 
-// Of the whole numbers what a stream reads, the size being zero where the state is no matrix, then whether entries are
+// The integers are those that a stream reads, with size zero if the state is not a matrix, then whether entries are
 // complex, whether matrices are not skew-Hermitian, the sign of the energy, and that of the trace: -1 for -i W.
 inline std::unique_ptr<MatrixInvariants> matrix_invariants(const int64_t* whole, const double* numbers) {
     std::unique_ptr<MatrixInvariants> found;

@@ -1,4 +1,4 @@
-// What the isospectral schemes share: their tables, commutators, and when an iteration has come to its end.
+// Shared parts of the isospectral schemes: tables, commutators, and the stopping criterion of their iterations.
 #pragma once
 
 #include <cmath>
@@ -13,18 +13,18 @@
 
 namespace coadjoint {
 
-// Where in `whole` of the tables the addresses of BLAS's routines are: products and triangular equations, in the
+// Indices in `whole` of the tables for the addresses of BLAS routines: products and triangular equations, in the
 // precision of the states and in the lower one.
 enum Place { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX, GENERAL };
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;
-constexpr int64_t SLOW_FROM = 12;       // from so many iterations on one that does not fall may be chance
-constexpr int64_t QUIET = 3;            // so many that do not fall are none
-constexpr double SMALL = 0x1p-36;       // of the entries: only below it may a correction be round-off
-constexpr double ROUND_OFF = 0x1p-47;   // times sqrt(n), of the entries: there one that does not fall is round-off
+constexpr int64_t SLOW_FROM = 12;       // from this iteration on a single correction that does not fall may be chance
+constexpr int64_t QUIET = 3;            // number of such corrections in a row that count as stagnation
+constexpr double SMALL = 0x1p-36;       // of the entries: only smaller corrections may be round-off
+constexpr double ROUND_OFF = 0x1p-47;   // times sqrt(n), of the entries: below, one stagnating correction suffices
 
-// The real numbers of which a matrix is made.
+// The real numbers of a matrix.
 inline double* numbers_of(double* matrix) { return matrix; }
 inline double* numbers_of(Complex* matrix) { return reinterpret_cast<double*>(matrix); }
 
@@ -44,7 +44,7 @@ struct Isospectral : StepScheme {
         work = 16 * stages * (all * n * int64_t(sizeof(T) / sizeof(double)) + stream.work());
     }
 
-    // The commutator of P and M: A = P M is given, and what is M P is A* where they are skew-Hermitian.
+    // The commutator of P and M: A = P M is given, and M P is A* if they are skew-Hermitian.
     void commutator(const T* P, const T* M, T* A, double factor, T* to, bool add) {
         if (!skew) {
             other.resize(all);
@@ -58,21 +58,21 @@ struct Isospectral : StepScheme {
         for (int64_t first = 0; first < all; first += square) skew_part(n, A + first, factor, to + first, add);
     }
 
-    // Add an increment to W, with what earlier sums owe.
+    // Add an increment to W, with compensation.
     void advance(double* W, double* owed, const T* increment) const {
         const double* move = reinterpret_cast<const double*>(increment);
         for (int64_t k = 0; k < numbers; ++k) add_owing_rest(W[k], move[k] + owed[k], W[k], owed[k]);
     }
 
-    // Whether an iteration has come to its end, after a correction `change` of entries as large as `size`; the outcome
-    // is in `status` then.
+    // Whether an iteration has ended, after a correction `change` of entries of size `size`; the outcome is then in
+    // `status`.
     bool ended(double change, double size) {
         ++iterations;
         if (iterations == 1) first = least = change, quiet = 0;
         else quiet = change < least ? 0 : quiet + 1;
         Hearing::of_this_call().after(work / 16);
         const bool small = change <= SMALL * size, rounding = change <= ROUND_OFF * std::sqrt(double(n)) * size;
-        // Where the iteration is slow, with complex eigenvalues, corrections rise and fall while they shrink.
+        // In a slow iteration with complex eigenvalues, corrections rise and fall while they shrink.
         const bool fast = rounding && iterations < SLOW_FROM;
         const bool still = quiet >= (fast ? 1 : std::max(QUIET, iterations / 4));
         if (change == 0.0 || (small && iterations >= FIRST_TESTED && still)) return status = DONE, true;

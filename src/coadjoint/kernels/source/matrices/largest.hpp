@@ -1,4 +1,4 @@
-// The largest of many numbers, in eight rows side by side.
+// The maximum of many numbers, in eight rows side by side.
 #pragma once
 
 #include <cmath>
@@ -6,7 +6,7 @@
 
 namespace coadjoint {
 
-// The largest |value(k)|, k < count, which is called once for each k; NaN where one of them is not finite.
+// The largest |value(k)|, k < count, which is called once for each k; NaN if one of them is not finite.
 template <class Value>
 double largest_of(int64_t count, const Value& value) {
     constexpr int64_t ROWS = 8;

@@ -1,4 +1,5 @@
-// Modes of a skew-Hermitian matrix, diagonal by diagonal: their coefficients are read, changed, and the change is added.
+// Modes of a skew-Hermitian matrix, diagonal by diagonal: their coefficients are computed, changed, and the change is
+// added.
 #pragma once
 
 #include <memory>
@@ -11,9 +12,9 @@
 
 namespace coadjoint {
 
-// What is at `basis`, by kind; a mode is a vector of length one along its diagonal:
-//   HARMONICS: for each mode the first half of its entries (i, i + d), with the one in the middle where there is one. It
-//              is even about the middle where its number less d is, else odd.
+// Contents of `basis` by kind; a mode is a unit vector along its diagonal:
+//   HARMONICS: for each mode the first half of its entries (i, i + d), including the middle one if there is one. It is
+//              even about the middle if its number minus d is even, else odd.
 //   WAVES:     cos(2 pi k/n), then sin(2 pi k/n), k = 0, ..., n - 1. The mode k of the cyclic diagonal d has the entries
 //              exp(2 pi i k (d + 2 a)/n)/sqrt(n) at (a, a + d mod n), d from 0 to (n - 1)/2.
 class Modes {
@@ -26,8 +27,8 @@ class Modes {
 
     int64_t count() const { return table.begin[diagonals]; }
 
-    // Add to W its modes times `move(e, c)` of their places e in the table and their coefficients c, which are read only
-    // where that is asked for. On the main diagonal waves of opposite numbers go together where `paired`.
+    // Add to W its modes times `move(e, c)` of their indices e in the table and their coefficients c, which are
+    // computed only on request. On the main diagonal waves of opposite numbers are combined if `paired`.
     template <class Move>
     void change(double* x, bool read, bool paired, Move move) {
         Complex* const W = reinterpret_cast<Complex*>(x + table.place);
@@ -71,7 +72,7 @@ class Modes {
         return table.sets ? W[e] - reinterpret_cast<const Complex*>(table.aim)[e] : W[e];
     }
 
-    // The diagonal, of harmonics its even and its odd part.
+    // The diagonal; for harmonics its even and its odd part.
     void fold(const Complex* W, int64_t d, int64_t length) {
         for (int64_t a = 0; a < length; ++a) {
             const int64_t b = length - 1 - a;
@@ -82,7 +83,7 @@ class Modes {
         }
     }
 
-    // In four sums, in an order that no compiler changes.
+    // In four sums, in a fixed order.
     static double dot(const double* a, const double* b, int64_t length) {
         double sum[4] = {0.0, 0.0, 0.0, 0.0};
         int64_t i = 0;
@@ -92,7 +93,7 @@ class Modes {
         return (sum[0] + sum[1]) + (sum[2] + sum[3]);
     }
 
-    // exp(2 pi i k d/n)/sqrt(n), by which a mode begins.
+    // exp(2 pi i k d/n)/sqrt(n), the first entry of a mode.
     Complex first_of(int64_t k, int64_t d) const {
         const int64_t at = k * d % n;
         return Complex(table.basis[at], table.basis[n + at]) / std::sqrt(double(n));
@@ -102,7 +103,7 @@ class Modes {
         return Complex(a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real());
     }
 
-    // The change of a cyclic diagonal, by Fourier transforms: mode k turns by 2 k from entry to entry.
+    // The change of a cyclic diagonal, by Fourier transforms: the phase of mode k advances by 2 k from entry to entry.
     template <class Move>
     void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move) {
         coefficients.assign(to - from, Complex(0.0));
@@ -124,7 +125,7 @@ class Modes {
         }
         const ComplexNumber<double>* sums = fourier->transform(x);
         for (int64_t a = 0; a < n; ++a) {
-            const ComplexNumber<double>& sum = sums[a ? n - a : 0];  // backward is forward, read backward
+            const ComplexNumber<double>& sum = sums[a ? n - a : 0];  // backward: forward in reversed order
             even[a] = sum.re, even[n + a] = sum.im;
         }
     }

@@ -1,4 +1,4 @@
-// Products of square matrices, by the BLAS whose routine the tables bring. Matrices stand row by row.
+// Products of square matrices, by the BLAS routine given in the tables. Matrices are stored row by row.
 //
 // An element has one matrix, or two: X = X0 + eps X1 with eps^2 = 0, of a semidirect product.
 #pragma once
@@ -16,7 +16,7 @@ inline float conjugate(float value) { return value; }
 template <class R>
 std::complex<R> conjugate(const std::complex<R>& value) { return std::conj(value); }
 
-// Products and inverses without the tests for infinities that the library's own have.
+// Products and inverses without the tests for infinities of the standard library.
 inline double times(double a, double b) { return a * b; }
 inline float times(float a, float b) { return a * b; }
 template <class R>
@@ -58,14 +58,14 @@ class Products {
     Products(int64_t gemm, int64_t size, int64_t layers)
         : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)), square(size * size), layers(layers) {}
 
-    // c = a b. Fortran reads columns: it sees the transposed matrices, and their product in the other order.
+    // c = a b. Fortran reads columns: it sees the transposed matrices, and their product in the opposite order.
     void multiply(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, false); }
 
-    // The same where the product is skew-Hermitian: of the entries above the diagonal some stand in panels that are
-    // not computed, and all are taken from below.
+    // The same for a skew-Hermitian product: some entries above the diagonal are in panels that are not computed, and
+    // all are taken from below.
     void multiply_skew(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, true); }
 
-    // c = a b*, b* the conjugate transpose, where that is skew-Hermitian.
+    // c = a b*, b* the conjugate transpose, for a skew-Hermitian product.
     void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const { of_layers(a, b, c, true, true); }
 
   private:

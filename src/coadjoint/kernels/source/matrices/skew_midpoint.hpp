@@ -1,8 +1,9 @@
-// The isospectral midpoint rule of skew-Hermitian matrices, by Newton's method for the stream matrix P of the middle.
+// The isospectral midpoint rule of skew-Hermitian matrices, by Newton's method for the stream matrix P at the midpoint.
 //
-// With A = 1 - (h/2) P the middle of P is M = A^-1 W A^-*, and P = stream(M) is solved. Any P at all keeps the spectrum
-// of W, and a change D of P moves M by (h/2)(C M - (C M)*), C = A^-1 D: the linear equation for D needs few digits, and
-// is solved by iteration in the lower precision. P begins where its differences of the last steps lead.
+// With A = 1 - (h/2) P the midpoint of P is M = A^-1 W A^-*, and P = stream(M) is solved. Any P keeps the spectrum of
+// W, and a change D of P changes M by (h/2)(C M - (C M)*), C = A^-1 D: the linear equation for D needs few digits, and
+// is solved by iteration in the lower precision. The initial P is extrapolated from its differences over the last
+// steps.
 #pragma once
 
 #include <limits>
@@ -31,9 +32,9 @@ struct SkewMidpoint final : Isospectral<T> {
 
     static constexpr int64_t DIFFERENCES = 12;     // of P over the last steps
     static constexpr int64_t MOST_CORRECTIONS = 24;
-    static constexpr double FEW_DIGITS = 0x1p-21;  // what the lower precision tells of a correction
+    static constexpr double FEW_DIGITS = 0x1p-21;  // accuracy of a correction in the lower precision
     static constexpr double LAST_DIGIT = 0x1p-52;
-    static constexpr double NEAR = 0x1p-28;        // of P: a correction from there reaches round-off
+    static constexpr double NEAR = 0x1p-28;        // of P: within it, one correction reaches round-off
 
     const int64_t half;  // numbers on and above the diagonal
     Triangles<T> triangles;
@@ -87,7 +88,7 @@ struct SkewMidpoint final : Isospectral<T> {
     }
 
   private:
-    // M = A^-1 W A^-*. Fortran sees transposed matrices: of A it has the conjugate, 1 + (h/2) P as it sees P.
+    // M = A^-1 W A^-*. Fortran sees transposed matrices: for A the conjugate, 1 + (h/2) P with P as it sees it.
     void solve(double h) {
         double *a = numbers_of(A.data()), *p = numbers_of(P.data());
         for (int64_t k = 0; k < numbers; ++k) a[k] = 0.5 * h * p[k];
@@ -97,9 +98,9 @@ struct SkewMidpoint final : Isospectral<T> {
         triangles.both_sides(A.data(), M.data());
     }
 
-    // Solve D - K D = F, where K D is the stream of G, by which D moves the middle, until no more than `enough` is left;
-    // return whether that was reached. Residuals are made small one direction after the other: of the
-    // directions the images under 1 - K are orthogonal to the last ones before (GCR, cut off).
+    // Solve D - K D = F, where K D is the stream of G, by which D changes the midpoint, until the residual is at most
+    // `enough`; return whether that was reached. Residuals are minimized along one direction after the other, whose
+    // images under 1 - K are orthogonal to the last ones (truncated GCR).
     bool correct(double h, double enough) {
         std::copy_n(F.data(), all, D.data());
         if (!stream.linear()) return false;
@@ -114,7 +115,7 @@ struct SkewMidpoint final : Isospectral<T> {
             for (int64_t e = 0; e < numbers; ++e) p[e] = float(r[e]);
             few.multiply(few_A.data(), now.p.data(), few_C.data());
             few.multiply(few_C.data(), few_M.data(), few_D.data());
-            // as Fortran sees it
+            // as seen by Fortran
             skew_part(n, few_D.data(), float(-0.5 * h), now.moves.data(), false);
             for (int64_t e = 0; e < numbers; ++e) kp[e] = moves[e];
             stream.apply_linear(A.data(), C.data());
@@ -173,8 +174,8 @@ struct SkewMidpoint final : Isospectral<T> {
         for (int64_t k = 0; k < numbers; ++k) rounded[k] = float(exact[k]);
     }
 
-    // memory: how many differences of P there are, the step that they are of, how many of them lead nearest to the
-    // next P, and P with its backward differences, each as its entries on and above the diagonal.
+    // memory: the number of differences of P, the step that they belong to, how many of them gave the best
+    // extrapolation, and P with its backward differences, each as its entries on and above the diagonal.
     void guess(double t, double h) {
         const double* memory = this->memory;
         const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
@@ -201,7 +202,7 @@ struct SkewMidpoint final : Isospectral<T> {
         if (!memory) return;
         const bool usable = memory[0] == memory[0] && memory[1] == h;
         const int64_t known = usable ? int64_t(memory[0]) : 0;
-        // Two more than were of use are kept, to see whether they are.
+        // Two more than were useful are stored, to test whether they become useful.
         const int64_t kept = std::min({known + 1, DIFFERENCES, (known ? int64_t(memory[2]) : 1) + 2});
         double *past = memory + 3, *next = numbers_of(G.data());
         for (int64_t i = 0, at = 0; i < n; at += n - i, ++i) std::copy_n(P.data() + i * n + i, n - i, G.data() + at);
@@ -210,7 +211,7 @@ struct SkewMidpoint final : Isospectral<T> {
         for (int64_t d = 0; d < kept; ++d) {
             double* row = past + d * half;
             const bool filled = d < known;
-            // The d-th difference is by how much the first d of them missed P.
+            // The d-th difference is the error of the extrapolation by the first d of them.
             const double missed = largest_of(half, [=](int64_t k) {
                 const double now = next[k], old = filled ? row[k] : 0.0;
                 row[k] = now;

@@ -1,4 +1,4 @@
-// From a state W to its stream P: linear maps that act on each diagonal of a matrix by itself, or a function.
+// The map from a state W to its stream P: linear maps that act on each diagonal of a matrix separately, or a function.
 #pragma once
 
 #include <cmath>
@@ -10,11 +10,11 @@
 
 namespace coadjoint {
 
-// What is at `numbers`, by kind:
+// Contents of `numbers` by kind:
 //   TRIDIAGONAL: for each diagonal m from the main one upwards the factors L D L^T of a tridiagonal matrix, by rows:
-//                n x n below the diagonal of L, then n x n inverse pivots. A pivot of the main diagonal whose inverse is
-//                zero stands for a matrix that does not see the trace: then the mean is taken off.
-//   MULTIPLIED:  the tridiagonal matrix of each diagonal: n x n on its diagonal, then n x n beside it.
+//                n x n below the diagonal of L, then n x n inverse pivots. On the main diagonal an inverse pivot of 0
+//                marks a matrix that ignores the trace: then the mean is subtracted.
+//   MULTIPLIED:  the tridiagonal matrix of each diagonal: n x n on its diagonal, then n x n off it.
 //   CIRCULANT:   for each cyclic diagonal d up to (n - 1)/2 the n entries of a circulant matrix's first column.
 //   WEIGHTS:     n x n factors of the entries.
 //   BY_FUNCTION:    nothing.
@@ -25,14 +25,14 @@ class DiagonalMap {
         : kind(kind), n(size), numbers(numbers),
           circulants(kind == CIRCULANT ? std::make_unique<Circulants<T>>(size, numbers) : nullptr) {}
 
-    // How many numbers a map reads.
+    // The count of numbers that a map reads.
     static int64_t numbers_of(int64_t kind, int64_t n) {
         if (kind == CIRCULANT) return (n + 1) / 2 * n;
         if (kind == WEIGHTS) return n * n;
         return kind == TRIDIAGONAL || kind == MULTIPLIED ? 2 * n * n : 0;
     }
 
-    // About how many multiplications it takes.
+    // Approximate number of multiplications.
     int64_t work() const { return circulants ? circulants->work() : 4 * n * n; }
 
     void apply(const T* W, T* P) {
@@ -48,7 +48,7 @@ class DiagonalMap {
     const double* const numbers;
     const std::unique_ptr<Circulants<T>> circulants;
 
-    // Row by row, all diagonals at once: what one row needs of another stands side by side.
+    // Row by row for all diagonals at once, so that dependent rows are adjacent.
     void solve(const T* W, T* P) const {
         const double *below = numbers, *inverse = numbers + n * n;
         const bool unseen = inverse[(n - 1) * n] == 0.0;
@@ -59,7 +59,7 @@ class DiagonalMap {
             if (i == 0) std::copy_n(from, n, to);
             else
                 for (int64_t m = 0; m < n - i; ++m) to[m] = from[m] - below[i * n + m] * before[m];
-            // The stages of a step have a trace; only a map that does not see it is symmetric on them.
+            // The stages of a step have a trace; only a map that ignores it is symmetric on them.
             to[0] -= trace;
         }
         for (int64_t i = n - 1; i >= 0; --i) {
@@ -108,7 +108,7 @@ class Stream {
     typedef void (*Function)(const double*, double, double*);
 
     // `whole`: the size, the layers, the kinds of the two maps, -1 for none, whether a constant is added, and the
-    // address of a function. `numbers`: the constant, and what the maps read.
+    // address of a function. `numbers`: the constant, and the numbers that the maps read.
     Stream(const int64_t* whole, const double* numbers)
         : n(whole[0]), layers(whole[1]), second(whole[3] >= 0), constant(whole[4] ? numbers : nullptr),
           function(whole[2] == BY_FUNCTION ? reinterpret_cast<Function>(whole[5]) : nullptr),
@@ -118,7 +118,7 @@ class Stream {
 
     int64_t work() const { return first_map.work() + (second ? second_map.work() : 0); }
 
-    // Fill in the stream Y of X; return whether a function gave numbers.
+    // Compute the stream Y of X; return whether a function gave finite numbers.
     bool apply(const T* X, double t, T* Y) {
         const int64_t all = layers * n * n;
         if (function) {
@@ -138,7 +138,7 @@ class Stream {
 
     bool linear() const { return !function; }
 
-    // The same without what is constant, of a stream that is no function.
+    // The same without the constant, for a stream that is not a function.
     void apply_linear(const T* X, T* Y) {
         const int64_t square = n * n;
         first_map.apply(X + (layers - 1) * square, Y);

@@ -1,5 +1,5 @@
-// Equations with triangular matrices, by the BLAS whose routines the tables bring. Here a matrix stands column by
-// column, as Fortran has it; the columns of a block are `n` apart.
+// Equations with triangular matrices, by the BLAS routines given in the tables. Here a matrix is stored column by
+// column, as in Fortran; the columns of a block are `n` apart.
 #pragma once
 
 #include <vector>
@@ -20,8 +20,8 @@ class Triangles {
         : gemm(reinterpret_cast<Gemm<T>>(gemm)), trsm(reinterpret_cast<Trsm<T>>(trsm)), n(int(size)),
           room(2 * (size / 2 + 1) * (size / 2 + 1)) {}
 
-    // Take A apart in place: A = L U, L with a diagonal of ones. The Hermitian part of A is positive, so that no pivots
-    // are chosen.
+    // Factorize A in place: A = L U, L with a unit diagonal. The Hermitian part of A is positive, so no pivoting is
+    // needed.
     void factor(T* A) const { factor(A, n); }
 
     // X := A^-1 X, with the factors of A.

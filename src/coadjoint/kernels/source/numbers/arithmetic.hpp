@@ -27,7 +27,7 @@ struct Rotation {
 };
 
 // z = r^2, (sin(r)/r - 1)/z and (cos(r) - 1)/z for |r| <= pi/4: the minimax polynomials of fdlibm in Estrin's order,
-// since every step of a splitting waits for this chain.
+// since this chain is the latency of each step of a splitting.
 template <class A>
 INLINE void circular_series(const A& r, A& z, A& s, A& c) {
     z = r * r;
@@ -41,7 +41,7 @@ INLINE void circular_series(const A& r, A& z, A& s, A& c) {
     c = fma(zz * zz, fma(zz, A(-1.13596475577881948265e-11), high), c);
 }
 
-// `near` marks lanes that need no reduction. They get the bits of the short way.
+// `near` marks lanes that need no reduction; they get the bits of the unreduced formula.
 template <class A>
 INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mask& near) {
     A shifted = fma(phi, A(TWO_OVER_PI), A(ROUND));
@@ -49,7 +49,7 @@ INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mas
     A large = fma(-q, A(P1), phi), small = -q * P2;
     A r = large + small;
     A kept = r - large;
-    A lost = (large - (r - kept)) + (small - kept) + fma(-q, A(P2), -small);  // by rounding the sum and the product
+    A lost = (large - (r - kept)) + (small - kept) + fma(-q, A(P2), -small);  // rounding of the sum and the product
     A tail = fma(-q, A(P3), lost);
     A z, s, c;
     circular_series(r, z, s, c);
@@ -67,8 +67,8 @@ NOINLINE static Rotation<double> far_rotation(double phi) {
 }
 
 // sin(phi) and cos(phi) - 1, each within 3 units in the last place up to |phi| = 10^6 by Cody-Waite reduction. cos - 1
-// in place of cos, so that a small rotation moves a vector by a small increment that is accurate in itself. The branch
-// for small angles skips work that would change none of their bits.
+// in place of cos, so that a small rotation adds a small increment with full relative accuracy. The branch for small
+// angles skips operations that would not change the bits.
 INLINE Rotation<double> rotation_by(double phi) {
     if (absolute(phi) <= UNREDUCED) {
         double z, s, c;
@@ -111,7 +111,7 @@ INLINE Rotation<A> rational_rotation(const A& phi) {
     return {sine, -(half * sine)};
 }
 
-// The angle of the generator that a rational rotation of this frequency stands for; phi itself for 0.
+// The angle of the generator represented by a rational rotation of this frequency; phi itself for 0.
 template <class A>
 INLINE A rational_angle(const A& phi, const A& frequency) {
     A angle = phi;
@@ -122,9 +122,9 @@ INLINE A rational_angle(const A& phi, const A& frequency) {
     return angle;
 }
 
-// The d with which 1 + s D + (c + d) D^2 keeps lengths, for a rounded rotation with D^3 = -square D. It is (s^2 - 2 c +
-// c^2 square)/2, which is rounding. But it has one sign where an angle keeps its size, and without d lengths would then
-// drift linearly in time.
+// The d with which 1 + s D + (c + d) D^2 keeps lengths, for a rounded rotation with D^3 = -square D: (s^2 - 2 c + c^2
+// square)/2, which is rounding. It has a constant sign if the angle keeps its size, so without d lengths would drift
+// linearly in time.
 template <class A>
 INLINE A shortfall(const A& s, const A& c, const A& square) {
     A curved = c * square;
@@ -141,8 +141,8 @@ struct Growth {
     A whole, beyond;  // exp(x) and exp(x) - 1
 };
 
-// exp(x) and exp(x) - 1, each within 2 units in the last place: Taylor's polynomial of degree 13 on |r| <= ln(2)/2, its
-// rest below 2^-56 r.
+// exp(x) and exp(x) - 1, each within 2 units in the last place: the Taylor polynomial of degree 13 on |r| <= ln(2)/2,
+// with a remainder below 2^-56 r.
 template <class A>
 INLINE Growth<A> growth_by(const A& x) {
     const A shifted = fma(x, A(LOG2_E), A(ROUND));
@@ -183,7 +183,7 @@ INLINE Rotation<A> hyperbolic_rotation(const A& phi) {
     return {hyperbolic_sine(phi), 2.0 * half * half};
 }
 
-// sinh(w)/w and cosh(w) - 1 for w*w = z near 0, by the series (its first neglected term is below 2^-53 of the sum).
+// sinh(w)/w and cosh(w) - 1 for w*w = z near 0, by the series (the first neglected term is below 2^-53 of the sum).
 template <class A>
 INLINE Rotation<A> entire_series(const A& z) {
     A s(1.0), c(1.0);
@@ -194,7 +194,7 @@ INLINE Rotation<A> entire_series(const A& z) {
     return {s, 0.5 * z * c};
 }
 
-// sinh(w)/w and cosh(w) - 1 for w*w = z of either sign: one smooth function, no discriminant to decide.
+// sinh(w)/w and cosh(w) - 1 for w*w = z of either sign: one entire function of z, without a branch on the discriminant.
 INLINE Rotation<double> entire_pair(double z) {
     if (absolute(z) < 0.25) return entire_series(z);
     double w = std::sqrt(absolute(z));

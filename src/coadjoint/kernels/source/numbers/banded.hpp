@@ -1,4 +1,4 @@
-// Large linear systems with a narrow band: LU factors with partial pivoting.
+// LU factors with partial pivoting of large banded systems.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,7 @@
 
 namespace coadjoint {
 
-// A matrix with `reach` diagonals on either side; its factors reach twice as far above.
+// A matrix with `reach` diagonals on either side; the upper factor has twice as many.
 struct Banded {
     const int64_t size, reach, width;
     std::vector<double> entries;

@@ -1,4 +1,4 @@
-// Where the constants of a table stand: one for all lanes, or one for each member side by side.
+// Layout of the constants of a table: shared by all lanes, or one for each member side by side.
 #pragma once
 
 #include "numbers/lanes.hpp"
@@ -13,7 +13,7 @@ struct Shared {
     static INLINE int used(int lanes) { return lanes; }
 };
 
-// Constants that differ by member: `stride` of them side by side for each place of a table, the lanes from `first`.
+// Constants that differ by member: `stride` of them side by side for each entry of a table, the lanes from `first`.
 struct Varied {
     int64_t stride, first;
     template <class A>
@@ -24,7 +24,7 @@ struct Varied {
     static INLINE int used(int lanes) { return lanes; }
 };
 
-// The constants of one of such members, the same in every lane.
+// The constants of one such member, the same in every lane.
 struct Own {
     int64_t stride, first;
     template <class A>
@@ -33,7 +33,7 @@ struct Own {
     static INLINE int used(int lanes) { return lanes; }
 };
 
-// Constants of which the first lanes alone are wanted. Functions of the user are called for no other lane.
+// Constants of which only the first lanes are used; functions of the user are not called for the others.
 template <class C>
 struct First : C {
     int count;

@@ -1,5 +1,5 @@
-// Roots of a polynomial between 0 and 1, told apart by Descartes' rule of signs in Bernstein's form (G. E. Collins,
-// A. G. Akritas, SYMSAC 1976): where its coefficients change sign once there is one root, where they do not there is none.
+// Roots of a polynomial between 0 and 1, isolated by Descartes' rule of signs in Bernstein form (G. E. Collins, A. G.
+// Akritas, SYMSAC 1976): one sign change of the coefficients means one root, no sign change no root.
 #pragma once
 
 #include <cstdint>
@@ -14,8 +14,8 @@ class Isolation {
         for (int64_t k = 1; k <= degree; ++k) binomial[k] = binomial[k - 1] * double(degree - k + 1) / double(k);
     }
 
-    // Say `found(low, high)` of each interval with one root, ascending, for c_0 + c_1 s + ... Roots that lie closer
-    // together than 2^-DEEPEST are not told apart.
+    // Call `found(low, high)` for each interval with one root, in ascending order, of c_0 + c_1 s + ... Roots closer
+    // together than 2^-DEEPEST are not separated.
     template <class Found>
     void operator()(const double* c, Found found) {
         double* b = room.data();
@@ -23,7 +23,7 @@ class Isolation {
         for (int64_t level = 1; level <= degree; ++level)
             for (int64_t k = degree; k >= level; --k) b[k] += b[k - 1];
         open[0] = {0.0, 1.0, 0};
-        // The left one of two halves lies on top.
+        // The left half is on top of the stack.
         for (int64_t top = 0; top >= 0; --top) {
             const Piece here = open[top];
             double* own = room.data() + top * width;
@@ -33,7 +33,7 @@ class Isolation {
                 if (own[0] * own[degree] <= 0.0) found(here.low, here.high);
                 continue;
             }
-            // Not in the middle, where a root that is a simple fraction of the step would be missed by both halves.
+            // Not the midpoint: a root at a simple fraction of the step would be missed by both halves.
             const double middle = here.low + CUT * (here.high - here.low);
             halve(own, own + width);
             open[top] = {middle, here.high, here.depth + 1};
@@ -64,7 +64,7 @@ class Isolation {
         return changes;
     }
 
-    // By de Casteljau: the right half stays, and `left` becomes the other.
+    // De Casteljau subdivision: the right half replaces the interval, the left one goes to `left`.
     void halve(double* own, double* left) const {
         for (int64_t k = 0; k <= degree; ++k) {
             left[k] = own[0];

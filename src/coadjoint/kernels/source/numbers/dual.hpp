@@ -1,4 +1,4 @@
-// Numbers with their derivatives by three others: what is computed with them is differentiated exactly.
+// Dual numbers with three derivatives, for exact differentiation.
 #pragma once
 
 #include <type_traits>
@@ -17,7 +17,7 @@ struct Dual {
     template <class B, class = std::enable_if_t<std::is_same<B, double>::value && !std::is_same<A, double>::value>>
     INLINE Dual(B value) : Dual(A(value)) {}
 
-    // The value f, and the slope of f at the value.
+    // The value f, and its derivative at the value.
     INLINE Dual mapped(const A& f, const A& rate) const {
         return {f, rate * slope[0], rate * slope[1], rate * slope[2]};
     }

@@ -1,9 +1,9 @@
 // Correctly rounded elementary functions of one double: the same bits with every C library.
 //
 // A function is evaluated as an unevaluated sum of two doubles with a relative error below 2^-97, and then rounded. The
-// result is the correctly rounded one unless the exact value is that close to the middle between two doubles, and in
-// every case it follows from one sequence of IEEE operations. For the logarithm and the angle a shorter sum is rounded
-// first, and is kept where its error cannot matter.
+// result is correctly rounded unless the exact value is that close to the midpoint of two doubles, and in every case it
+// is determined by a fixed sequence of IEEE operations. For the logarithm and the angle a shorter sum is rounded first,
+// and is accepted if its error cannot change the result.
 #pragma once
 
 #include <cmath>
@@ -114,8 +114,8 @@ INLINE Pair ratio(const Pair& a, const Pair& b) {
     return sum_in_order(first, rest / b.high);
 }
 
-// The sum of coefficient[stride k] z^k for k < count: the first `paired` in pairs, the others in doubles. From each
-// coefficient on, the terms after it are at most half of it.
+// The sum of coefficient[stride k] z^k for k < count: the first `paired` in pairs, the others in doubles. The terms
+// after each coefficient are at most half of it.
 template <int count, int paired, int stride = 1>
 INLINE Pair power_series(const Pair& z, const Pair* coefficient) {
     double last = coefficient[stride * (count - 1)].high;
@@ -125,7 +125,7 @@ INLINE Pair power_series(const Pair& z, const Pair* coefficient) {
     return sum;
 }
 
-// Whether every number within the relative error of the pair is rounded to the same double.
+// Whether every number within the relative error of the pair rounds to the same double.
 INLINE bool rounds_to_high(const Pair& a, double error) {
     const double margin = error * absolute(a.high);
     return a.high + (a.low - margin) == a.high + (a.low + margin);
@@ -139,7 +139,7 @@ INLINE double binary_power(int exponent) {
     return power;
 }
 
-// The digits of a positive number, from 1/2 to 1, and its power of two.
+// The significand of a positive number, from 1/2 to 1, and its exponent.
 INLINE double binary_digits(double x, int* exponent) {
     int64_t bits;
     *exponent = -1022;
@@ -151,12 +151,12 @@ INLINE double binary_digits(double x, int* exponent) {
     return x;
 }
 
-// The pair times 2^exponent, rounded once, below the normal numbers too. |a| is between 1/4 and 4.
+// The pair times 2^exponent, rounded once, including subnormal results. |a| is between 1/4 and 4.
 NOINLINE inline double scaled(const Pair& a, int exponent) {
     if (exponent > 1020) return a.high * binary_power(1020) * binary_power(exponent - 1020 < 6 ? exponent - 1020 : 6);
     if (exponent > -1020) return a.high * binary_power(exponent);
     if (exponent < -1080) return a.high < 0.0 ? -0.0 : 0.0;
-    // In units of the smallest number; a number of such units below 2^52 is its own bits.
+    // In units of the smallest number; below 2^52 such units, the integer is the bit pattern.
     const bool below = a.high < 0.0;
     const Pair units = times_power_of_two(below ? negative(a) : a, binary_power(exponent + 1074));
     if (units.high >= 0x1p52) return a.high * binary_power(exponent + 100) * 0x1p-100;
@@ -170,17 +170,17 @@ NOINLINE inline double scaled(const Pair& a, int exponent) {
     return below ? -result : result;
 }
 
-// x - quarter pi/2 for the nearest whole number, of which the last two bits are returned, after M. Payne and R. Hanek,
-// Radian reduction for trigonometric functions (1983). Digits of 2/pi whose product with x is a multiple of 4 are left
-// out, and 256 bits of the others multiplied: 2^53 units of the last remain below 2^-200, and x is no closer than 2^-62
-// to a multiple of pi/2. For finite |x| > 2^-10.
+// x - quarter pi/2 for the nearest integer, of which the last two bits are returned, after M. Payne and R. Hanek,
+// Radian reduction for trigonometric functions (1983). Digits of 2/pi whose product with x is a multiple of 4 are
+// omitted, and the next 256 bits multiplied: the truncation error is below 2^-200, and x is no closer than 2^-62 to a
+// multiple of pi/2. For finite |x| > 2^-10.
 NOINLINE inline Pair reduced_angle(double x, int& quarter) {
     typedef unsigned __int128 Wide;
     int64_t bits;
     std::memcpy(&bits, &x, 8);
     const uint64_t digits = (uint64_t(bits) & ((uint64_t(1) << 52) - 1)) | (uint64_t(1) << 52);
     const int skipped = int((bits >> 52) & 0x7ff) - 1075 - 2 + 64, word = skipped / 64, shift = skipped % 64;
-    uint64_t product[4], carry = 0;  // the last word first; the unit of the whole is 2^-254
+    uint64_t product[4], carry = 0;  // least significant word first; the unit of the whole is 2^-254
     for (int k = 3; k >= 0; --k) {
         const uint64_t* at = TWO_OVER_PI_WORDS + word + k;
         const uint64_t factor = shift ? (at[0] << shift) | (at[1] >> (64 - shift)) : at[0];
@@ -188,10 +188,10 @@ NOINLINE inline Pair reduced_angle(double x, int& quarter) {
         product[3 - k] = uint64_t(wide), carry = uint64_t(wide >> 64);
     }
     quarter = int(product[3] >> 62);
-    const bool above = (product[3] >> 61) & 1;  // at least one half: the next whole number is nearer
+    const bool above = (product[3] >> 61) & 1;  // at least one half: the next integer is nearer
     if (above) {
         ++quarter;
-        for (uint64_t& one : product) one = ~one;  // 1 - fraction, but for 2^-254
+        for (uint64_t& one : product) one = ~one;  // 1 - fraction, up to 2^-254
     }
     product[3] &= (uint64_t(1) << 62) - 1;
     Pair fraction{0.0, 0.0};
@@ -205,7 +205,7 @@ NOINLINE inline Pair reduced_angle(double x, int& quarter) {
     return minus ? negative(angle) : angle;
 }
 
-// For |x| > 2^-10; NaN where x is infinite.
+// For |x| > 2^-10; NaN if x is infinite.
 NOINLINE inline double rounded_sine(double x) {
     if (!(absolute(x) <= std::numeric_limits<double>::max())) return x - x;
     int quarter;
@@ -216,10 +216,10 @@ NOINLINE inline double rounded_sine(double x) {
     return quarter & 2 ? -size : size;
 }
 
-// exp(x) / 2^halvings; a result that is not a number, infinite or zero included.
+// exp(x) / 2^halvings, including results that are NaN, infinite or zero.
 NOINLINE inline double rounded_exponential(double x, int halvings = 0) {
     if (!(absolute(x) <= 800.0)) return x < 0.0 ? 0.0 : x * std::numeric_limits<double>::infinity();
-    const double k = (x * 0x1.71547652b82fep0 + 0x1.8p52) - 0x1.8p52;  // x / ln 2, to the nearest whole number
+    const double k = (x * 0x1.71547652b82fep0 + 0x1.8p52) - 0x1.8p52;  // x / ln 2, rounded to the nearest integer
     const Pair first = exact_product(-k, LN2_PARTS[0]), second = exact_product(-k, LN2_PARTS[1]);
     const Pair near = plus(plus({x, 0.0}, first), {second.high, fma(-k, LN2_PARTS[2], second.low)});
     return scaled(power_series<24, 13>(near, INVERSE_FACTORIALS), int(k) - halvings);
@@ -260,14 +260,14 @@ INLINE Pair arctangent_of(double y, double x) {
 // A point of the plane in polar coordinates, its angle from 0 to pi.
 struct Direction {
     double least, most;  // the smaller and the larger coordinate, without sign and with a common power of two removed
-    int exponent;        // of the power of two that belongs to the smaller one besides
+    int exponent;        // additional power of two of the smaller one
     bool steep, left;    // the second coordinate is the larger one; the first one is negative
 };
 
 template <int count, int paired>
 INLINE Pair angle_of(const Direction& at) {
     Pair angle;
-    if (at.exponent < -60) {  // less than the quotient by less than its 2^-120th part
+    if (at.exponent < -60) {  // the angle is less than the quotient by less than 2^-120 of it
         angle = ratio({at.least, 0.0}, {at.most, 0.0});
         angle = times_power_of_two(angle, binary_power(at.exponent > -300 ? at.exponent : -300));
     } else {
@@ -297,7 +297,7 @@ NOINLINE inline double rounded_angle(double y, double x) {
         at.exponent = least - most;
         if (at.exponent < -60 && !at.steep && !at.left) {
             Pair quotient = ratio({at.least, 0.0}, {at.most, 0.0});
-            quotient.low -= 0x1p-115 * quotient.high;  // the side on which the angle lies decides where it is a tie
+            quotient.low -= 0x1p-115 * quotient.high;  // the angle is below the quotient, which decides a tie
             angle = scaled(quotient, at.exponent);
         } else {
             const Pair quick = angle_of<7, 1>(at);

@@ -1,4 +1,4 @@
-// Large linear systems without a matrix: restarted GMRES, in a fixed order of operations.
+// Restarted GMRES for large linear systems without a matrix, in a fixed order of operations.
 #pragma once
 
 #include <cmath>
@@ -9,9 +9,9 @@
 
 namespace coadjoint {
 
-constexpr int64_t RESTART = 24;     // vectors that are kept
+constexpr int64_t RESTART = 24;     // dimension of the Krylov space
 constexpr int64_t CYCLES = 16;
-constexpr double REDUCTION = 0x1p-26;  // of the residual; the next correction takes off what is left
+constexpr double REDUCTION = 0x1p-26;  // of the residual; the next correction removes the rest
 
 struct Krylov {
     int64_t size;
@@ -31,7 +31,7 @@ struct Krylov {
         return total;
     }
 
-    // Overwrite the right-hand side r by an approximate solution y of operate(y) = r; false if it is not found.
+    // Overwrite the right-hand side r by an approximate solution y of operate(y) = r; false without convergence.
     template <class Operate>
     bool solve(double* r, Operate operate) {
         std::vector<double> y(size, 0.0), image(size);
@@ -62,7 +62,8 @@ struct Krylov {
   private:
     double& at(int64_t row, int64_t column) { return hessenberg[column * (RESTART + 1) + row]; }
 
-    // Makes an orthonormal basis by modified Gram-Schmidt, and returns how many vectors it took to reach the goal.
+    // Build an orthonormal basis by modified Gram-Schmidt, and return the number of vectors needed to reach the
+    // tolerance.
     template <class Operate>
     int64_t build(double norm, double goal, Operate operate) {
         for (int64_t i = 0; i < size; ++i) basis[i] = residual[i] / norm;

@@ -1,7 +1,7 @@
-// Numbers of the kernels: a double, or lanes of doubles side by side. Every kernel is written once for both.
+// Number types of the kernels: a double, or lanes of doubles side by side. Every kernel is a template over them.
 //
 // The same operations in the same order on every lane, and no contraction by the compiler: a trajectory has the same
-// bits alone, as one lane of a crowd, and on every processor.
+// bits alone, as one lane of several, and on every processor.
 #pragma once
 
 #include <cmath>
@@ -59,13 +59,13 @@ struct Lanes {
 
     INLINE Lanes() = default;
     INLINE Lanes(double value) {
-        // Minus zero, which the compiler knows to change nothing; plus zero would change -0.
+        // Minus zero, which the compiler folds away; adding plus zero would change -0.
         for (int k = 0; k < count; ++k) part[k] = value - Vector{};
     }
     INLINE double operator[](int lane) const { return part[lane / width][lane % width]; }
     INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
 
-// Written out and not a loop, so that the parts become registers at once.
+// Unrolled by hand instead of a loop, so that the parts become registers immediately.
 #define PART(place, statement)  \
     {                           \
         constexpr int k = place; \
@@ -131,7 +131,7 @@ struct Lanes {
         EACH(c.part[k] = ((((Unsigned)rounded.part[k] + uint64_t(added)) >> bit) & 1) != 0)
         return c;
     }
-    // The largest lane, where every lane is a number.
+    // The largest lane, if no lane is NaN.
     INLINE friend double largest_lane(const Lanes& a) {
         Vector most = a.part[0];
         EACH(most = most < a.part[k] ? a.part[k] : most)
@@ -148,7 +148,7 @@ struct Lanes {
         EACH(c.part[k] = (Vector)(((Unsigned)rounded.part[k] << 52) + (uint64_t(1023) << 52)))
         return c;
     }
-    // The power of two below each lane, or its inverse: exponents without digits. Zero has 2^1023 for an inverse.
+    // The power of two of each lane rounded down, or its inverse. Zero has the inverse 2^1023.
     INLINE friend Lanes leading_power(const Lanes& a) {
         Lanes b;
         EACH(b.part[k] = (Vector)((Bits)a.part[k] & EXPONENT_BITS))
@@ -210,7 +210,7 @@ struct Lanes {
         for (int lane = 0; lane < width; ++lane) b[lane] = __builtin_sqrt(a[lane]);
         return b;
     }
-    // Without the instruction each lane is a call: not many times in every loop.
+    // Without a hardware instruction each lane is a call; not inlined, so that it is not unrolled in every loop.
     NOINLINE static Vector fused_by_lane(Vector a, Vector b, Vector c) {
         Vector d{};
         for (int lane = 0; lane < width; ++lane) d[lane] = __builtin_fma(a[lane], b[lane], c[lane]);
@@ -218,7 +218,7 @@ struct Lanes {
     }
 };
 
-// The same verbs for one number.
+// The same functions for one number.
 INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
 INLINE double select(bool where, double a, double b) { return where ? a : b; }
 INLINE bool any(bool mask) { return mask; }
@@ -273,7 +273,7 @@ struct Numbers<Lanes<N>> {
     typedef typename Lanes<N>::Mask Mask;
 };
 
-// Doubles that follow each other in memory, one for each lane.
+// Consecutive doubles in memory, one for each lane.
 template <class A>
 INLINE A load(const double* from) {
     A a;
@@ -283,7 +283,7 @@ INLINE A load(const double* from) {
 template <class A>
 INLINE void store(double* to, const A& a) { std::memcpy(to, &a, sizeof(A)); }
 
-// Set sum to old + increment, and owed to what rounding leaves of that.
+// Set sum to old + increment, and owed to the rounding error of that.
 template <class A>
 INLINE void add_owing_rest(const A& old, const A& increment, A& sum, A& owed) {
     const A now = old + increment, kept = now - old;

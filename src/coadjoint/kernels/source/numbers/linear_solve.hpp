@@ -1,12 +1,12 @@
-// Small dense linear systems, one for each lane: LU factors with partial pivoting, in an order that no library decides.
+// Small dense linear systems, one for each lane: LU factors with partial pivoting, in a fixed order of operations.
 #pragma once
 
 #include "numbers/lanes.hpp"
 
 namespace coadjoint {
 
-// Overwrite a (size * size) matrix by its LU factors; `pivots` notes which rows were exchanged. Returns the lanes whose
-// matrix is finite and not singular.
+// Overwrite a (size * size) matrix by its LU factors, with row exchanges in `pivots`. Return the lanes whose matrix is
+// finite and not singular.
 template <class V>
 NOINLINE typename Numbers<V>::Mask factorize(V* matrix, int64_t size, V* pivots) {
     typename Numbers<V>::Mask sound = V(0.0) == V(0.0);
@@ -55,7 +55,7 @@ NOINLINE void substitute(const V* matrix, int64_t size, const V* pivots, V* righ
             }
         }
     }
-    // Column by column: the entries of one do not wait for each other.
+    // Column by column, so that the entries of a column are independent.
     for (int64_t k = 0; k < size; ++k)
         for (int64_t i = k + 1; i < size; ++i) {
             const V factor = -matrix[i * size + k];

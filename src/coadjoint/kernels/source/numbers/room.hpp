@@ -1,4 +1,4 @@
-// Room of a loop: numbers of any lanes, aligned to them.
+// Scratch memory of a loop: numbers of any lanes, aligned to them.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@ struct Room {
     A* at;
 
     explicit Room(int64_t count) { clear(count); }
-    // Zeros, `count` of them.
+    // Allocate `count` zeros.
     void clear(int64_t count) {
         bytes.assign(sizeof(A) * (count + 1) + alignof(A), 0);
         at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(bytes.data()) + alignof(A) - 1) & ~(alignof(A) - 1));

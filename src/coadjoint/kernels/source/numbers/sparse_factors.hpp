@@ -1,4 +1,4 @@
-// L D L^T of a sparse symmetric matrix, with the fill found once.
+// L D L^T factors of a sparse symmetric matrix, with the fill-in computed once.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace coadjoint {
 
-constexpr double DEPENDENT = 0x1p-36;  // of its diagonal entry; a smaller pivot counts as zero
+constexpr double DEPENDENT = 0x1p-36;  // relative to its diagonal entry; a smaller pivot counts as zero
 
 // The diagonal, and the entries below it, column by column.
 struct SparseFactors {
@@ -29,7 +29,7 @@ struct SparseFactors {
             for (int64_t i : below[j]) place[{i, j}] = int64_t(row.size()), row.push_back(i);
             column.push_back(int64_t(row.size()));
             if (below[j].empty()) continue;
-            // Eliminating j couples with each other all rows that are coupled to j.
+            // Eliminating j couples all rows coupled to j with each other.
             below[*below[j].begin()].insert(std::next(below[j].begin()), below[j].end());
         }
         for (int64_t j = 0; j < size; ++j) {

@@ -1,4 +1,4 @@
-// Where functions of the state change sign along a run, and where they may have done so twice in one step.
+// Sign changes of functions of the state along a run, and possible double crossings within one step.
 #pragma once
 
 #include <memory>
@@ -9,8 +9,8 @@
 
 namespace coadjoint {
 
-// What belongs to a step is noted with the state before it, so that the place is found later without another run. The
-// states are finished, and looked at one step after the other; the lanes are members.
+// Crossings are recorded with the state before the step, so that the root is found later without another run. The
+// states are finished, and processed one step after the other; the lanes are members.
 template <class A>
 class Crossings {
   public:
@@ -20,7 +20,7 @@ class Crossings {
           arguments(events.watch.longest + 1), room(2 * events.watch.longest + 2), before(states.at),
           earlier(states.at + width) {}
 
-    // Follow the members of some lanes from the step after k0 on. Another one fills what is left of the lanes.
+    // Follow the members of some lanes from the step after k0 on. Unused lanes repeat a member.
     void begin(const int64_t* who, int64_t lanes_used, int64_t k0) {
         used = lanes_used;
         for (int64_t lane = 0; lane < lanes; ++lane) member[lane] = who[std::min(lane, used - 1)];
@@ -35,21 +35,21 @@ class Crossings {
         measure(before, schedule.t0);
     }
 
-    // Keep what the next call goes on from.
+    // Store what the next call continues from.
     void end() {
         if (used > 0) exchange([this](A& held, int64_t lane, double& kept) {
             if (lane < used) kept = lane_of(held, int(lane));
         });
     }
 
-    // Say how the state moves in the next step.
+    // Set the Taylor series of the motion in the next step.
     void between(const StepSeries& motion) {
         series = motion;
         if (series.at && !told) told = std::make_unique<EventSeries>(events.watch, series.order);
     }
 
-    // Look at the states after step k; return whether a member has come to its end, then or before. Lanes that are not `going` are
-    // left out, where that is given.
+    // Process the states after step k; return whether a member has reached its end, then or before. Lanes that are not
+    // `going` are skipped, if that is given.
     INLINE bool after(int64_t k, const A* x, const A* group, const int64_t* going = nullptr) {
         for (int64_t e = 0; e < count; ++e)
             for (int64_t age = DEPTH - 1; age > 0; --age) value(age, e) = value(age - 1, e);
@@ -66,14 +66,14 @@ class Crossings {
         return ended;
     }
 
-    // When the next of the lanes that are going comes to its end, as far as that is known.
+    // The next end among the lanes that are going, as far as known.
     void find_next_end(const int64_t* going) {
         next_end = std::numeric_limits<int64_t>::max();
         for (int64_t lane = 0; lane < used; ++lane)
             if (!going || going[lane]) next_end = std::min(next_end, events.limit[member[lane]]);
     }
 
-    // Whether a member goes on after step k.
+    // Whether a member continues after step k.
     bool goes_on(int64_t who, int64_t k) const { return k <= events.limit[who]; }
 
   private:
@@ -88,8 +88,8 @@ class Crossings {
     int64_t member[lanes], used = 0, next_end = 0;
     StepSeries series;
     std::unique_ptr<EventSeries> told;
-    std::vector<double> parts;             // low and high ends, by turns
-    uint64_t told_apart = 0;               // a bit for each event whose crossings of this step are noted already
+    std::vector<double> parts;             // low and high ends, alternating
+    uint64_t told_apart = 0;               // bit mask of events whose crossings of this step are already recorded
 
     // The value of event e `age` steps ago.
     INLINE A& value(int64_t age, int64_t e) { return values.at[age * count + e]; }
@@ -100,7 +100,7 @@ class Crossings {
             value(0, e) = value_of(events.watch, Shared{}, e, x, t, arguments.at, room.data());
     }
 
-    // Whether surely nothing is to be noted of any lane.
+    // Whether certainly nothing is to be recorded for any lane.
     INLINE bool quiet() {
         for (int64_t e = 0; e < count; ++e) {
             const A now = value(0, e), last = value(1, e);
@@ -110,7 +110,7 @@ class Crossings {
         return true;
     }
 
-    // What a lane is when a call ends, for the next one.
+    // The state of a lane at the end of a call, for the next one.
     template <class Move>
     void exchange(Move move) {
         for (int64_t lane = 0; lane < lanes; ++lane) {
@@ -122,10 +122,10 @@ class Crossings {
         }
     }
 
-    // Whether the series says where an event goes through zero: then no neighbouring values are needed.
+    // Whether the series locates the zeros of an event: then no neighbouring values are needed.
     bool is_told(int64_t e) const { return series.at && told->tells(e); }
 
-    // Note every part of step k in which an event goes through zero, where the signs at its ends say less.
+    // Record every part of step k in which an event crosses zero, since the signs at its ends are not sufficient.
     NOINLINE void look_between(int64_t k) {
         told_apart = 0;
         for (int64_t e = 0; e < count; ++e) {
@@ -149,17 +149,17 @@ class Crossings {
         }
     }
 
-    // Note what there is to be noted of a lane at step k, and say whether its member has come to its end.
+    // Record the crossings of a lane at step k, and return whether its member has reached its end.
     NOINLINE bool inspect(int64_t k, int lane) {
         if (!goes_on(member[lane], k)) return false;
-        // Whether g has come near zero in the step before is known now; of the last step it never is.
+        // A double crossing in the step before is decided only now; for the last step it never is.
         if (k >= 2)
             note(k - 1, lane, earlier, 2, [&](int64_t e) {
                 if (is_told(e)) return crossings::NONE;
                 return near(k < 3 ? NAN : at_age(3, e, lane), at_age(2, e, lane), at_age(1, e, lane),
                             at_age(0, e, lane));
             });
-        // Nor is it ever known of the step in which the run of the member ends.
+        // Nor is it for the step in which the run of the member ends.
         const bool ended = ends(lane), last = ended || k == schedule.steps;
         note(k, lane, before, 1, [&](int64_t e) {
             if (told_apart >> e & 1) return crossings::NONE;
@@ -188,7 +188,7 @@ class Crossings {
 
     double at_age(int64_t age, int64_t e, int lane) { return lane_of(value(age, e), lane); }
 
-    // How g went through zero, or to it, between two values.
+    // The crossing of g through zero, or to it, between two values.
     static int64_t crossing(int64_t direction, double last, double now) {
         if (now != now) return crossings::UNDEFINED;
         if (last < 0.0 && now >= 0.0 && direction >= 0) return crossings::RISING;
@@ -196,8 +196,8 @@ class Crossings {
         return crossings::NONE;
     }
 
-    // Whether g may have gone through zero and back between `from` and `to`. Where g bends away from zero, it stays
-    // above the lines through the values beside that step; these meet zero before they meet each other, or nearly so.
+    // Whether g may have crossed zero and back between `from` and `to`. If g is curved away from zero, it stays above
+    // the lines through the values next to that step; these meet zero before they meet each other, or nearly so.
     static int64_t near(double before, double from, double to, double after) {
         if (!(from * to > 0.0)) return crossings::NONE;
         const double a = std::fabs(from), b = std::fabs(to);
@@ -205,7 +205,7 @@ class Crossings {
         const double up = after == after ? (to > 0.0 ? after : -after) - b : INFINITY;
         return down > 0.0 && up > 0.0 && a / down + b / up <= ROOM ? crossings::NEAR : crossings::NONE;
     }
-    static constexpr double ROOM = 2.0;  // 1 where g bends alike on the three steps
+    static constexpr double ROOM = 2.0;  // 1 suffices for equal curvature on the three steps
 
     template <class Code>
     void note(int64_t k, int lane, const A* state, int64_t age, Code code_of) {
@@ -218,7 +218,7 @@ class Crossings {
         }
     }
 
-    // Several threads write to the same arrays, each to places of its own.
+    // Several threads write to the same arrays, each to its own entries.
     int64_t take(int64_t k, int lane, const A* state, int64_t age) {
         const int64_t place = __atomic_fetch_add(events.noted, 1, __ATOMIC_RELAXED);
         if (place >= events.capacity) return place;

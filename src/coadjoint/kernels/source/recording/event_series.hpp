@@ -1,4 +1,4 @@
-// Events within a step whose Taylor series is known: the series of g, and where it goes through zero.
+// Events within a step with a known Taylor series: the series of g, and its zeros.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace coadjoint {
 
-// The coefficients of a motion over a step, x_k h^k at `at` + k * `stride`, but for x_0.
+// The coefficients of a motion over a step, x_k h^k at `at` + k * `stride`, except x_0.
 struct StepSeries {
     const double* at = nullptr;
     int64_t stride = 0, order = 0;
@@ -26,10 +26,10 @@ class EventSeries {
                 if (watch.terms.kind[term] == FUNCTION) polynomial[e] = false;
     }
 
-    // Whether the series tells everything of an event.
+    // Whether the series determines the zeros of an event.
     bool tells(int64_t e) const { return polynomial[e]; }
 
-    // Say `found(low, high)` of each part of the step from `before` in which event e goes through zero once.
+    // Call `found(low, high)` for each part of the step from `before` in which event e crosses zero once.
     template <class Found>
     void operator()(int64_t e, const double* before, const StepSeries& motion, Found found) {
         start = before;
@@ -86,7 +86,7 @@ class EventSeries {
         for (int64_t k = 0; k <= order; ++k) sum[k] += product[k];
     }
 
-    // Multiply the product by the series of coordinate i; where it stands `alone` it is a number so far.
+    // Multiply the product by the series of coordinate i; if it is `alone`, the product is a number so far.
     void multiply(int64_t i, bool alone) {
         for (int64_t k = 0; k <= order; ++k) {
             other[k] = product[0] * coefficient(i, k);

@@ -1,5 +1,5 @@
-// What is saved and watched of a run, and after which step. A loop says `after` of each of its steps, and nothing else:
-// `MemberRecorder` where it follows one member, `CrowdRecorder` where it follows many side by side.
+// Saved points and watched invariants of a run. A loop only calls `after` for each of its steps: of `MemberRecorder` if
+// it advances one member, of `CrowdRecorder` if it advances many side by side.
 #pragma once
 
 #include <memory>
@@ -10,14 +10,14 @@
 
 namespace coadjoint {
 
-// For states that are finished when they are looked at.
+// For states that need no finishing.
 struct AlreadyFinished {
     static constexpr bool nothing = true, with_errors = false;
     template <class A>
     void operator()(A*, A*, const A&) const {}
 };
 
-// Steps of one member, gathered side by side, so that they are finished and watched as lanes; `A` is a double where a
+// Steps of one member, gathered side by side, so that they are finished and watched as lanes; `A` is a double if a
 // state is too large for that.
 template <class A, class C, class Finish>
 class MemberRecorder {
@@ -44,11 +44,11 @@ class MemberRecorder {
         if (crossings) crossings->begin(member, k0);
     }
 
-    // The next step, from k on, that is looked at.
+    // The next step, from k on, that is recorded.
     int64_t next_look(int64_t k) const { return noting || crossings ? k : saved.next; }
 
-    // Look at the state after step k, if it is to be looked at. `group(k, to)` fills in the finished group element, and
-    // returns whether it is finite. Returns the first step whose finished state is not, or 0.
+    // Record the state after step k, if required. `group(k, to)` fills in the finished group element, and returns
+    // whether it is finite. Return the first step whose finished state is not, or 0.
     template <class Group>
     INLINE int64_t after(int64_t k, const double* x, const double* dx, const Group& group) {
         const bool due = k == saved.next;
@@ -70,7 +70,7 @@ class MemberRecorder {
         }
     }
 
-    // Clear what was saved of the member from a step on.
+    // Clear the saved points of the member from a step on.
     NOINLINE void take_back(int64_t from) {
         for (int64_t place = saved.slot - 1; place >= 0 && step_of(schedule, place) >= from; --place) {
             const int64_t row = place * arrays.members + member;
@@ -80,12 +80,12 @@ class MemberRecorder {
         }
     }
 
-    // Say how the state has moved in the step that is looked at next, where that is known.
+    // Set the Taylor series of the next recorded step, if known.
     void between(const StepSeries& series) {
         if (crossings) crossings->own.between(series);
     }
 
-    // Finish and note what waits; to be called after the last step. Returns as `after` does.
+    // Finish and record the pending steps; to be called after the last step. Returns as `after` does.
     NOINLINE int64_t flush() {
         if (waiting == 0) return 0;
         double *to = reinterpret_cast<double*>(states.at), *owed = reinterpret_cast<double*>(errors.at);
@@ -104,7 +104,7 @@ class MemberRecorder {
             for (good = 0; good < waiting && at(sound, int(good));) ++good;
         }
         const int64_t failed = good < waiting ? step[good] : 0;
-        // What was saved of the group from the step that failed on is taken back.
+        // Group elements saved from the failed step on are cleared.
         for (int64_t lane = good; lane < waiting; ++lane)
             if (slot[lane] >= 0) std::fill_n(group_at(slot[lane]), arrays.square, NAN);
         if (good > 0) note(good, step, states.at);
@@ -127,7 +127,7 @@ class MemberRecorder {
     int64_t member = 0, step[lanes], slot[lanes], waiting = 0;
     bool saving = false, noting = false;
 
-    // Events are looked for one step after the other.
+    // Events are processed one step after the other.
     struct LookedFor {
         Crossings<double> own;
         std::vector<double> x, groups;
@@ -156,7 +156,7 @@ class MemberRecorder {
         step[waiting++] = k;
     }
 
-    // The group element of step k is not finite. The deviations of its momentum count, as where no element is finished.
+    // The group element of step k is not finite. The deviations of its momentum count, as for unfinished elements.
     NOINLINE int64_t end_at(int64_t k, const double* x, const double* dx) {
         if (const int64_t earlier = flush()) return earlier;
         if (!noting) return k;
@@ -179,8 +179,8 @@ class MemberRecorder {
         if (saving) forget();
     }
 
-    // Look for events among steps, and leave those that are to be noted: until the run of the member ends, and where
-    // not all are watched those that are saved.
+    // Search steps for events, and return how many are to be recorded: until the run of the member ends, and, unless
+    // all are watched, only saved ones.
     NOINLINE int64_t look_for_events(int64_t count, const int64_t* steps, const A* x) {
         const int64_t square = arrays.square;
         int64_t good = 0;
@@ -203,14 +203,13 @@ class MemberRecorder {
     double* group_at(int64_t place) const { return arrays.group + (place * arrays.members + member) * arrays.square; }
 };
 
-// Finished states of members side by side, and where they are saved their group elements.
+// Finished states of members side by side, and their group elements if they are saved.
 template <class A>
 struct FinishedRows {
     const A *x, *group;
 };
 
-// Members side by side, watched at the same steps. What belongs to a lane stays with it until the tenth of the run
-// ends.
+// Members side by side, watched at the same steps. Data of a lane stay with it until the tenth of the run ends.
 template <class A, class C>
 class CrowdRecorder {
   public:
@@ -235,7 +234,7 @@ class CrowdRecorder {
         each([&](int64_t lane, int64_t i) { arrays.last[members[lane] * watch.size + i] = lane_of(last.at[i], lane); });
     }
 
-    // Look at the states after step k, if they are to be looked at: `finished(saving)` gives them.
+    // Record the states after step k, if required: `finished(saving)` returns them.
     template <class Finish>
     INLINE void after(int64_t k, const Finish& finished) {
         if (!noting && !crossings && k != saved.next) return;
@@ -247,7 +246,7 @@ class CrowdRecorder {
         if (slot >= 0) save(slot, rows);
     }
 
-    // Keep the deviations so far of a lane that is about to stop; to be called before it does.
+    // Store the deviations so far of a lane that is about to stop; to be called before it does.
     void keep_worst() {
         if (tenth < 0) return;
         each([&](int64_t lane, int64_t i) {
@@ -285,7 +284,7 @@ class CrowdRecorder {
     int64_t tenth = -1;
     std::unique_ptr<Crossings<A>> crossings;
 
-    // Note nothing more of lanes whose runs have been ended by events before step k.
+    // Stop recording lanes whose runs have been ended by events before step k.
     void let_go(int64_t k) {
         keep_worst();
         for (int64_t lane = 0; lane < count; ++lane)
@@ -293,7 +292,7 @@ class CrowdRecorder {
         crossings->find_next_end(going);
     }
 
-    // Go on to the largest deviations of the tenth of the run that step k belongs to.
+    // Switch to the largest deviations of the tenth of the run that contains step k.
     void enter_tenth(int64_t k) {
         const int64_t now = tenth_of(schedule, k);
         if (now == tenth) return;
@@ -302,7 +301,7 @@ class CrowdRecorder {
         each([&](int64_t lane, int64_t i) { set_lane(worst.at[i], lane, worst_of(lane, i)); });
     }
 
-    // Of a step that is neither saved nor watched only the turns are counted.
+    // For a step that is neither saved nor watched only the turns are counted.
     void note(int64_t k, int64_t slot, const A* x) {
         const bool looked = schedule.watching || slot >= 0;
         if (looked) enter_tenth(k);

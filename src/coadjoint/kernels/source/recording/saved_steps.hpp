@@ -1,4 +1,4 @@
-// After which steps of a run something is saved: every save_every-th and the last, or those that are marked.
+// Saved steps of a run: every save_every-th and the last, or the marked ones.
 #pragma once
 
 #include <algorithm>
@@ -14,7 +14,7 @@ inline int64_t step_of(const Schedule& schedule, int64_t slot) {
     return schedule.marks ? schedule.marks[place] : std::min(place * schedule.save_every, schedule.steps);
 }
 
-// The saved steps after step k, one after the other: the next of them, and its place among the saved points.
+// Iterator over the saved steps after step k: the next of them, and its index among the saved points.
 class SavedSteps {
   public:
     int64_t next, slot;
@@ -26,7 +26,7 @@ class SavedSteps {
         find();
     }
 
-    // Return the place of the next one, and go on to the one after it.
+    // Return the index of the next one, and advance.
     int64_t take() {
         const int64_t here = slot++;
         find();
@@ -36,7 +36,7 @@ class SavedSteps {
   private:
     const Schedule* schedule;
 
-    // After the last one a step that no loop comes to.
+    // After the last one, a step that no loop reaches.
     void find() {
         const bool none = schedule->marks && slot + schedule->passed >= schedule->marked;
         next = none ? std::numeric_limits<int64_t>::max() : step_of(*schedule, slot);

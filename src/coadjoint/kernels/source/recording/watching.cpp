@@ -1,15 +1,15 @@
-// How a run begins and whether it went well, and functions along saved points.
+// Initialization of runs, detection of failures, and functions along saved points.
 #include "boundary/crew.hpp"
 #include "recording/saved_steps.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t LOOKED_AFTER = int64_t(1) << 16;  // numbers that are filled without listening
+constexpr int64_t LOOKED_AFTER = int64_t(1) << 16;  // numbers that are filled without checking for interrupts
 
-// Put one value in the rows of the members first to last - 1, in each of the planes.
+// Fill the rows of the members first to last - 1 with one value, in each of the planes.
 static void fill(double* at, int64_t planes, int64_t members, int64_t first, int64_t last, int64_t length,
                  double value) {
-    // Of all members at once the planes are one piece.
+    // For all members at once the planes are contiguous.
     const bool whole = last - first == members;
     const int64_t pieces = whole ? 1 : planes, all = (whole ? planes * members : last - first) * length;
     for (int64_t piece = 0; piece < pieces; ++piece) {
@@ -27,7 +27,7 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
     const auto blank = [&](double* at, int64_t planes, int64_t length, double value) {
         fill(at, planes, arrays.members, crew.members[crew.first], crew.members[crew.last - 1] + 1, length, value);
     };
-    // What nothing is saved in stays NaN, and says so.
+    // Points that are not saved stay NaN.
     blank(arrays.x, arrays.points, arrays.size, NAN);
     blank(arrays.group, arrays.points, arrays.square, NAN);
     blank(arrays.values, arrays.points, watch.size, NAN);

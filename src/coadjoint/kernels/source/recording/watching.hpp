@@ -1,4 +1,4 @@
-// Invariants along a run, their largest deviations, and what is saved: the same for all families of schemes.
+// Invariants along a run, their largest deviations, and saved points, for all families of schemes.
 #pragma once
 
 #include <vector>
@@ -21,7 +21,7 @@ INLINE int64_t tenth_of(const Schedule& schedule, int64_t k) {
     return k > 0 ? (k - 1) * TENTHS / schedule.steps : 0;
 }
 
-// Invariant i at x; `y` is room for watch.longest numbers, `room` for watch.longest + 1.
+// Invariant i at x; `y` is scratch memory for watch.longest numbers, `room` for watch.longest + 1.
 template <class A, class C>
 NOINLINE A value_of(const Watch& watch, const C& constants, int64_t i, const A* x, const A& t, A* y, double* room) {
     A total = constants.template number_at<A>(watch.constant, i);
@@ -30,7 +30,7 @@ NOINLINE A value_of(const Watch& watch, const C& constants, int64_t i, const A* 
     return total;
 }
 
-// A value of a multivalued invariant, moved by whole periods next to the value before.
+// A value of a multivalued invariant, shifted by whole periods next to the previous value.
 INLINE double unwrapped(double now, double last, double period) {
     return now + period * std::floor((last - now) / period + 0.5);
 }
@@ -43,7 +43,7 @@ bool has_turns(const Watch& watch, const C& constants) {
     return false;
 }
 
-// Note the value of invariant i of a member at step k; of a step that is not looked at its turns alone.
+// Record the value of invariant i of a member at step k; for other steps only its turns.
 INLINE void note_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
                        int64_t slot, int64_t tenth, bool looked, double now) {
     int64_t place = member * count + i;
@@ -65,8 +65,8 @@ INLINE void save_state(const Arrays& arrays, int64_t member, int64_t slot, int64
     for (int64_t i = 0; i < size; ++i) to[i] = lane_of(x[i], lane);
 }
 
-// Note the first `count` lanes, steps of one member that follow each other: deviations of the invariants, and what is
-// saved, each at its place among the saved points, or -1; `saving` says whether anything is.
+// Record the first `count` lanes, consecutive steps of one member: deviations of the invariants, and saved points, each
+// at its index or -1; `saving` is whether there are any.
 template <class A, class C>
 void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, const Schedule& schedule, int64_t member,
                 int64_t count, const int64_t* step, bool saving, const int64_t* slots, const A* x, A* y,

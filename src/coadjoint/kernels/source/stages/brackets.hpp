@@ -1,5 +1,5 @@
-// The stages of a few small algebras in registers: their brackets are known to the compiler, and so is whether M is
-// diagonal. The same operations as by the tables, and so the same bits.
+// The stages of a few small algebras in registers: their brackets, and whether M is diagonal, are known at compile
+// time. The same operations as by the tables, and so the same bits.
 #pragma once
 
 #include <utility>
@@ -18,8 +18,8 @@ INLINE void each(Function function) {
     each_of(function, std::make_integer_sequence<int, n>());
 }
 
-// Nonzero structure constants, row by row: f_i = sum of sign x_state u_column. Those of a field may all have the other
-// sign; of three coordinates that move each other they may be any.
+// Nonzero structure constants, row by row: f_i = sum of sign x_state u_column. Those of a field may all have the
+// opposite sign; of three coordinates that move each other they may be any.
 struct So3 {
     static constexpr bool unit = true;
     static constexpr int n = 3, entries = 6, first[] = {0, 2, 4, 6};
@@ -60,7 +60,7 @@ bool has_bracket(const Field& field, const C& constants) {
     return absolute(orientation) == 1.0;
 }
 
-// Whether H is quadratic with a row for every coordinate, of one entry at most on the diagonal, or of all of them.
+// Whether H is quadratic with a row for every coordinate, of at most one entry, on the diagonal, or of all of them.
 inline bool has_rows(const Field& field, bool full) {
     const Terms& terms = field.terms;
     const uint32_t n = uint32_t(field.size);
@@ -85,7 +85,7 @@ Known known_algebra(const Field& field, const C& constants) {
     return Known::NONE;
 }
 
-// One iteration after the other, for stages that fit into one row of lanes.
+// Function iterations for stages that fit into one row of lanes.
 template <class Layout, class Bracket, bool full>
 struct Bracketed {
     typedef typename Layout::A A;

@@ -1,4 +1,4 @@
-// Stages by linear systems for their corrections: simplified Newton, and what is linear from the start.
+// Stages by linear systems for their corrections: simplified Newton iteration, and linear schemes.
 #pragma once
 
 #include <limits>
@@ -11,13 +11,13 @@
 namespace coadjoint {
 
 constexpr int64_t MOST_CORRECTIONS = 50;
-constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
-constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
+constexpr double SLUGGISH = 0.25;  // ratio of corrections above which the factors are renewed
+constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it stagnating corrections are round-off
 
-// Correct the points of one trajectory for as long as each correction is less than half of the one before:
-// `evaluate` sets the slopes at the points, `solve` turns the defect, stage after stage, into a correction, and `renew`
-// is called where corrections fall slowly. With `enough` it is done after so many of them: what is linear is solved by
-// the first, and refined by the second.
+// Correct the points of one trajectory as long as each correction is less than half of the previous one: `evaluate`
+// sets the slopes at the points, `solve` turns the defect, stage after stage, into a correction, and `renew` is called
+// if corrections fall slowly. With `enough` it is done after that many corrections: linear stages are solved by the
+// first, and refined by the second.
 template <class Layout, class Evaluate, class Solve, class Renew>
 NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew,
                                  int64_t enough = 0) {

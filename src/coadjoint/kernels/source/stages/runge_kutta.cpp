@@ -1,9 +1,9 @@
-// What Python calls for Runge-Kutta methods.
+// Entry points of Runge-Kutta methods for Python.
 #include "stages/runge_kutta_loop.hpp"
 
 namespace coadjoint {
 
-// Whether members of a crowd have room in the cache: their stages, and the matrix of a direct scheme.
+// Whether members of a crowd fit into the cache: their stages, and the matrix of a direct scheme.
 static bool fits(const RungeKuttaTables& tables) {
     const int64_t n = tables.field.size, edge = tables.direct ? tables.stages * std::max(n, tables.group.size) : 0;
     return edge * edge + 5 * tables.stages * (n + tables.group.size * tables.group.size) <= 4096;
@@ -13,11 +13,11 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     typedef Lanes<CROWD> Crowd;
     const RungeKuttaTables& tables = loop.tables;
     const auto [members, first, last, stride] = crew;
-    // What only some members take, linear systems by iteration, they take alone.
+    // Linear systems by iteration are solved for each member alone.
     const bool iterated = tables.solver >= STRUCTURE && !tables.direct;
     // Stages fill lanes as well as members do, and fit better into registers.
     const bool side_by_side = tables.solver == IMPLICIT && tables.stages >= 4 && tables.field.size > 3;
-    // Lanes have one length.
+    // Lanes share one step length.
     const bool narrow = fits(tables) && !iterated && !side_by_side && !loop.schedule.lengths;
     int64_t place = first;
     for (; place < last && stride && loop.schedule.lengths; ++place) {

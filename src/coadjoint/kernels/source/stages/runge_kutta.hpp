@@ -60,8 +60,8 @@ struct Stages {
     int64_t widest() const { return std::max(n, d); }
     int64_t edge() const { return tables.direct ? s * widest() : 0; }
 
-    // Find the slopes of the momentum and of the group element for a substep that starts at time t; returns where they
-    // were found. What is not found for a member of a crowd is to be sought for it alone, by `solve_alone`.
+    // Compute the slopes of the momentum and of the group element for a substep that starts at time t; return the lanes
+    // that succeeded. Failed members of a crowd are computed alone, by `solve_alone`.
     Mask solve(double t, double h, int64_t part, Mask going) {
         begin(t, h);
         if (tables.solver == IMPLICIT) {
@@ -105,7 +105,8 @@ struct Stages {
 
     NOINLINE void evaluate_all() { evaluate<NOT_FROZEN>(0, blocks); }
 
-    // Iterate, the first `trust` iterations unwatched, and tell where it was found how many the next step may trust.
+    // Iterate, the first `trust` iterations without convergence tests, and set `next` of converged lanes to the number
+    // of iterations that the next step may trust.
     Mask settle_momentum(Mask going, const V& trust, V* next) {
         if constexpr (Layout::side_by_side && lanes <= 8) switch (algebra) {
                 case Known::TRIAD: return settle_bracket<Triad, false>(trust, next);
@@ -122,11 +123,11 @@ struct Stages {
         return settle_blocks<0>(going, trust, next);
     }
 
-    // One block is worth a loop of its own.
+    // A single block has a specialized loop.
     template <int64_t known>
     NOINLINE Mask settle_blocks(Mask going, const V& trust, V* next) {
         const int64_t count = known ? known : blocks;
-        // Too large for the compiler to inline unasked.
+        // Too large for the compiler to inline by itself.
         auto iterate = [&](auto watched) __attribute__((always_inline)) {
             evaluate<NOT_FROZEN>(0, count);
             p.template restage<decltype(watched)::value>(0, count, s);
@@ -175,7 +176,7 @@ struct Stages {
         return going;
     }
 
-    // A fixed number of function iterations, then the output, or the linear system in what is frozen.
+    // A fixed number of function iterations, then the output, or the linear system in the frozen factor.
     NOINLINE Mask pass(Mask going) {
         for (int64_t passed = 0;; ++passed) {
             evaluate_all();
@@ -209,7 +210,7 @@ struct Stages {
         return going;
     }
 
-    // Factorize I - (mix_ij W_j), W_j the (edge * edge) blocks; returns where it is not singular.
+    // Factorize I - (mix_ij W_j), W_j the (edge * edge) blocks; return the lanes in which it is not singular.
     Mask assemble(int64_t edge) {
         const int64_t size = s * edge;
         for (int64_t i = 0; i < s; ++i)
@@ -222,7 +223,7 @@ struct Stages {
         return factorize(system.at, size, pivots.at);
     }
 
-    // Add to the points the solution of the factorized system for their defect: the first time solves it.
+    // Add to the points the solution of the factorized system for their defect; the first call solves it.
     void refine(Unknowns<Layout>& y, int64_t edge, int64_t count) {
         const int64_t m = y.size;
         for (int64_t b = 0; b < blocks; ++b)
@@ -273,7 +274,7 @@ struct Stages {
         return going;
     }
 
-    // How many evaluations of the field all that was.
+    // The number of evaluations of the field.
     V evaluations() const { return tables.solver == EXPLICIT ? iterations : iterations * double(s); }
 };
 

@@ -1,4 +1,4 @@
-// The loop over steps for Runge-Kutta methods: one trajectory, or a crowd of members as lanes.
+// The loop over steps of Runge-Kutta methods, for one trajectory or members as lanes.
 #pragma once
 
 #include "boundary/crew.hpp"
@@ -8,7 +8,7 @@ namespace coadjoint {
 
 typedef Loop<RungeKuttaTables> RungeKuttaLoop;
 
-// Visit every row of a member: where it is kept in the state, and where the loop has it.
+// Visit every row of a member: its place in the state, and its place in the loop.
 template <class V, class Visit>
 INLINE void each_row(const Arrays& arrays, V* x, V* dx, V* g, V* dg, Visit visit) {
     visit(arrays.momenta, x, arrays.size);
@@ -17,7 +17,7 @@ INLINE void each_row(const Arrays& arrays, V* x, V* dx, V* g, V* dg, Visit visit
     visit(arrays.group_errors, dg, arrays.square);
 }
 
-// About how many multiplications a step of one member takes, if it needs some iterations.
+// Approximate number of multiplications of a step of one member, for a typical number of iterations.
 inline int64_t work_of_step(const RungeKuttaLoop& loop) {
     const RungeKuttaTables& tables = loop.tables;
     const int64_t stages = tables.stages, n = tables.field.size, d = tables.group.size, edge = stages * std::max(n, d);
@@ -26,7 +26,7 @@ inline int64_t work_of_step(const RungeKuttaLoop& loop) {
            tables.substeps * (8 * stages * slopes + (tables.direct ? edge * edge * edge : 0));
 }
 
-// Where the first correction is NaN a number overflowed; else the iteration did not converge.
+// If the first correction is NaN, a number overflowed; otherwise the iteration did not converge.
 INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
 
 template <class Side, class C>
@@ -78,7 +78,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const
     }
 }
 
-// Members as lanes; the last one fills what is left of the lanes.
+// Members as lanes; the last one fills unused lanes.
 template <class A, class C>
 struct Together {
     static constexpr int lanes = Numbers<A>::lanes;
@@ -125,7 +125,7 @@ struct Together {
     Own own_constants(const Varied& varied, int lane) const { return Own{varied.stride, varied.first + lane}; }
     Shared own_constants(const Shared&, int) const { return Shared{}; }
 
-    // Seek for one member what was not found for it in the crowd.
+    // Solve alone for one member that failed in the crowd.
     NOINLINE bool alone(int lane, double t, double h, int64_t part) {
         if (!single[lane]) single[lane] = single_of(loop.tables, own_constants(constants, lane));
         Single& one = *single[lane];

@@ -1,4 +1,4 @@
-// One trajectory of a Runge-Kutta method, whatever holds its stages.
+// Interface of one trajectory of a Runge-Kutta method, for any layout of its stages.
 #pragma once
 
 #include <memory>
@@ -8,11 +8,11 @@
 namespace coadjoint {
 
 struct Single {
-    double *x, *dx, *g, *dg;  // the momentum, the group element, and what compensated sums owe
-    double newton = 0.0;      // for how many steps it still begins with Newton
+    double *x, *dx, *g, *dg;  // the momentum, the group element, and their compensations
+    double newton = 0.0;      // number of further steps that begin with Newton's method
 
     virtual ~Single() = default;
-    // Find the slopes of a substep: `iterations` and `evaluations` grow, `residual` is the last correction.
+    // Compute the slopes of a substep: `iterations` and `evaluations` are increased, `residual` is the last correction.
     virtual bool solve(double t, double h, int64_t part) = 0;
     virtual void add() = 0;
     virtual void read_slopes(const double* from) = 0;

@@ -1,4 +1,4 @@
-// Single trajectories with constants of their own: few are, and one width of lanes serves them, with the same bits.
+// Single trajectories with constants of their own: they are few, so one width of lanes serves them, with the same bits.
 #include "stages/traveller.hpp"
 
 namespace coadjoint {

@@ -1,4 +1,4 @@
-// Single trajectories whose constants are those of all.
+// Single trajectories with shared constants.
 #include "stages/traveller.hpp"
 
 namespace coadjoint {

@@ -1,4 +1,4 @@
-// The stages of one trajectory, found by other means where iterating fails: Newton's method, and linear systems.
+// Fallbacks for the stages of one trajectory if the function iteration fails: Newton's method, and linear systems.
 #pragma once
 
 #include "field/derivatives.hpp"
@@ -7,10 +7,10 @@
 
 namespace coadjoint {
 
-constexpr double STEPS_OF_NEWTON = 64;  // after which the function iteration is tried again
+constexpr double STEPS_OF_NEWTON = 64;  // after these the function iteration is tried again
 constexpr int64_t LARGEST_FACTORED = 1024;  // unknowns of a column of the group element: half a second
 
-// Room for what few trajectories need.
+// Scratch memory that few trajectories need.
 template <class A>
 struct LinearRoom {
     DerivativeRoom<A> sloping;
@@ -33,8 +33,9 @@ struct SingleStages : Stages<Layout, C> {
 
     SingleStages(const RungeKuttaTables& tables, const C& constants) : Base(tables, constants) {}
 
-    // Find the slopes of a substep by one means after the other: from the base instead of ahead, by Newton's method or
-    // linear systems instead of iterating. `newton` counts the steps that are still to begin with these.
+    // Compute the slopes of a substep by one fallback after the other: starting at the base instead of an
+    // extrapolation, by Newton's method or linear systems instead of function iteration. `newton` counts the further
+    // steps that begin with these.
     bool solve_alone(double t, double h, int64_t part, double& newton) {
         if (tables.solver != IMPLICIT) {
             if (solve(t, h, part, true)) return true;
@@ -117,8 +118,8 @@ struct SingleStages : Stages<Layout, C> {
         return tables.band >= 0 ? by_band(evaluate, multiply) : by_krylov(p, evaluate, multiply);
     }
 
-    // By factors, where coordinates that are coupled are near to each other in the order `position`. Columns that no
-    // row shares are found by one multiplication.
+    // By factors, if coupled coordinates are close to each other in the order `position`. Columns without common rows
+    // are computed by one multiplication.
     template <class Evaluate, class Multiply>
     bool by_band(Evaluate evaluate, Multiply multiply) {
         const int64_t band = tables.band, groups = std::min(n, 2 * band + 1);
@@ -162,7 +163,7 @@ struct SingleStages : Stages<Layout, C> {
         return taken(correct(p, evaluate, solve, [&] { return stale = true; }, enough));
     }
 
-    // Without a matrix: `multiply` applies the derivative of the slopes to changes of the points.
+    // Matrix-free: `multiply` applies the derivative of the slopes to changes of the points.
     template <class Evaluate, class Multiply>
     bool by_krylov(Unknowns<Layout>& y, Evaluate evaluate, Multiply multiply) {
         const int64_t m = y.size;
@@ -190,7 +191,7 @@ struct SingleStages : Stages<Layout, C> {
         return settle_group(true) || group_by_krylov() || group_by_factors();
     }
 
-    // The structure is frozen: linear by the gradient.
+    // The structure is frozen: linear in the gradient.
     bool linear_in_gradient() {
         return by_systems(
             [&] { this->template evaluate<STRUCTURE>(0, blocks); },
@@ -204,7 +205,7 @@ struct SingleStages : Stages<Layout, C> {
             });
     }
 
-    // The gradient is frozen: linear by the structure.
+    // The gradient is frozen: linear in the structure.
     bool linear_in_structure() {
         return by_systems(
             [&] { this->template evaluate<GRADIENT>(0, blocks); },
@@ -228,7 +229,7 @@ struct SingleStages : Stages<Layout, C> {
         return found;
     }
 
-    // Many stages of a large rotation have more eigenvalues than a restarted Krylov space follows.
+    // Many stages of a large rotation have more distinct eigenvalues than a restarted Krylov space resolves.
     NOINLINE bool group_by_factors() {
         const int64_t size = s * d;
         if (size > LARGEST_FACTORED) return false;

@@ -1,9 +1,9 @@
 // Stages of a step side by side, and sums over them: X_i = base + (error + sum_j mix_ij L_j).
 //
-// One trajectory has its stages as lanes; members of a crowd are lanes, and a stage follows the other. Stage arrays
-// hold `blocks` blocks of numbers A, one for each component. What belongs to a trajectory as a whole is a V.
+// For one trajectory the stages are lanes; in a crowd the members are lanes, and stages follow each other. Stage arrays
+// hold `blocks` blocks of numbers A, one for each component. A quantity of the whole trajectory is a V.
 //
-// Every sum over stages has two parts, over even j from the error and over odd j from zero, each in rising order and
+// Every sum over stages has two parts, over even j from the error and over odd j from zero, each in ascending order and
 // fused, and then the sum of the two: the same bits in every layout.
 #pragma once
 
@@ -13,17 +13,17 @@
 
 namespace coadjoint {
 
-// Stages as lanes, W of them in a block; lanes beyond the last stage repeat it, so that nothing about them matters.
+// Stages as lanes, W of them in a block; lanes beyond the last stage repeat it, and have no effect.
 template <int W>
 struct StageLanes {
     typedef Lanes<W> A;
     typedef double V;
     typedef A Coefficient;
     static constexpr bool side_by_side = true;
-    static constexpr int together = 3;  // components whose sums run side by side
+    static constexpr int together = 3;  // components whose sums are interleaved
 
     static INLINE int64_t blocks(int64_t stages) { return (stages + W - 1) / W; }
-    // Row-major coefficients, `count` for each stage, as columns of lanes: those of block b begin at b * count.
+    // Store row-major coefficients, `count` for each stage, as columns of lanes: those of block b begin at b * count.
     static void lay_out(const double* from, int64_t stages, int64_t count, A* to) {
         for (int64_t b = 0; b < blocks(stages); ++b)
             for (int64_t j = 0; j < count; ++j)
@@ -61,7 +61,7 @@ struct StageLanes {
         mix_block<M>(coefficient, stages, y, even, odd);
         for (int m = 0; m < M; ++m) totals[m] = even[m] + odd[m];
     }
-    // The same for stages that are one block.
+    // The same for stages in one block.
     template <int M>
     static INLINE void mix_one(const A* coefficient, int64_t stages, const A* y, const double* errors, A* totals) {
         A even[M], odd[M];
@@ -69,7 +69,7 @@ struct StageLanes {
         mix_block<M>(coefficient, stages, y, even, odd);
         for (int m = 0; m < M; ++m) totals[m] = even[m] + odd[m];
     }
-    // Lanes are spread within registers: through memory each sum would wait for the slopes to be written and read.
+    // Lanes are broadcast within registers: through memory each sum would wait for the slopes to be written and read.
     template <int M>
     static INLINE void mix_block(const A* coefficient, int64_t count, const A* y, A* even, A* odd) {
 #pragma GCC unroll 16
@@ -82,7 +82,7 @@ struct StageLanes {
     }
 };
 
-// One stage after the other, each with a number for every member.
+// Stages one after the other, each with a number for every member.
 template <class M>
 struct MemberLanes {
     typedef M A;
@@ -129,7 +129,7 @@ struct MemberLanes {
     }
 };
 
-// Visit sum_j coefficient_j y_j + errors for every component, some at a time so that their sums run side by side.
+// Visit sum_j coefficient_j y_j + errors for every component, several at a time so that their sums are interleaved.
 template <class Layout, class Visit>
 INLINE void mix_each(const typename Layout::Coefficient* coefficient, int64_t stages, const typename Layout::A* y,
                      int64_t size, const typename Layout::V* errors, Visit visit) {

@@ -1,4 +1,4 @@
-// When is a fixed point iteration done? When its corrections have stopped falling at the level of round-off.
+// Stopping criterion of fixed point iterations: corrections have stopped falling at the level of round-off.
 #pragma once
 
 #include <limits>
@@ -13,25 +13,25 @@ namespace coadjoint {
 
 constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST = 192;
-constexpr double GROWTH = power_of_two(GROWTH_BITS);  // a correction so much larger than the first will not come back
-constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below it may a correction be round-off
-constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
-constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
-constexpr double TRUSTED = 12.0;      // at most so many iterations go unwatched: the first look needs some before it
-constexpr int64_t LONG = int64_t(1) << 14;  // multiplications of an iteration from which on it listens in each
+constexpr double GROWTH = power_of_two(GROWTH_BITS);  // larger than the first correction by this: divergence
+constexpr double NOISE = 0x1p-32;     // of the size of the stages: only smaller corrections may be round-off
+constexpr int64_t LOOK = 16;          // interval, in iterations, of the test for slow convergence
+constexpr double SLOW = 0x1p-6;       // a smaller fall since the last test would take more than MOST iterations
+constexpr double TRUSTED = 12.0;      // at most so many untested iterations, so that the first test can compare
+constexpr int64_t LONG = int64_t(1) << 14;  // multiplications of an iteration above which each checks for interrupts
 
-// For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where
-// the iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
+// The number of iterations without a new smallest correction that counts as stagnation. Few can be chance: with complex
+// eigenvalues the corrections oscillate while they shrink, the longer the more slowly they shrink.
 INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
 
-// Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for iterating.
+// Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and scratch memory.
 template <class Layout>
 struct Unknowns {
     typedef typename Layout::A A;
     typedef typename Layout::V V;
     const int64_t stages, blocks, size;
     const typename Layout::Coefficient* mix;
-    int64_t work;  // about how many multiplications an iteration takes
+    int64_t work;  // approximate number of multiplications of an iteration
     V *base = nullptr, *error = nullptr;
     Room<A> points, slopes, before, kept, change, moved, least, noise;
 
@@ -46,8 +46,8 @@ struct Unknowns {
             for (int64_t c = 0; c < size; ++c) points.at[b * size + c] = Layout::spread(base[c]);
     }
 
-    // Start where the polynomial through the slopes of the step before leads, except where that is not finite; returns
-    // where it is.
+    // Start at the extrapolation of the polynomial through the slopes of the previous step, unless that is not finite;
+    // return the lanes where it is finite.
     auto start_ahead(const typename Layout::Coefficient* forecast) {
         A total(0.0);
         for (int64_t b = 0; b < blocks; ++b)
@@ -66,8 +66,8 @@ struct Unknowns {
         return sound;
     }
 
-    // Set the points of the blocks low to high - 1 from the first `count` slopes, and note how far they moved if that
-    // is watched.
+    // Set the points of the blocks low to high - 1 from the first `count` slopes, and record their moves if these are
+    // watched.
     template <bool watched>
     INLINE void restage(int64_t low, int64_t high, int64_t count) {
         for (int64_t b = low; b < high; ++b) {
@@ -86,7 +86,8 @@ struct Unknowns {
         }
     }
 
-    // What is small against each stage as it starts; and, where that may be nowhere near, against its first move too.
+    // Set the threshold for round-off relative to each stage at its start; if that may be a poor guess, relative to its
+    // first move too.
     INLINE void measure(int64_t blocks, int64_t size) {
         for (int64_t b = 0; b < blocks; ++b) {
             A total(0.0);
@@ -99,7 +100,7 @@ struct Unknowns {
             noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
     }
 
-    // The largest correction of a stage, summed over its components; NaN where one of them is.
+    // The largest correction of a stage, summed over its components; NaN if any is NaN.
     V largest_move() const {
         V result(0.0), spoilt(0.0);
         for (int64_t b = 0; b < blocks; ++b) {
@@ -110,8 +111,9 @@ struct Unknowns {
         return result + spoilt;
     }
 
-    // Whether the correction of any component of a stage has fallen below all that it has been: components differ in
-    // size, and each is followed until it stops. One unit in the last place is nothing: of many one would always fall.
+    // Whether the correction of any component of a stage is smaller than all previous ones: components differ in size,
+    // and each is followed until it stops. One unit in the last place is ignored, since among many components one would
+    // always fall.
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
         auto found = A(0.0) < A(0.0);
         for (int64_t k = 0; k < blocks * size; ++k) {
@@ -132,16 +134,17 @@ struct Outcome {
     V iterations, residual, trusted{0.0};
 };
 
-// Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
-// keeps its slopes. `iterate` sets the slopes at the points, then the points, told whether their moves are watched;
-// `keep` is told which lanes settled, to keep more of them. Outcomes have the residual only of what failed.
+// Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; settled ones keep
+// their slopes. `iterate` sets the slopes at the points, then the points, and receives whether their moves are watched;
+// `keep` receives the lanes that settled, to store more of them. Outcomes have the residual only of failed
+// trajectories.
 //
-// Where no trajectory goes, nothing is done.
+// If no trajectory is going, nothing is done.
 //
-// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
-// fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
+// A trajectory has settled if nothing moves, or if, for some iterations in a row, no component's correction has fallen
+// below its minimum since the corrections became small. It fails if corrections grow or fall slowly.
 //
-// Nothing is watched in the first `trusted` iterations of each: they are what the step before says will still fall.
+// The first `trusted` iterations of each are not watched: by the previous step, corrections still fall in them.
 template <class Layout, class Mask, class Iterate, class Keep>
 INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t size,
                       const typename Layout::V& trusted, Iterate iterate, Keep keep) {
@@ -162,7 +165,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
     std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
     V first = infinite, looked = infinite, quiet(0.0);
     bool kept = false;
-    // After the last of them every trajectory has settled or failed.
+    // After the last iteration every trajectory has settled or failed.
     for (; passed <= MOST; ++passed) {
         iterate(std::true_type());
         if (__builtin_expect(slow, 0)) Hearing::of_this_call().after(y.work * Numbers<V>::lanes);
@@ -224,7 +227,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
     return outcome;
 }
 
-// The same, where `evaluate` sets the slopes only, and every iteration is watched.
+// The same with `evaluate`, which sets the slopes only, and every iteration watched.
 template <class Layout, class Mask, class Evaluate, class Keep>
 INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
     auto iterate = [&](auto watched) __attribute__((always_inline)) {

@@ -1,4 +1,4 @@
-// A state, or a crowd of them, with the stages of its steps.
+// One state, or several as lanes, with the stages of its steps.
 #pragma once
 
 #include "stages/single.hpp"
@@ -6,12 +6,12 @@
 
 namespace coadjoint {
 
-// How many numbers the iterations that are trusted, and the slopes of a step, take.
+// The count of numbers for the trusted iterations and the slopes of a step.
 inline int64_t remembered_slopes(const RungeKuttaTables& tables) {
     return tables.substeps + tables.stages * (tables.field.size + tables.group.size * tables.group.size);
 }
 
-// What a member remembers from step to step: for how many steps it still begins with Newton's method, and these.
+// The count of numbers that a member remembers from step to step: its remaining steps with Newton's method, and these.
 inline int64_t remembered_by(const RungeKuttaTables& tables) {
     return tables.solver == IMPLICIT ? 1 + remembered_slopes(tables) : 0;
 }
@@ -39,8 +39,8 @@ struct Traveller {
         if (square > 0) add_slopes<Layout>(tables.out, s, stages.g.slopes.at, square, g, dg);
     }
 
-    // What is remembered of one lane: the iterations that are trusted in each substep, and the slopes, stage after
-    // stage, of the step before or of this one.
+    // Store the remembered numbers of one lane: the trusted iterations of each substep, and the slopes, stage after
+    // stage, of the previous step or of this one.
     void write_slopes(bool before, double* to, int lane) {
         for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.trusted.at[part], lane);
         each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
@@ -92,7 +92,7 @@ struct SingleOf final : Single {
     void write_slopes(double* to) override { own.write_slopes(false, to, 0); }
 };
 
-// Stages are lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
+// Stages are lanes if a step has many at once; explicit schemes and the midpoint rule have one at a time.
 INLINE bool one_at_a_time(const RungeKuttaTables& tables) { return tables.solver == EXPLICIT || tables.stages == 1; }
 
 }  // namespace coadjoint

@@ -1,4 +1,4 @@
-// A series as a function of the time within its step.
+// Dense output: a series as a function of the time within its step.
 #pragma once
 
 #include "steps/series.hpp"
@@ -14,7 +14,8 @@ INLINE double size_of_term(const Series<W>& series, int64_t k) {
     return sum_of_lanes(total);
 }
 
-// x_1 (s h) + ... + x_p (s h)^p of one block of rows: even and odd terms by Horner's rule, each from its smallest terms.
+// x_1 (s h) + ... + x_p (s h)^p of one block of rows: even and odd terms by Horner's rule, each from its smallest
+// terms.
 template <int W>
 INLINE Lanes<W> increment_at(const Series<W>& series, int64_t block, double s) {
     typedef Lanes<W> Row;

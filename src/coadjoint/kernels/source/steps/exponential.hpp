@@ -1,4 +1,4 @@
-// The action of the exponential of a matrix that is only applied: scaled and truncated Taylor series, Horner's order.
+// The action of the exponential of a matrix-free operator: scaled and truncated Taylor series, in Horner's order.
 #pragma once
 
 #include <cmath>
@@ -9,7 +9,7 @@
 
 namespace coadjoint {
 
-constexpr double NEGLIGIBLE = 0x1p-56;  // of the first term: what is left of a series
+constexpr double NEGLIGIBLE = 0x1p-56;  // of the first term: truncation error of a series
 
 class ExponentialAction {
   public:
@@ -17,8 +17,8 @@ class ExponentialAction {
 
     explicit ExponentialAction(int64_t longest) : move(longest), total(longest), image(longest) {}
 
-    // Into how many substeps the exponential falls where the rows of D have these sums of absolute entries, and where
-    // its series may end; false where these are too many. `work` is that of one product, in multiplications.
+    // Compute the number of substeps for rows of D with these sums of absolute entries, and the truncation of the
+    // series; false if there are too many. `work` is that of one product, in multiplications.
     bool measure(const double* sums, int64_t rows, int64_t work) {
         double norm = 0.0;
         for (int64_t i = 0; i < rows; ++i) norm = sums[i] > norm || sums[i] != sums[i] ? sums[i] : norm;

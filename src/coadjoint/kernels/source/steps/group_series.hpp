@@ -1,4 +1,4 @@
-// The Taylor series of the group element that goes with a motion: g' = g A(u), where u is the gradient of H.
+// The Taylor series of the group element along a motion: g' = g A(u), where u is the gradient of H.
 #pragma once
 
 #include <cmath>
@@ -12,24 +12,24 @@
 
 namespace coadjoint {
 
-// What is left out of a series that begins with one; how far its matrices reach, by their norms; how many more terms
-// than the gradient it may take for that, and after how many one looks.
+// Truncation error of a series that begins with one; largest norm of its matrices; how many more terms than the
+// gradient it may take for that, and the interval of tests.
 constexpr double LEFT_OUT = 0x1p-56, REACH = 2.0;
 constexpr int64_t MORE_TERMS = 40, LOOKED_AFTER = 4;
 
-// The gradient is a polynomial of the time. For that polynomial the group equation is solved up to rounding: a step moves
-// g to g P, where P(0) is the unit element and P_(k+1) = h / (k + 1) sum_j P_j A_(k-j), with as many terms as it takes.
-// So P is an element of the group in every representation, and its error is that of the gradient.
+// The gradient is a polynomial in time. For that polynomial the group equation is solved up to rounding: a step moves g
+// to g P, where P(0) is the unit element and P_(k+1) = h / (k + 1) sum_j P_j A_(k-j), with as many terms as needed. So
+// P is an element of the group in every representation, and its error is that of the gradient.
 struct GroupMotion {
     virtual ~GroupMotion() = default;
-    // Move g, which is transposed, with what rounding leaves of it, by `count` coefficients u_0, u_1 h, u_2 h^2, ... of
-    // the gradient, `stride` numbers each; false where it turns too far.
+    // Move g, which is transposed, with its compensation, by `count` coefficients u_0, u_1 h, u_2 h^2, ... of the
+    // gradient, `stride` numbers each; false if it rotates too far.
     virtual bool turn(const double* gradients, int64_t count, int64_t stride, double h, double* g, double* dg) = 0;
-    // About how many multiplications that takes.
+    // Approximate number of multiplications of `turn`.
     virtual int64_t work() const = 0;
 };
 
-// How many coefficients of the gradient a series knows: products behind the coordinates stop one order before these.
+// The number of coefficients of the gradient in a series: products behind the coordinates stop one order earlier.
 template <int W>
 int64_t known_gradients(const Series<W>& series) {
     return series.order + (series.field.extended == series.field.blocks);
@@ -50,13 +50,13 @@ void gradients_along(const Series<W>& series, double* to) {
     }
 }
 
-// The rows of P are lanes, since each obeys the same equation; matrices stand column after column.
+// The rows of P are lanes, since each obeys the same equation; matrices are stored column after column.
 template <int V>
 struct GroupSeries final : GroupMotion {
     typedef Lanes<V> Row;
     const int64_t size, blocks, most, longest;  // most: coefficients of the gradient; longest: terms of P
-    std::vector<int64_t> begin, row;            // entries of A that are not zero, column by column
-    std::vector<int64_t> first, element;        // of each entry: its terms, and which component of u each has
+    std::vector<int64_t> begin, row;            // nonzero entries of A, column by column
+    std::vector<int64_t> first, element;        // of each entry: its terms, and the component of u of each
     std::vector<double> weight, entries;        // of each term; the entries of A, order by order
     Room<Row> A, terms, change, from, to, owed;  // A_k, P_(k+1), P - 1; g before and after
     std::vector<double> tails, sizes, moved;    // sums of norms of A; norms of P; the gradient of a part of a step
@@ -85,7 +85,7 @@ struct GroupSeries final : GroupMotion {
 
     bool turn(const double* gradients, int64_t count, int64_t stride, double h, double* g, double* dg) override {
         read(gradients, count, stride, h);
-        // Parts of a step are powers of two of it, and so are exact.
+        // Parts of a step are the step divided by powers of two, and so are exact.
         int64_t parts = 1;
         while (parts <= MOST_SUBSTEPS && !(tails[0] <= REACH * double(parts))) parts *= 2;
         for (bool again = parts > 1; parts <= MOST_SUBSTEPS; parts *= 2, again = true) {
@@ -100,7 +100,7 @@ struct GroupSeries final : GroupMotion {
     }
 
   private:
-    // The whole step, whose matrices are read.
+    // The whole step with the matrices as read.
     bool follow_whole(int64_t count, double h) {
         if (!expand(count, h)) return false;
         move();
@@ -114,7 +114,7 @@ struct GroupSeries final : GroupMotion {
         for (int64_t k = 0; k < count; ++k, power *= part)
             for (int64_t i = 0; i < stride; ++i) moved[k * stride + i] = power * gradients[k * stride + i];
         for (int64_t passed = 0; passed < parts; ++passed) {
-            // The same polynomial, about the end of the part before.
+            // The same polynomial, expanded at the end of the previous part.
             for (int64_t last = 1; passed > 0 && last < count; ++last)
                 for (int64_t k = count - 1; k >= last; --k)
                     for (int64_t i = 0; i < stride; ++i) moved[(k - 1) * stride + i] += moved[k * stride + i];
@@ -145,7 +145,7 @@ struct GroupSeries final : GroupMotion {
         return reinterpret_cast<double*>(matrix + column * blocks)[r];
     }
 
-    // The largest sum of a row.
+    // The largest row sum.
     INLINE double norm(const Row* matrix) const {
         double most = 0.0;
         for (int64_t s = 0; s < blocks; ++s) {
@@ -178,7 +178,7 @@ struct GroupSeries final : GroupMotion {
         return expand_in<0>(count, h);
     }
 
-    // D: the rows and columns, or 0.
+    // D: the number of rows and columns, or 0 if dynamic.
     template <int D>
     NOINLINE bool expand_in(int64_t count, double h) {
         sizes[0] = 1.0;
@@ -199,7 +199,7 @@ struct GroupSeries final : GroupMotion {
         return false;
     }
 
-    // Whether all terms behind the k-th are together no more than rounding. They are made of those before, and of
+    // Whether all terms after the k-th together are within rounding. They are formed from the previous ones and from
     // themselves.
     bool nothing_left(int64_t k, int64_t count) const {
         double sum = 0.0;
@@ -238,7 +238,7 @@ struct GroupSeries final : GroupMotion {
             for (int b = 0; b < D; ++b) sums[b] = fma(left[a], Row(right[b * V + a]), sums[b]);
     }
 
-    // The same of any size, in a column.
+    // The same for any size, in a column.
     INLINE Row coefficient(int64_t k, int64_t count, int64_t column, int64_t s) const {
         Row sums[4] = {k < count ? A.at[(k * size + column) * blocks + s] : Row(0.0), 0.0, 0.0, 0.0};
         int64_t j = std::max<int64_t>(1, k - count + 1);
@@ -275,7 +275,7 @@ struct GroupSeries final : GroupMotion {
     }
 };
 
-// The group element that is carried along with a series, or null.
+// The group element carried along with a series, or null.
 template <int W, class C>
 std::unique_ptr<GroupMotion> group_motion(const GroupField& group, const C& constants, const Series<W>& series) {
     if (group.size == 0) return nullptr;

@@ -1,4 +1,4 @@
-// One step of another loop, of one member, as a part of a step: what it leaves is finished.
+// One step of another loop, of one member, as a part of a step; its result is finished.
 #pragma once
 
 #include <new>
@@ -15,8 +15,8 @@ class InnerStep {
     int64_t evaluations = 0, iterations = 0;
     double residual = 0.0;
 
-    // `places` are the addresses of the loop, its tables and a watch of nothing, what a member of it remembers, and the
-    // address of the tables by which Casimirs that were taken off H turn the group element, or zero.
+    // `places` are the addresses of the loop, its tables and an empty watch, the count of numbers that a member of it
+    // remembers, and the address of the tables by which Casimirs subtracted from H rotate the group element, or zero.
     InnerStep(const int64_t* places, int64_t size, int64_t square)
         : loop(reinterpret_cast<InnerLoop>(places[0])), tables(reinterpret_cast<const void*>(places[1])),
           watch(*reinterpret_cast<const Watch*>(places[2])),
@@ -24,18 +24,18 @@ class InnerStep {
         // The steps 0 and 1 are saved: a loop that leaves a step unfinished finishes what it saves.
         extent.members = 1, extent.points = 3, extent.size = size, extent.square = square;
         extent.invariants = 0, extent.remembered = places[3];
-        double* const none = reinterpret_cast<double*>(sizeof(double));  // only distances from it are read
+        double* const none = reinterpret_cast<double*>(sizeof(double));  // only differences of addresses are used
         const Arrays last(extent, none, none);
         saved.resize(last.values - none + 1);
         state.resize(reinterpret_cast<double*>(last.iterations) - none + 1);
     }
 
-    // Move a state, and a group element where there is one; return a status. The step begins anew, unless there is a
-    // memory: what the loop remembers of the member since the step before.
+    // Move a state, and a group element if there is one; return a status. The step starts afresh unless there is a
+    // memory: what the loop remembers of the member since the previous step.
     int64_t take(double* x, double* group, double t, double h, double* memory = nullptr) {
         Arrays arrays(extent, saved.data(), state.data());
         if (memory) arrays.memory = memory;
-        // A loop clears what is remembered before its first step, and not before its second.
+        // A loop clears its memory before its first step, but not before its second.
         const int64_t before = memory && memory[0] == memory[0] ? 1 : 0;
         if (before) {
             arrays.status[0] = DONE;
@@ -67,7 +67,7 @@ class InnerStep {
     }
 
   private:
-    // The loop starts at the unit element; the given one is what the turned one is multiplied by.
+    // The loop starts at the unit element; the given one is multiplied by the rotated one.
     void prepare(const double* x, const double* group, double* unit) {
         start.assign(x, x + extent.size);
         plain.resize(extent.square);

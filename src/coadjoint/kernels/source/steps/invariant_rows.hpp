@@ -1,4 +1,4 @@
-// Invariants that are polynomials, with their gradients as rows of lanes that stand where the coordinates do.
+// Polynomial invariants, with their gradients as rows of lanes aligned with the coordinates.
 #pragma once
 
 #include <limits>
@@ -11,18 +11,18 @@
 
 namespace coadjoint {
 
-constexpr uint32_t MOST_FACTORS = 8;  // products of more are not written out
+constexpr uint32_t MOST_FACTORS = 8;  // products of more factors are not written out
 
 // The invariants of a table, from the last to the first. The first is the energy, which is coupled to most of the
-// others. Each invariant has a row of lanes for every block of coordinates that it depends on. The gradient is a sparse
-// sum there, of coordinates and of products of coordinates; products of very many factors are added to it.
+// others. Each invariant has a row of lanes for every block of coordinates on which it depends. The gradient is a
+// sparse sum there, of coordinates and of products of coordinates; products of very many factors are added to it.
 template <int W, class C>
 struct InvariantRows {
     typedef Lanes<W> Row;
     struct Invariant {
         int64_t first, last;  // rows of lanes
         double constant;
-        std::vector<int64_t> terms;  // those that are not written out
+        std::vector<int64_t> terms;  // terms that are not written out
     };
     struct Pair {
         int64_t target, left, right;  // an entry of the Gram matrix, from two rows of lanes
@@ -36,11 +36,11 @@ struct InvariantRows {
     std::vector<int64_t> block;         // of each row: its block of coordinates
     ProductRows<W> products;
     std::vector<double> offsets;
-    // No sum of the second derivatives in a row of an invariant is larger than the sum of these times powers of the
-    // largest coordinate: the power, and the factor.
+    // Bounds on the second derivatives: their sum in a row of an invariant is at most the sum of these factors times
+    // powers of the largest coordinate, as (power, factor).
     std::vector<std::vector<std::pair<size_t, double>>> bends;
     std::vector<std::vector<std::pair<int64_t, int64_t>>> users;  // invariants and rows of a block of coordinates
-    std::vector<int64_t> place;         // of each row of a term that is not quadratic: its place in `gradients`
+    std::vector<int64_t> place;         // of each row of a non-quadratic term: its index in `gradients`
     std::vector<Pair> pairs;
     std::vector<double> before;
     Room<double> gradients;
@@ -60,7 +60,7 @@ struct InvariantRows {
                 users[block[row]].push_back({int64_t(a), row});
     }
 
-    // Which invariants stand in rows of the same block, as columns of a Gram matrix.
+    // The invariants with rows of the same block, as columns of a Gram matrix.
     std::vector<std::set<int64_t>> coupled() const {
         std::vector<std::set<int64_t>> below(invariants.size());
         for (const auto& list : users)
@@ -95,7 +95,8 @@ struct InvariantRows {
         return total;
     }
 
-    // A row of the gradient, without products of very many factors. `whole` times the coordinates is twice the invariant.
+    // A row of the gradient, without products of very many factors. `whole` times the coordinates is twice the
+    // invariant.
     template <class Take>
     INLINE Row slope(int64_t row, const Take& newest, const Row& x, Row& whole) const {
         const Row offset = load<Row>(offsets.data() + row * W);
@@ -112,7 +113,7 @@ struct InvariantRows {
         return total;
     }
 
-    // Invariant a; its gradient is left in `gradients`.
+    // Invariant a; its gradient is stored in `gradients`.
     template <bool with_gradient, class Take>
     INLINE double value(size_t a, const Take& newest, const Row* x) {
         Row total(0.0);
@@ -127,15 +128,15 @@ struct InvariantRows {
         return result;
     }
 
-    // The largest sum of second derivatives in a row of invariant a, where no coordinate is larger than `largest`.
+    // The bound on the sum of second derivatives in a row of invariant a, for coordinates up to `largest`.
     double bend(size_t a, double largest) const {
         double total = 0.0;
         for (const auto& [exponent, factor] : bends[a]) total += factor * power(largest, uint32_t(exponent));
         return total;
     }
 
-    // The sum of the sizes of all terms of x . dC/dx: what rounding leaves of C is in proportion to it, also where terms
-    // of a dC/dx_i cancel.
+    // The sum of the sizes of all terms of x . dC/dx, to which the rounding of C is proportional, even if terms of a
+    // dC/dx_i cancel.
     NOINLINE double terms_of(size_t a, const Row* x) const {
         Row total(0.0);
         for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
@@ -182,7 +183,7 @@ struct InvariantRows {
         std::map<int64_t, double> offset;
     };
 
-    // The rows of invariant i.
+    // Construct the rows of invariant i.
     void lay_out(int64_t i, int64_t n) {
         Invariant found{int64_t(block.size()), 0, constants.template number_at<double>(watch.constant, i), {}};
         Gradient gradient;
@@ -236,7 +237,7 @@ struct InvariantRows {
         invariants.push_back(found);
     }
 
-    // Add the gradient of a term, written out where no product has too many factors.
+    // Add the gradient of a term, written out unless a product has too many factors.
     void read(uint32_t k, Gradient& gradient, Invariant& found) {
         const Terms& terms = watch.terms;
         for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
@@ -266,7 +267,7 @@ struct InvariantRows {
         }
     }
 
-    // Add the derivatives of a product; equal factors stand side by side.
+    // Add the derivatives of a product; equal factors are adjacent.
     static void differentiate(const std::vector<int64_t>& factors, double weight, Gradient& gradient) {
         for (size_t f = 0, next; f < factors.size(); f = next) {
             const int64_t i = factors[f];
@@ -293,8 +294,8 @@ struct InvariantRows {
         std::stable_sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) { return a.target < b.target; });
     }
 
-    // Returns the value of a polynomial of a higher degree, and adds its gradient, by the products before and behind
-    // each factor.
+    // Return the value of a polynomial of a higher degree, and add its gradient, by the products before and after each
+    // factor.
     template <bool with_gradient>
     NOINLINE double further(int64_t k, const Row* from, double* slopes) {
         const Terms& terms = watch.terms;

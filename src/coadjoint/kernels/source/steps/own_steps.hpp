@@ -1,5 +1,5 @@
-// Schemes that take steps of their own, over the points at which one looks. What is seen at a point is a part of such a
-// step, and nothing of it goes back: where and how often one looks changes no bit of what follows.
+// Schemes with their own step sizes, evaluated at given points. The state at a point is a partial step, which does not
+// affect the own steps: the points change no bit of what follows.
 #pragma once
 
 #include "boundary/hearing.hpp"
@@ -8,16 +8,16 @@
 
 namespace coadjoint {
 
-// The most steps of its own within one step of the run, as a power of two. From 2^12 on a motion is given up that has
-// not come near the end of it and does not speed up: at any of these powers its length would have to grow eightfold each
-// time the number of steps doubles.
+// The most own steps within one step of the run, as a power of two. From 2^12 on a motion is abandoned if it has not
+// come near the end of the step and does not speed up: at any of these powers, the own steps would have to become eight
+// times as long each time their number doubles.
 constexpr int64_t MOST_OWN_STEPS = 24, FIRST_JUDGED = 12, EIGHTFOLD = 3;
-constexpr double SPEEDING_UP = 1.125;  // from one half of the steps to the other, the longest of which are compared
+constexpr double SPEEDING_UP = 1.125;  // ratio of the longest steps of the second and the first half
 
 struct OwnSteps : StepScheme {
-    // What is remembered of a member: where its last step of its own ended, and the length of the one from there.
+    // The memory of a member: the end of its last own step, and the length of the next one.
     struct Base {
-        double &since, &rest;  // time from the start of the run, as a sum
+        double &since, &rest;  // time from the start of the run, as a compensated sum
         double& length;        // signed
         double *x, *dx, *group, *dgroup;
         double* further;  // what the scheme itself remembers
@@ -28,10 +28,10 @@ struct OwnSteps : StepScheme {
         remembered = HEAD + 2 * (size + square) + further;
     }
 
-    double reached = 0.0;  // how far from the start the last of its steps came that did not fail
+    double reached = 0.0;  // the time from the start reached by the last successful own step
 
-    // Find the state at a point at which one looks, `number` steps of length h after t0, from what is remembered of the
-    // member; a run begins at the given state. The loop calls this in place of `step`; it returns a status.
+    // Compute the state at a point, `number` steps of length h after t0, from the memory of the member; a run begins at
+    // the given state. The loop calls this instead of `step`; it returns a status.
     int64_t reach(double* x, double* dx, double* group, double* dgroup, double t0, int64_t number, double h,
                   Hearing& hearing) {
         const Base base = read(memory);
@@ -68,7 +68,7 @@ struct OwnSteps : StepScheme {
         return UNDEFINED;
     }
 
-    // One step alone is the motion over it.
+    // A single step is the motion over it.
     int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) override {
         std::vector<double> fresh(remembered, std::numeric_limits<double>::quiet_NaN());
         memory = fresh.data();
@@ -78,11 +78,11 @@ struct OwnSteps : StepScheme {
   protected:
     const int64_t size, square;
 
-    // Each returns a status. Note what is remembered at the start, and propose the first step; `length` has its sign.
+    // Each returns a status. Store the memory at the start, and propose the first step; `length` is signed.
     virtual int64_t begin(const Base& base, double t0) = 0;
     // Set the length of the step from the base.
     virtual int64_t propose(const Base& base, double t0) = 0;
-    // Write what the motion is at a time after the base that lies within its step. The base stays as it is.
+    // Write the state at a time after the base within its step. The base is unchanged.
     virtual int64_t part(const Base& base, double t0, double time, double* x, double* dx, double* group,
                          double* dgroup) = 0;
     // Make the end of the step the base.
@@ -91,14 +91,14 @@ struct OwnSteps : StepScheme {
   private:
     static constexpr int64_t HEAD = 3;
 
-    // Steps of its own that end within one step of the run, which are as many wherever one looks.
+    // Number of own steps that end within one step of the run, independent of the points.
     struct StepCount {
         double h, begin, number, longest = 0.0, before = 0.0;  // the longest of the later half, and of the first
         int64_t count = 0, judged = FIRST_JUDGED;
 
         StepCount(double h, double since) : h(h), begin(std::fabs(since)), number(std::floor(begin / h)) {}
 
-        // Count a step that ended; return whether the next step of the run may be reached.
+        // Count a step that ended; return whether the next step of the run is reachable.
         bool go_on(double since, double length) {
             const double there = std::fabs(since);
             if (there >= (number + 1.0) * h) {

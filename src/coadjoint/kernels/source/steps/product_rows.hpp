@@ -15,8 +15,8 @@ struct WeightedProduct {
 };
 typedef std::map<size_t, std::vector<WeightedProduct>> SumOfProducts;  // by the number of factors
 
-// Every block of rows has segments. The products of a segment have as many factors. Rows with fewer products than
-// others of their block have products of weight zero.
+// Every block of rows has segments. The products of a segment have the same number of factors. Shorter rows of a block
+// are padded with products of weight zero.
 template <int W>
 struct ProductRows {
     typedef Lanes<W> Row;
@@ -61,7 +61,7 @@ struct ProductRows {
         return total;
     }
 
-    // The sums of the sizes of the products.
+    // The sums of the absolute values of the products.
     Row sum_of_sizes(const Segment& segment, const Row* x) const {
         const Newest<0, W> newest(x);
         Row total(0.0);

@@ -1,4 +1,4 @@
-// Back to the level set of invariants that are polynomials: y = z + G(z)^T lambda with C(y) = C_0, by Newton's iteration
+// Projection to the level set of polynomial invariants: y = z + G(z)^T lambda with C(y) = C_0, by Newton's iteration
 // for lambda with the Gram matrix of the gradients at z.
 #pragma once
 
@@ -12,7 +12,7 @@ namespace coadjoint {
 constexpr double EXACT = double(PROJECTION_EXACT) * UNIT_ROUNDOFF;
 static_assert(DEPENDENT == power_of_two(-DEPENDENT_BITS), "the plain reading finds the same rows dependent");
 
-// Add to x + dx, where dx is what rounding left.
+// Add to x + dx, where dx is the compensation.
 template <class A>
 INLINE void add_to(A& x, A& dx, const A& more) {
     const A old = x;
@@ -35,7 +35,7 @@ struct Projection {
         factors.analyse(rows.coupled());
     }
 
-    // The values that are to be kept, and the defects that are allowed.
+    // The target values, and the allowed defects.
     int64_t remembered() const { return 2 * int64_t(size); }
     void begin(const Row* x, double* kept) {
         for (size_t a = 0; a < size; ++a) {
@@ -44,7 +44,7 @@ struct Projection {
         }
     }
 
-    // Move x + dx back to where all invariants have the values of `kept`; false where that does not converge.
+    // Move x + dx back to the level set `kept` of all invariants; false without convergence.
     bool restore(Row* x, Row* dx, int64_t blocks, double* kept) {
         corrections = 0;
         if (rows.few) {
@@ -74,7 +74,7 @@ struct Projection {
         return false;
     }
 
-    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel.
+    // If corrections stagnate: whether the defects are explained by the rounding of cancelling terms.
     NOINLINE bool settled(const Row* x, const double* kept) {
         bool all = true;
         for (size_t a = 0; a < size; ++a)
@@ -172,7 +172,7 @@ struct Projection {
         return all;
     }
 
-    // The largest coordinate, where second derivatives depend on it.
+    // The largest coordinate, if second derivatives depend on it.
     INLINE double largest_of(const Row* x, int64_t blocks) const {
         double largest = 0.0;
         if (!rows.quadratic)
@@ -181,16 +181,15 @@ struct Projection {
         return largest;
     }
 
-    // Whether a correction leaves no more than rounding. It leaves second derivatives times itself times all
-    // corrections together.
+    // Whether the error after a correction is within rounding. It is the second derivatives times the correction times
+    // the sum of all corrections.
     INLINE bool negligible(double product, double largest, const double* kept) const {
         bool all = true;
         for (size_t a = 0; a < size; ++a) all &= product * rows.bend(a, largest) <= 0.25 * kept[size + a];
         return all;
     }
 
-    // Whether the defect of an invariant is no more than rounding leaves. That bound is computed again where terms have
-    // grown.
+    // Whether the defect of an invariant is within rounding. The bound is recomputed if terms have grown.
     INLINE bool rounding_alone(size_t a, double defect, const Row* x, double& least) {
         if (std::fabs(defect) <= least) return true;
         if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
@@ -198,7 +197,7 @@ struct Projection {
         return std::fabs(defect) <= least;
     }
 
-    // Note the defects, and whether none is more than rounding leaves.
+    // Compute the defects, and whether all are within rounding.
     template <bool with_gradient>
     bool exact(const Row* x, int64_t blocks, double* kept) {
         if constexpr (W == 8) {

@@ -1,11 +1,12 @@
-// Many members back to the level set of their invariants, with the operations of `projection.hpp`: the same bits.
+// Projection of many members to the level sets of their invariants, with the operations of `projection.hpp`: the same
+// bits.
 #pragma once
 
 #include "steps/projection.hpp"
 
 namespace coadjoint {
 
-// Few quadratic invariants have lanes. For others each member is brought back alone.
+// Few quadratic invariants have lanes. For others each member is projected alone.
 template <int W, class A>
 class ProjectionCrowd {
   public:
@@ -18,7 +19,7 @@ class ProjectionCrowd {
         : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && one.rows.quadratic && n <= W), kept(2 * size), slopes(size * n),
           unused(few ? n : 0), row(blocks_of<W>(n)), owed(blocks_of<W>(n)), numbers(2 * size) {}
 
-    // Read what a member remembers, and write it.
+    // Load and store the memory of a member.
     void read(int lane, const double* memory) {
         for (int64_t a = 0; a < 2 * size; ++a) set_lane(kept.at[a], lane, memory[a]);
     }
@@ -26,7 +27,7 @@ class ProjectionCrowd {
         for (int64_t a = 0; a < 2 * size; ++a) memory[a] = lane_of(kept.at[a], lane);
     }
 
-    // The values that are to be kept, of a member that remembers none.
+    // The target values of a member without a memory.
     void begin(int lane, const A* x) {
         if (size == 0 || lane_of(kept.at[0], lane) == lane_of(kept.at[0], lane)) return;
         take_row(lane, x, row.at);
@@ -34,7 +35,7 @@ class ProjectionCrowd {
         read(lane, numbers.data());
     }
 
-    // Move x + dx of the members that go on; false where that does not converge.
+    // Move x + dx of the members that are going; false without convergence.
     Mask restore(A* x, A* dx, const Mask& going) {
         corrections = residual = A(0.0);
         if (size == 0) return going;
@@ -68,14 +69,14 @@ class ProjectionCrowd {
     Room<Row> row, owed;
     std::vector<double> numbers;
 
-    // Beyond the last coordinate there are zeros, and nothing that the member before has left.
+    // Beyond the last coordinate there are zeros, and no data of the previous member.
     void take_row(int lane, const A* from, Row* to) const {
         double* const numbers = reinterpret_cast<double*>(to);
         for (int64_t i = 0; i < n; ++i) numbers[i] = lane_of(from[i], lane);
         std::fill(numbers + n, numbers + blocks_of<W>(n) * W, 0.0);
     }
 
-    // As `sum_of_lanes` of a row of W, of which n are there.
+    // As `sum_of_lanes` of a row of W with n entries.
     template <class Term>
     INLINE A sum(Term term) const {
         auto padded = [&](int64_t i) { return i < n ? term(i) : A(0.0); };
@@ -152,7 +153,7 @@ class ProjectionCrowd {
         return one.settled(row.at, numbers.data());
     }
 
-    // The defects, and whether they are no more than rounding leaves; the gradients, where there is room for them.
+    // The defects, and whether they are within rounding; the gradients, if there is memory for them.
     template <int R>
     INLINE Mask look(const A* x, A* gradients, A* defect, A& total, const Mask& going) {
         Mask every = going;
@@ -169,7 +170,7 @@ class ProjectionCrowd {
         return every;
     }
 
-    // As `InvariantRows::slope`, of one coordinate.
+    // As `InvariantRows::slope`, for one coordinate.
     INLINE A slope_of(int64_t i, int64_t c, const A* x) const {
         const auto& linear = one.rows.linear;
         A total(one.rows.offsets[i * W + c]);

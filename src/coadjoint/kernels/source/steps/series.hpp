@@ -1,12 +1,12 @@
-// The Taylor series of a motion whose field is a polynomial: x_(k+1) = h / (k + 1) * (the k-th coefficient of the field).
+// The Taylor series of a motion with a polynomial field: x_(k+1) = h / (k + 1) * (the k-th coefficient of the field).
 #pragma once
 
 #include "steps/series_field.hpp"
 
 namespace coadjoint {
 
-// Up to this order every sum has its own code, since a loop would have to guess where it ends. Instrumented builds,
-// which would take an hour, have fewer.
+// Up to this order every sum is unrolled, to avoid branch mispredictions at the end of loops. Instrumented builds,
+// which would take an hour, unroll fewer.
 #ifndef COADJOINT_UNROLLED
 #define COADJOINT_UNROLLED 24
 #endif
@@ -23,7 +23,7 @@ struct Series {
         Row left, right;
     };
     Room<Factors> factors, made;        // of every product, one after the other, and of those behind the coordinates
-    Room<Row> later, made_later;        // what is known of the next order
+    Room<Row> later, made_later;        // known contributions to the next order
 
     template <class C>
     Series(const Field& given, const C& constants, int64_t order)
@@ -31,7 +31,7 @@ struct Series {
           factors(field.products.size() * order), made(field.factors.size() * order),
           later(2 * field.blocks), made_later(2 * field.factors.blocks) {}
 
-    // About how many multiplications the coefficients take.
+    // Approximate number of multiplications of the coefficients.
     int64_t work() const {
         const int64_t entries = field.gradient.size() + field.linear.size();
         return order * W * (entries + order * int64_t(field.products.size() + field.factors.size()));
@@ -52,7 +52,7 @@ struct Series {
     }
 
   private:
-    // What every coefficient reads of the products: in registers for E of them, else in memory.
+    // Sums over products that every coefficient needs: in registers for E of them, else in memory.
     static constexpr int held_in_registers(int count) { return count <= 4 ? count : 0; }
     template <int E, class = void>
     struct Held {
@@ -107,7 +107,7 @@ struct Series {
         for (int64_t k = 0; k < order; ++k) coefficient<0, written_out, 0>(held, newest, k, h);
     }
 
-    // K: blocks of rows, E: products of each row; both are 0 where they are read from the tables.
+    // K: blocks of rows, E: products of each row; both are 0 if they are read from the tables.
     template <int K, bool written_out, int E>
     NOINLINE void expand_unrolled(double h) {
         Held<held_in_registers(K * E)> held(field.products, factors.at, order);
@@ -124,8 +124,8 @@ struct Series {
     }
 
     // The sums of a_j b_(k - j) for the orders k (even) and k + 1, as far as coefficients before k go. Both orders are
-    // summed together, since they read the same coefficients. The newest come last, so that the sums are nearly done
-    // when these are known. Each order has two sums, which do not wait for each other.
+    // summed together, since they read the same coefficients. The newest come last, so that the sums are nearly
+    // complete when these are known. Each order has two independent sums.
     static INLINE void convolve(const Factors* f, int64_t k, Row* sums) {
         if (k < 2) return;
 #pragma GCC unroll 32
@@ -140,7 +140,7 @@ struct Series {
         sums[3] = fma(f[k - 1].left, f[2].right, sums[3]);
     }
 
-    // Add the terms of coefficients before k that are left for odd k alone, see `convolve`.
+    // Add the remaining terms of coefficients before k for odd k, see `convolve`.
     static INLINE void add_left(const Factors* f, int64_t k, Row& even, Row& odd) {
         if (k % 2 == 0 || k == 1) return;
         even = fma(f[1].left, f[k - 1].right, even);
@@ -188,7 +188,7 @@ struct Series {
             Factors* f = factors.at + first * order;
             Row even, odd;
             begin(f, count, k, later.at + 2 * b, even, odd);
-            // What does not depend on the newest coefficients is multiplied by the length beforehand.
+            // The part independent of the newest coefficients is multiplied by the length beforehand.
             even = length * even, odd = length * odd;
             for (int64_t e = 0; e < count; ++e, f += order) {
                 const Row y = newest(held.product(first + e).left), z = other(held.product(first + e).right);

@@ -5,7 +5,7 @@
 
 namespace coadjoint {
 
-// Every row of a series is a row of members; series stand one after the other, order by order.
+// Every row of a series is a row of members; series are stored one after the other, order by order.
 template <int W, class A>
 class SeriesCrowd {
   public:
@@ -32,13 +32,13 @@ class SeriesCrowd {
         later.clear(2 * n), made_later.clear(2 * int64_t(made.size())), lengths.clear(order);
     }
 
-    // About how many multiplications the coefficients of all members take.
+    // Approximate number of multiplications of the coefficients of all members.
     int64_t work() const {
         const int64_t entries = int64_t(gradients.size() + linear.size());
         return order * Numbers<A>::lanes * (entries + order * int64_t(products.size() + made.size()));
     }
 
-    // About how many bytes are read again and again.
+    // Approximate number of bytes that are read repeatedly.
     int64_t room() const {
         return int64_t(sizeof(A)) * order * (n + int64_t(made.size() + products.size()) + (field.written_out ? 0 : n));
     }
@@ -61,7 +61,7 @@ class SeriesCrowd {
     }
 
   private:
-    std::vector<int64_t> places;  // where the rows of the field stand here
+    std::vector<int64_t> places;  // indices of the rows of the field
     std::vector<int64_t> product_rows, gradient_rows, linear_rows;
     std::vector<Entry> products, gradients, linear, made;
     Room<A> series{0}, slopes{0}, weighted{0}, later{0}, made_later{0}, lengths{0};
@@ -69,7 +69,7 @@ class SeriesCrowd {
     INLINE A* of(int64_t i) const { return series.at + i * (order + 1); }
     int64_t series_of(int64_t place) const { return places[place] * (order + 1); }
 
-    // The entries of every coordinate, without those that only fill a vector.
+    // The entries of every coordinate, without those that only pad a vector.
     void read(const Sums<W>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first) const {
         first.assign(1, 0);
         for (int64_t i = 0; i < n; ++i) {

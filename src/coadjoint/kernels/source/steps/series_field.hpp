@@ -1,4 +1,4 @@
-// A field that is a polynomial, as sums of products of two series.
+// A polynomial field as sums of products of two series.
 #pragma once
 
 #include <map>
@@ -10,8 +10,8 @@ namespace coadjoint {
 
 // In vectors of W rows,
 //     x'_r = sum_e c_e x[left_e] y[right_e] + sum_e l_e x[left_e],
-// where y is the gradient of H, or x itself where the products of a quadratic H are written out. Gradients of a higher
-// degree are linear in further products of series, which stand behind the coordinates, degree after degree.
+// where y is the gradient of H, or x itself if the products of a quadratic H are written out. Gradients of a higher
+// degree are linear in further products of series, which are stored behind the coordinates, degree after degree.
 template <int W>
 struct SeriesField {
     int64_t n, blocks;         // coordinates, and their vectors
@@ -44,7 +44,7 @@ struct SeriesField {
 
   private:
     std::vector<SparseSum> rows, gradients;
-    std::map<std::vector<int64_t>, int64_t> known;  // a product of coordinates, and where it stands
+    std::map<std::vector<int64_t>, int64_t> known;  // a product of coordinates, and its index
 
     static double vectors(const std::vector<SparseSum>& sums) {
         double count = 0.0;
@@ -52,7 +52,7 @@ struct SeriesField {
         return count;
     }
 
-    // Entries of the same series become one. Those that cancel are dropped.
+    // Merge entries of the same series, and drop those that cancel.
     static void merge(SparseSum& row) {
         std::map<std::pair<int64_t, int64_t>, double> sums;
         for (const auto& entry : row) sums[{entry.left, entry.right}] += entry.weight;
@@ -76,7 +76,7 @@ struct SeriesField {
         each_derivative(terms, constants, [&](int64_t, double, const std::vector<int64_t>& rest) {
             longest = std::max(longest, rest.size());
         });
-        // Products of few factors come first, so that those of more factors can be made of them.
+        // Products of few factors come first, so that those of more factors can be built from them.
         for (size_t count = 2; count <= longest; ++count) {
             std::vector<SparseSum> made;
             each_derivative(terms, constants, [&](int64_t, double, const std::vector<int64_t>& rest) {
@@ -115,7 +115,7 @@ struct SeriesField {
         }
     }
 
-    // Products of coordinates in place of products with a gradient; false where they are far more.
+    // Replace products with a gradient by products of coordinates; false if these are far more.
     bool write_out(std::vector<SparseSum>& pairs, std::vector<SparseSum>& single) const {
         size_t here = 0, there = 0;
         for (int64_t r = 0; r < n; ++r) {

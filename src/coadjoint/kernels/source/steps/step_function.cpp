@@ -1,4 +1,4 @@
-// A step that is a function: x_new = step(x, t, h), written in Python, compiled or not.
+// A step given as a function: x_new = step(x, t, h), written in Python, compiled or not.
 #include "field/points.hpp"
 #include "steps/step_scheme.hpp"
 
@@ -6,7 +6,7 @@ namespace coadjoint {
 
 namespace {
 
-// Writes the new state, and returns 0, or 1 where it raised. The loop is then left, and Python raises what was raised.
+// Write the new state, and return 0, or 1 on an exception, which ends the loop and is raised again by Python.
 typedef int64_t (*Function)(const Seen* system, const double* x, double t, double h, double* out);
 
 struct StepFunction final : StepScheme {

@@ -1,5 +1,5 @@
-// How long a step of a series may be, from the sizes of its terms: A. Jorba, M. Zou, A software package for the
-// numerical integration of ODEs by means of high-order Taylor methods, Experimental Mathematics 14 (2005), section 3.2.
+// Length of a step of a series, from the sizes of its terms: A. Jorba, M. Zou, A software package for the numerical
+// integration of ODEs by means of high-order Taylor methods, Experimental Mathematics 14 (2005), section 3.2.
 // `coadjoint.methods.step_length` is the same in Python, operation by operation.
 #pragma once
 
@@ -7,8 +7,8 @@
 
 namespace coadjoint {
 
-// Within 2e-5 of the binary logarithm of a positive number: of no library, so that it is the same everywhere. Zero and
-// what is nearly zero give -1022.
+// The binary logarithm of a positive number within 2e-5, without a library, so that it is the same on every machine.
+// Zero and nearly zero numbers give -1022.
 inline double near_log2(double a) {
     int64_t bits;
     std::memcpy(&bits, &a, sizeof bits);
@@ -22,7 +22,7 @@ inline double near_log2(double a) {
     return double(exponent) + z * series;
 }
 
-// 2^whole, for whole numbers from -1022 to 1023.
+// 2^whole, for integers from -1022 to 1023.
 inline double whole_power_of_two(double whole) {
     const int64_t bits = int64_t(whole + 1023.0) << 52;
     double power;
@@ -30,27 +30,27 @@ inline double whole_power_of_two(double whole) {
     return power;
 }
 
-// Within 4e-6 of 2^a, relative to it; a lies between -1000 and 1000.
+// 2^a with a relative error below 4e-6, for a from -1000 to 1000.
 inline double near_power_of_two(double a) {
     const double whole = std::floor(a + 0.5), r = (a - whole) * LN2;
     return (1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))) *
            whole_power_of_two(whole);
 }
 
-// The sizes of the terms x_k h^k that decide: the last ones, of which some may vanish, as even and odd ones do, and as
-// many in the middle.
+// The number of terms x_k h^k whose sizes determine the length: the last ones, of which some may vanish, as even and
+// odd ones do, and as many in the middle.
 constexpr int64_t DECIDING = 4;
-constexpr double NO_LIMIT = 900.0;  // beyond 2^900 a length is as good as endless
+constexpr double NO_LIMIT = 900.0;  // a length beyond 2^900 is unlimited
 
 struct StepLength {
-    const int64_t order, last, middle;  // the first of the last terms, and of those in the middle, or 0 without any
+    const int64_t order, last, middle;  // the first of the last terms, and of those in the middle, 0 for none
     const double tolerance;             // its logarithm over the order
 
     StepLength(int64_t order, double tolerance)
         : order(order), last(std::max<int64_t>(1, order + 1 - DECIDING)),
           middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)) {}
 
-    // The sizes of the terms that decide.
+    // The sizes of these terms.
     struct Sizes {
         double last[DECIDING] = {0.0, 0.0, 0.0, 0.0}, largest = 0.0, sum = 0.0;  // of the last terms
         double before = 0.0;                                                     // the largest of those in the middle
@@ -71,10 +71,10 @@ struct StepLength {
         return found;
     }
 
-    // The logarithm of the length in units of h: the last terms would be the tolerance times `size`, if they fell as a
-    // geometric sequence from `size` on; and no longer than half the radius of convergence, which the terms from the
-    // middle to the last tell: what is left out is then less than the last term, and what dies away does so in the
-    // series too.
+    // The logarithm of the length in units of h at which the last terms would equal the tolerance times `size`, if they
+    // fell as a geometric sequence from `size` on; but at most half the radius of convergence, estimated from the
+    // middle and the last terms: the truncation error is then less than the last term, and decaying components decay in
+    // the series too.
     INLINE double logarithm(double size, const Sizes& terms) const {
         const double whole = near_log2(size);
         double radius = 2.0 * NO_LIMIT, of_largest = 0.0;

@@ -1,5 +1,5 @@
-// A scheme that brings one compiled step of its own. A file beside its Python file derives from this, and ends with
-// STEP_SCHEME(name, Type), or with that function itself where the type depends on the tables. The Python file says the
+// Base class of schemes with their own compiled step. A file beside its Python file derives from this, and ends with
+// STEP_SCHEME(name, Type), or with that function itself if the type depends on the tables. The Python file gives the
 // name.
 #pragma once
 
@@ -14,40 +14,40 @@ namespace coadjoint {
 // A step of members side by side, each with the bits that it has alone.
 struct CrowdStep {
     typedef Lanes<NATIVE> A;
-    int64_t work = 0;  // about how many multiplications a step of all of them takes
+    int64_t work = 0;  // approximate number of multiplications of a step of all of them
     // Of each member after a step.
     int64_t status[NATIVE], evaluations[NATIVE], iterations[NATIVE];
     double residual[NATIVE];
 
     virtual ~CrowdStep() = default;
-    // Read what a member remembers, and write it.
+    // Load and store the memory of a member.
     virtual void read(int lane, const double* memory) = 0;
     virtual void write(int lane, double* memory) const = 0;
-    // Take one step of the lengths h in place, of the members that are `going`.
+    // Take one step of the lengths h in place, for the members that are `going`.
     virtual void step(A* x, A* dx, const A& h, const int64_t* going) = 0;
 };
 
 struct StepScheme {
-    int64_t work = 0;       // about how many multiplications a step takes
+    int64_t work = 0;       // approximate number of multiplications of a step
     double residual = 0.0;  // the last correction of the last step
     int64_t evaluations = 0, iterations = 0;
-    int64_t remembered = 0;    // how many numbers the scheme remembers of a member from step to step: its constructor says
-    int64_t member = 0;        // whose step is taken: its number in the run
-    double* memory = nullptr;  // where they stand, NaN before the first step; null where there are none
+    int64_t remembered = 0;    // count of numbers remembered of a member from step to step; set by constructors
+    int64_t member = 0;        // number in the run of the member whose step is taken
+    double* memory = nullptr;  // remembered numbers, NaN before the first step; null if there are none
 
     virtual ~StepScheme() = default;
-    // Take one step of length h from time t in place, with what compensated sums owe; return a status. Both are aligned
-    // rows of eight, zero beyond the last coordinate. The group element is transposed.
+    // Take one step of length h from time t in place, with compensations dx and dgroup; return a status. Both are
+    // aligned rows of eight, zero beyond the last coordinate. The group element is transposed.
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
-    // The same step of many members with the constants of this one, which must live as long; null where members that
-    // go one after the other are as fast.
+    // The same step of many members with the constants of this one, which must outlive it; null if members one after
+    // the other are as fast.
     virtual std::unique_ptr<CrowdStep> crowd() { return nullptr; }
-    // The Taylor series of the motion over the last step, where the scheme has one.
+    // The Taylor series of the motion over the last step, if the scheme has one.
     virtual StepSeries series_of_step() const { return {}; }
 };
 
 #if defined(COADJOINT_APART)
-// What the kernels lend to a library of its own before its steps are called.
+// What the kernels export to a separate library before its steps are called.
 extern "C" __attribute__((visibility("default"), weak)) void borrow(const Lent* from) { lent = *from; }
 #endif
 

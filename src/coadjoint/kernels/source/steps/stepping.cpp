@@ -1,4 +1,5 @@
-// What Python calls for step methods: the loop over steps, of one member after the other or of members side by side.
+// Entry points of step methods for Python: the loop over steps, of one member after the other or of members side by
+// side.
 #include <atomic>
 #include <memory>
 
@@ -9,21 +10,21 @@ namespace coadjoint {
 
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
 
-// The steps of small tables that a thread read last, made once for many short calls. Tables are known by their number,
-// since others may later stand at the same address.
+// The steps of small tables that a thread used last, cached for many short calls. Tables are identified by a serial
+// number, since others may later have the same address.
 struct Remembered {
     int64_t serial = 0;
     std::shared_ptr<StepScheme> scheme;
     std::shared_ptr<CrowdStep> crowd;
 };
 constexpr int64_t REMEMBERED = 16, SMALL = 64;
-// Fewer members would leave too many lanes empty.
+// With fewer members too many lanes would be empty.
 constexpr int64_t MEMBERS_TOGETHER = 3 * NATIVE / 4;
 static thread_local Remembered remembered[REMEMBERED];
 static std::atomic<int64_t> numbered{0};
 
 static int64_t serial_of(const Stepping& tables) {
-    // The tables are Python's. Threads that share them agree on the number that was set first.
+    // The tables belong to Python. Threads that share them agree on the number that was set first.
     auto* serial = const_cast<int64_t*>(&tables.serial);
     int64_t none = 0;
     if (__atomic_load_n(serial, __ATOMIC_ACQUIRE) == 0)
@@ -35,8 +36,7 @@ static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& const
     return std::unique_ptr<StepScheme>(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
 }
 
-// The pointer is shared. A step written in Python may run other loops, and these take its place here while it is still
-// at work.
+// The pointer is shared: a step written in Python may run other loops, which replace it here while it is still in use.
 static Remembered remembered_step(const Stepping& tables, bool together) {
     const int64_t serial = serial_of(tables);
     Remembered& place = remembered[serial % REMEMBERED];
@@ -49,7 +49,7 @@ static Remembered remembered_step(const Stepping& tables, bool together) {
     return place;
 }
 
-// Members as lanes; the last one fills what is left of the lanes.
+// Members as lanes; the last one fills unused lanes.
 static void follow_together(const Loop<Stepping>& loop, CrowdStep& crowd, const int64_t* members, int64_t count) {
     typedef CrowdStep::A A;
     const Stepping& tables = loop.tables;
@@ -59,7 +59,7 @@ static void follow_together(const Loop<Stepping>& loop, CrowdStep& crowd, const 
     const Shared constants;
     Room<A> momentum(2 * n);
     A *x = momentum.at, *dx = x + n, h(0.0);
-    int64_t going[NATIVE] = {}, moving[NATIVE] = {}, left = 0;  // events end what is noted, and not the steps
+    int64_t going[NATIVE] = {}, moving[NATIVE] = {}, left = 0;  // events end the recording, but not the steps
     read_lanes(x, arrays.momenta, n, members, count);
     read_lanes(dx, arrays.errors, n, members, count);
     for (int lane = 0; lane < NATIVE; ++lane) {
@@ -118,8 +118,8 @@ static int64_t take(StepScheme& scheme, const Stepping& tables, double start, do
     return status;
 }
 
-// Look at the end of step k of a scheme that takes steps of its own. Where one of these fails, `failing` is the step of
-// the run in which it begins, wherever one looks.
+// Evaluate a scheme with its own step sizes at the end of step k. If one of its steps fails, `failing` is the step of
+// the run in which it begins, independent of the points.
 static int64_t reach(OwnSteps& scheme, double t0, int64_t k, double h, double* x, double* dx, double* g, double* dg,
                      Hearing& hearing, int64_t& failing) {
     hearing.after(scheme.work);
@@ -140,7 +140,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> own;
-    // Events are told by the series of a step, which members that go one after the other have.
+    // Events are located by the series of a step, which is available for members one after the other.
     const bool together = crew.last - crew.first >= MEMBERS_TOGETHER && !schedule.events;
     const Remembered shared = crew.stride || n > SMALL ? Remembered{} : remembered_step(tables, together);
     StepScheme* scheme = shared.scheme.get();
@@ -162,7 +162,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
         }
         scheme->member = member;
         scheme->memory = arrays.remembered ? loop.memory_of(member) : nullptr;
-        // Beyond the last coordinate there are zeros, and nothing that the member before has left.
+        // Beyond the last coordinate there are zeros, and no data of the previous member.
         std::fill_n(x, 16 * eights, 0.0);
         std::copy_n(arrays.momenta + member * n, n, x);
         std::copy_n(arrays.errors + member * n, n, dx);
@@ -171,7 +171,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
         const double h = length_of(schedule, member);
         OwnSteps* const over = dynamic_cast<OwnSteps*>(scheme);
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
-            // Schemes with steps of their own are asked for no state that nobody looks at.
+            // Schemes with their own step sizes are evaluated only at recorded states.
             if (over) k = std::min(recorder.next_look(k), loop.k1);
             int64_t failing = k;
             const double start = start_of(schedule, member, k);

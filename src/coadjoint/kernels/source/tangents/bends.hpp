@@ -1,11 +1,11 @@
-// How gradients and fields change along tangent vectors side by side: exact second derivatives.
+// Changes of gradients and fields along tangent vectors side by side: exact second derivatives.
 #pragma once
 
 #include "field/derivatives.hpp"
 
 namespace coadjoint {
 
-// Room for the arguments of a function of the user, its matrix, and the call.
+// Scratch memory for the arguments of a function of the user, its matrix, and the call.
 template <class A>
 struct BendRoom {
     Room<A> arguments, matrix;
@@ -14,7 +14,7 @@ struct BendRoom {
         : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
 };
 
-// Fills out[(row - first) * rows] with the change of every row of term k along the vectors. The rows are those of
+// Fill out[(row - first) * rows] with the change of every row of term k along the vectors. The rows are those of
 // `gradient_rows`.
 template <class A, class V>
 NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,

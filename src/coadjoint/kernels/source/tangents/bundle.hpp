@@ -1,4 +1,4 @@
-// Tangent vectors and how much each was stretched. Vectors of one member go side by side, or those of many members.
+// Tangent vectors and their stretching factors. Vectors of one member are side by side, or those of many members.
 #pragma once
 
 #include "boundary/crew.hpp"
@@ -8,7 +8,7 @@ namespace coadjoint {
 
 typedef Lanes<4> Abreast;  // tangent vectors of one member side by side
 
-// The part of a vector that must be left when its shares along the others are taken off. Of less, half of the digits
+// The smallest part of a vector that must remain after orthogonalization. In a smaller remainder, half of the digits
 // are round-off.
 constexpr double NEARLY_DEPENDENT = 0x1p-26;
 
@@ -25,9 +25,9 @@ struct Stretch {
     }
 };
 
-// Make vectors orthonormal, one after the other, by the modified process of Gram and Schmidt: component i of vector r
-// stands at i * width + r. `lengths` become the lengths that were left. False where a vector depends on those before
-// it, or is not finite.
+// Orthonormalize vectors, one after the other, by the modified Gram-Schmidt process: component i of vector r is at i *
+// width + r. `lengths` become the lengths of the remainders. False if a vector depends on the previous ones, or is not
+// finite.
 template <class N>
 typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int64_t width, N* lengths, N* shares) {
     const auto length_of = [&](int64_t r) {
@@ -56,8 +56,8 @@ typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int
     return sound;
 }
 
-// How many numbers a member remembers of its vectors: the vectors, how each was stretched until they were last made
-// orthonormal, and how until the last step.
+// The count of numbers that a member remembers of its vectors: the vectors, their stretching until the last
+// orthonormalization, and until the last step.
 inline int64_t remembered_by(const Tangents& tangents) { return tangents.carried * (tangents.size + 6); }
 
 // An N is a number of one member, or of many as lanes; a V is an N, or vectors of one member side by side.
@@ -71,8 +71,7 @@ class Bundle {
         : size(given.size), count(given.carried), rows((count + abreast - 1) / abreast), given(given),
           vectors(size * rows), copies(size * rows), lengths(count), shares(count), stretches(members * count) {}
 
-    // Take up what the member of a lane remembers from `memory` on; before the first step the vectors are those that
-    // were given.
+    // Load the memory of the member of a lane; before the first step the vectors are the given ones.
     void begin(const double* memory, bool starting, int lane = 0) {
         const double *from = starting ? given.frame : memory, *stretched = memory + count * size;
         each([&](int64_t r, int64_t i) { set_lane(entries(vectors)[i * width() + r], lane, from[r * size + i]); });
@@ -81,14 +80,14 @@ class Bundle {
                 starting ? Stretch{0.5, 0.0, 1.0} : Stretch{stretched[0], stretched[1], stretched[2]};
     }
 
-    // Component i of the vectors of a block stands at i * rows + block; beyond the last vector there are zeros.
+    // Component i of the vectors of a block is at i * rows + block; beyond the last vector there are zeros.
     V* held() { return vectors.at; }
 
-    // To be called after each step; false where the vectors are no longer independent.
+    // To be called after each step; false if the vectors are no longer independent.
     Mask after(int64_t k) { return k % given.every != 0 ? N(0.0) == N(0.0) : grow(vectors, stretches); }
 
-    // Leave the state of each of the first `used` lanes in its memory. `finish(vectors)` takes copies of the vectors
-    // through the rest of the last step. Where the copies are not independent, how much they were stretched is NaN.
+    // Store the state of each of the first `used` lanes in its memory. `finish(vectors)` takes copies of the vectors
+    // through the rest of the last step. If the copies are not independent, their stretching is NaN.
     template <class MemoryOf, class Finish>
     void end(int used, MemoryOf memory_of, Finish finish) {
         std::copy_n(vectors.at, size * rows, copies.at);

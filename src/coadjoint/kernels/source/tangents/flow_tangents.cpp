@@ -1,4 +1,4 @@
-// What Python calls for flow methods that carry tangent vectors.
+// Entry points of flow methods with tangent vectors for Python.
 #include "flows/flow_crowd.hpp"
 #include "tangents/flow_tangents.hpp"
 
@@ -6,7 +6,7 @@ namespace coadjoint {
 
 typedef Loop<FlowTangents> FlowTangentLoop;
 
-// Members go side by side where the vectors of each have at most so many numbers; lanes of vectors then stay in the
+// Members are side by side if the vectors of each have at most this many numbers; lanes of vectors then stay in the
 // cache.
 constexpr int64_t MOST_TOGETHER = 512;
 

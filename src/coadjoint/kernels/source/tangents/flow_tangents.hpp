@@ -7,7 +7,7 @@
 
 namespace coadjoint {
 
-// Add D_a x times the change of its angle to the vectors, for all angles of a part (the verb `apply`).
+// Add D_a x times the change of its angle to the vectors, for all angles of a part (the operation `apply`).
 template <class A, class V>
 NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const V* changes, V* vectors,
                          int64_t rows) {
@@ -97,7 +97,7 @@ struct FlowTraveller {
                 gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, bends);
             }
             for (int64_t a = 0; a < count; ++a) {
-                // A rational rotation by phi turns by 2 atan(phi/2).
+                // A rational rotation by phi rotates by 2 atan(phi/2).
                 const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
                 const V by(A(tau) / fma(half, half, A(1.0)));
                 for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;

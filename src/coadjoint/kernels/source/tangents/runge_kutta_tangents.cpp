@@ -1,4 +1,4 @@
-// What Python calls for Runge-Kutta methods that carry tangent vectors: derivatives of their stages.
+// Entry points of Runge-Kutta methods with tangent vectors for Python: derivatives of their stages.
 #include "stages/runge_kutta_loop.hpp"
 #include "tangents/bends.hpp"
 #include "tangents/bundle.hpp"
@@ -7,8 +7,8 @@ namespace coadjoint {
 
 typedef Loop<RungeKuttaTangents> RungeKuttaTangentLoop;
 
-// The derivative of a substep whose slopes are known: dX_i = v + sum_j mix_ij dL_j, with dL_j = W_j dX_j, W_j = h
-// scale_j f'(X_j). Where a factor of the slopes is frozen at the iterates Z, dL_j depends on dZ_j as well.
+// The derivative of a substep with known slopes: dX_i = v + sum_j mix_ij dL_j, with dL_j = W_j dX_j, W_j = h scale_j
+// f'(X_j). If a factor of the slopes is frozen at the iterates Z, dL_j depends on dZ_j as well.
 class StageChanges {
   public:
     StageChanges(const RungeKuttaTangents& given, int64_t rows)
@@ -20,7 +20,7 @@ class StageChanges {
         for (int64_t i = 0; i < n; ++i) set_lane(units.at[i * blocks(n) + i / lanes], int(i % lanes), 1.0);
     }
 
-    // Move vectors along a substep from x; `found` are its slopes, stage after stage. False where it has no derivative.
+    // Move vectors along a substep from x; `found` are its slopes, stage after stage. False if it has no derivative.
     bool move(const double* x, double t, double h, const double* found, Abreast* v) {
         start = x, time = t, length = h;
         switch (tables.solver) {
@@ -127,7 +127,7 @@ class StageChanges {
         }
     }
 
-    // dL_j = W_j dX_j + the effect of the change of the frozen factor. That effect is found first.
+    // dL_j = W_j dX_j + the effect of the change of the frozen factor, which is computed first.
     bool frozen_changes(const double* found, const Abreast* v) {
         const bool of_structure = tables.solver == STRUCTURE;
         iterate(v);
