@@ -154,6 +154,9 @@ def test_same_bits_alone_in_a_crowd_on_threads_and_in_pieces(method):
     for member in (0, 20, 36):
         alone = co.lyapunov(system, crowd[member], **given, save_every=20)
         assert alone.stretches.tobytes() == bits(whole, member)
+        for name in ("exponents", "uncertainty", "sum", "pairing"):
+            np.testing.assert_array_equal(getattr(whole, name)[member], getattr(alone, name), err_msg=name)
+        np.testing.assert_array_equal(whole.history[:, member], alone.history)
     some = co.lyapunov(system, crowd[:3], **given, save_every=20, exponents=2)
     assert some.stretches.tobytes() == np.ascontiguousarray(whole.stretches[:, :3, :2]).tobytes()
 

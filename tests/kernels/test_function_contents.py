@@ -249,3 +249,28 @@ def test_what_cannot_be_followed_is_compiled_again_with_a_warning():
     )
     with pytest.warns(UserWarning, match="compiled again whenever it is prepared"):
         co.prepare(system, co.Splitting(), 0.1)
+
+
+def squares(x):
+    return 0.5 * np.sum(np.arange(1.0, len(x) + 1.0) * x**2)
+
+
+def slopes(x):
+    return np.arange(1.0, len(x) + 1.0) * x
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_one_function_serves_systems_of_several_dimensions(order):
+    """As Hamiltonian, as invariant and as what is observed; the first use compiles it for one dimension alone."""
+    algebras = [co.algebras.so(3), co.algebras.e(3), co.algebras.so(5)][::order]
+    for g in algebras:
+        x0 = np.linspace(0.1, 0.9, g.dim)
+        plain = co.LiePoissonSystem(g, co.Quadratic(np.arange(1.0, g.dim + 1)))
+        own = co.LiePoissonSystem(g, co.Hamiltonian(squares, slopes))
+        wanted = co.integrate(plain, x0, (0, 1), 0.125, co.GaussLegendre(2))
+        found = co.integrate(
+            own, x0, (0, 1), 0.125, co.GaussLegendre(2), observe={"squares": squares, "slopes": slopes}
+        )
+        np.testing.assert_allclose(found.x, wanted.x, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.observed["squares"], wanted.energy, rtol=1e-12)
+        np.testing.assert_allclose(found.observed["slopes"], found.x * np.arange(1, g.dim + 1), rtol=1e-15)
