@@ -312,7 +312,7 @@ def test_sizes_of_blocks():
         ({"members_per_block": 0}, ValueError, "members_per_block must be a whole number from 1 up"),
         ({"workers": 0, "archive": None}, ValueError, "workers must be a whole number from 1 up"),
         ({"client": 3}, TypeError, "client is 3; it must be a distributed.Client"),
-        ({"client": 3, "workers": 2}, TypeError, "was given a client and workers; give one of them"),
+        ({"client": 3, "workers": 2}, TypeError, "was given a client and workers; give only one"),
         ({"archive": 3}, TypeError, "archive is 3; it must be the path of a folder"),
         ({"archive": "no/such/folder/many.zarr"}, ArchiveError, "the folder .* does not exist"),
         ({"coordinates": {"a b": X[:, 0]}}, ValueError, "coordinates has the name 'a b'; give one of letters"),
