@@ -316,7 +316,7 @@ def test_sizes_of_blocks():
         ({"archive": 3}, TypeError, "archive is 3; it must be the path of a folder"),
         ({"archive": "no/such/folder/many.zarr"}, ArchiveError, "the folder .* does not exist"),
         ({"coordinates": {"a b": X[:, 0]}}, ValueError, "coordinates has the name 'a b'; give one of letters"),
-        ({"coordinates": {"energy": X[:, 0]}}, ValueError, "coordinates has the name 'energy', which the archive has"),
+        ({"coordinates": {"energy": X[:, 0]}}, ValueError, "coordinates has the name 'energy', which is reserved"),
         ({"coordinates": [1.0]}, TypeError, "coordinates is .*; give a mapping from names to numbers"),
         ({"coordinates": {"a": X}}, ValueError, "coordinates has .* for 'a'"),
         ({"progress": 2}, TypeError, "progress is 2"),
