@@ -43,7 +43,7 @@ def test_into_an_archive_too(written, tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (READY_MADE.replace("step = 0.1", ""), "run: step is missing; give it, or the accuracy"),
+        (READY_MADE.replace("step = 0.1", ""), "run: step is missing; give step, or accuracy"),
         (READY_MADE.replace("step = 0.1", "step = 0.1\naccuracy = 1e-8"), "run: step and accuracy are both given"),
         (CHOSEN.replace("1e-8", "1.5"), "run.accuracy: "),
         (CHOSEN.replace("1e-8", "1e-19"), "run.accuracy: "),

@@ -217,7 +217,7 @@ def test_coordinates_of_equal_names_are_told_apart():
         ('"initial.x" = { file = "run.toml" }', "sweep.over.initial.x: 'run.toml' is no state; give numbers, or the"),
         ('"initial.x[0]" = { sphere = 0 }', "sweep.over.initial.x[0].sphere: must be a positive number, not 0"),
         ('"forces[0].rate" = [0.1]', "sweep.over.forces[0].rate: the file has no entry 0 there"),
-        ('"initial.x" = [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]', "initial.x: x0 has the shape (2, 3), an ensemble"),
+        ('"initial.x" = [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]', "initial.x: x0 has the shape (2, 3), already"),
     ],
 )  # fmt: skip
 def test_wrong_sweeps(written, over, said):
@@ -249,7 +249,7 @@ def test_too_many_members_are_refused_before_they_are_made(written):
     text = swept(f'"initial.x[0]" = {grid}\n"initial.x[1]" = {grid}')
     with pytest.raises(ConfigurationError, match=r"sweep.over: a sweep of 10000000000 members needs about .* GB"):
         load(written(text))
-    with pytest.raises(ConfigurationError, match=r"initial.x is missing; write a state there"):
+    with pytest.raises(ConfigurationError, match=r"initial.x is missing; give a state"):
         load(
             written(swept('"initial.x" = { sphere = 1.0 }', "samples = 2\nseed = 1").replace("x = [1.0, 0.1, 0.5]", ""))
         )

@@ -245,7 +245,7 @@ def test_both_is_one_step_from_any_element():
     assert np.array_equal(many[0], after) and np.array_equal(elements[0], g)
     assert np.array_equal(elements[1], step.group(2 * x))
     assert np.array_equal(step.both(x)[1], step.group(x))
-    with pytest.raises(TypeError, match="give the element before as g"):
+    with pytest.raises(TypeError, match="give the initial group element as g"):
         step.both(x, attitude=np.eye(3))
     with pytest.raises(ValueError, match="attitude is False"):
         step.both(x, attitude=False)

@@ -316,7 +316,7 @@ def test_refusals(times, said):
 
 
 def test_more_refusals_and_empty_spans():
-    with pytest.raises(ValueError, match="save_every and t_eval; give one of them"):
+    with pytest.raises(ValueError, match="save_every and t_eval; give only one"):
         co.integrate(BODY, X, (0, 1), STEP, save_every=2, t_eval=[0.5])
     with pytest.raises(TypeError, match="t_eval"):
         co.integrate(BODY, X, (0, 1), STEP, t_eval="now")
