@@ -1,0 +1,163 @@
+"""Members of ensembles alone and together: elements, observed quantities, own steps, branches; odd matrices."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+
+BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
+STARTS = np.random.default_rng(8).uniform(-1.0, 1.0, (11, 3))
+
+
+def same(found, wanted):
+    np.testing.assert_array_equal(np.asarray(found), np.asarray(wanted))
+
+
+@pytest.mark.parametrize("units", [{0}, {1}, {0, 2}, {1, 2}, set()], ids=str)
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.Taylor(order=8)], ids=str)
+def test_elements_that_begin_at_the_unit_and_elsewhere(units, method):
+    turned = [expm(0.3 * (m + 1) * BODY.representation[m % 3]) for m in range(3)]
+    start = np.stack([np.eye(3) if m in units else g for m, g in enumerate(turned)])
+    whole = co.integrate(BODY, STARTS[:3], (1.0, 3.0), 0.125, method, attitude=start, save_every=5)
+    for m in range(3):
+        alone = co.integrate(BODY, STARTS[m], (1.0, 3.0), 0.125, method, attitude=start[m], save_every=5)
+        same(whole.attitude[:, m], alone.attitude)
+        exact = BODY.exact(STARTS[m], whole.t - 1.0, attitude=start[m])[1]
+        assert np.abs(alone.attitude - exact).max() < 0.05  # of its own start: another one is off by 0.3
+
+
+@pytest.mark.parametrize("span", [(0.0, 2.0), (1.5, 3.5), (1.5, -0.5)])
+@pytest.mark.parametrize("members", [1, 2, 5, 11])
+def test_observed_quantities_that_depend_on_time(members, span):
+    def clock(x, t):
+        return x[0] + 10.0 * t
+
+    given = {"observe": {"clock": clock}, "save_every": 3}
+    whole = co.integrate(BODY, STARTS[:members], span, 0.125, co.Splitting(), **given)
+    for m in range(members):
+        alone = co.integrate(BODY, STARTS[m], span, 0.125, co.Splitting(), **given)
+        same(whole.observed["clock"][:, m], alone.observed["clock"])
+    np.testing.assert_allclose(whole.observed["clock"], whole.x[..., 0] + 10.0 * whole.t[:, None], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(4)", "e(3)"])
+@pytest.mark.parametrize("members", [2, 5, 9])
+def test_schemes_with_own_steps_in_pieces(tmp_path, name, members):
+    """Between two pieces of one member the loop takes the steps of others."""
+    g = {"so(3)": co.algebras.so(3), "so(4)": co.algebras.so(4), "e(3)": co.algebras.e(3)}[name]
+    system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(0.4, 1.7, g.dim)), sign=-1)
+    x0 = np.random.default_rng(3).uniform(-1.0, 1.0, (members, g.dim)) * (1 + np.arange(members))[:, None]
+    method, span = co.Taylor(tolerance=1e-8), (0.0, 4.0)
+    times = np.sort(np.random.default_rng(4).uniform(*span, 40))
+    events = co.Event(0, name="first")
+    ways = {
+        "saved": {"save_every": 1},
+        "archive": {"save_every": 1, "archive": tmp_path / "run.zarr"},
+        "t_eval": {"t_eval": times},
+        "events": {"save_every": 1, "events": [events]},
+    }
+    for way, given in ways.items():
+        whole = co.integrate(system, x0, span, 0.25, method, threads=1, **given)
+        for m in (0, members - 1):
+            alone = co.integrate(
+                system, x0[m], span, 0.25, method, **{k: v for k, v in given.items() if k != "archive"}
+            )
+            np.testing.assert_array_equal(whole.x[:, m], alone.x, err_msg=way)
+
+
+@pytest.mark.parametrize("members", [1, 3, 9])
+def test_values_of_many_branches_in_pieces(tmp_path, members):
+    """An angle winds: in whichever pieces a run is taken, it goes on from the branch that it had."""
+    system = co.LiePoissonSystem(co.algebras.get("A4,6", a=1.0, b=0.0), co.Quadratic((0.0,) * 4, linear=(0, 0, 0, 1.0)))
+    [name] = [name for name, casimir in system.casimirs.items() if getattr(casimir, "period", 0.0)][:1]
+    x0 = np.random.default_rng(9).uniform(0.2, 0.8, (members, 4))
+    given = {"t_span": (0.0, 40.0), "step": 0.25, "method": co.Splitting()}
+    plain = co.integrate(system, x0, **given)
+    archived = co.integrate(system, x0, **given, archive=tmp_path / "run.zarr")
+    shown = co.integrate(system, x0, **given, progress=True)
+    sparse = co.integrate(system, x0, **given, save_every=16)
+    for other in (archived, shown):
+        same(other.casimirs[name], plain.casimirs[name])
+    same(sparse.casimirs[name], plain.casimirs[name][::16])
+    # A jump by a period would be seen; the motion winds several times.
+    assert np.abs(np.diff(plain.casimirs[name], axis=0)).max() < 1e-6
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(3), co.Taylor(order=12)], ids=str)
+@pytest.mark.parametrize("direction", [-1, 0, 1])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_function_that_is_zero_at_a_step_has_crossed_once(method, direction, sense):
+    """x1 goes by 1/4 a step, exactly: it is zero to the bit after four of eight steps."""
+    line = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}})
+    system = co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[0.0, sense, 0.0]))
+    x0 = np.array([-sense, 0.0, 1.0])
+    run = co.integrate(system, x0, (0.0, 2.0), 0.25, method, events=[co.Event(0, direction=direction)])
+    assert run.x[4, 0] == 0.0, "the case must be one that meets the step"
+    wanted = [] if direction == -sense else [1.0]
+    assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)
+
+
+@pytest.mark.parametrize("N", [31, 32, 33, 34, 35, 47, 64, 65, 66, 67, 70])
+@pytest.mark.parametrize("kind", ["so", "u"])
+def test_steps_of_matrices_of_odd_sizes(kind, N):
+    """Against dense linear algebra, in the algebra and with the spectrum of the start."""
+    rng = np.random.default_rng(N)
+    weights = rng.uniform(0.5, 1.5, (N, N))
+    algebra = co.MatrixAlgebra(kind, N)
+    system = co.MatrixSystem(algebra, lambda W: (weights + weights.T) * W)
+    W = algebra.projected(rng.standard_normal((N, N)) + (1j * rng.standard_normal((N, N)) if kind == "u" else 0.0))
+    W /= np.abs(np.linalg.eigvals(W)).max()
+    h = 0.125
+    end = co.integrate(system, W, (0.0, h), h, co.IsospectralGauss()).x[-1]
+    np.testing.assert_allclose(end, co.IsospectralGauss().step(system, W, 0.0, h), rtol=0, atol=1e-13)
+    assert np.abs(end - W).max() > 1e-3
+    np.testing.assert_allclose(algebra.projected(end), end, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", ["so", "su", "u"])
+@pytest.mark.parametrize("N", [3, 5, 8])
+@pytest.mark.parametrize("factor", [0.0, 1.0])
+def test_a_constant_part_of_the_stream(kind, N, factor):
+    """It rotates the matrix by its exponential; a stream that commutes with the matrix adds nothing."""
+    rng, algebra = np.random.default_rng(N), co.MatrixAlgebra(kind, N)
+    drawn = rng.standard_normal((2, N, N)) + (1j * rng.standard_normal((2, N, N)) if kind != "so" else 0.0)
+    W, field = algebra.projected(drawn)
+    system = co.MatrixSystem(algebra, lambda W: factor * W, linear=0.3 * field)
+    end = co.integrate(system, W, (0.0, 0.125), 0.125, co.IsospectralGauss(2)).x[-1]
+    formula = co.IsospectralGauss(2).step(system, W, 0.0, 0.125)
+    np.testing.assert_allclose(end, formula, rtol=0, atol=1e-13 * np.abs(W).max())
+    turned = expm(system.energy_sign * 0.125 * 0.3 * field)
+    either = [turned @ W @ turned.conj().T, turned.conj().T @ W @ turned]
+    # By either sign, which the formula settles; order 4.
+    assert min(np.abs(end - exact).max() for exact in either) < 1e-3 * np.abs(W).max()
+    assert np.abs(end - W).max() > 1e-2 * np.abs(W).max()
+
+
+class Explicit(co.methods.StepMethod):
+    """A step from the structure matrix itself; it declares more than it is, so that it can be composed."""
+
+    order, explicit, symmetric = 2, True, True
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + h * system.structure_matrix(x) @ np.arange(1.0, len(x) + 1.0) + h * t * x
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("g", [co.algebras.so(3), co.algebras.e(3), co.algebras.get("A5,3")], ids=str)
+@pytest.mark.parametrize("composed", [False, True])
+def test_compiled_steps_have_the_structure_matrix_and_the_time_of_python(g, sign, composed):
+    """Alone, and as the steps of a composition, each at its own time."""
+    system = co.LiePoissonSystem(g, co.Quadratic(1.0), sign=sign)
+    base, x0, h = Explicit(), np.linspace(0.3, 0.8, g.dim), 0.125
+    method = co.Composition(base, (0.25, 0.5, 0.25)) if composed else base
+    found = co.integrate(system, x0, (2.0, 2.5), h, method).x
+    x, t, wanted = x0, 2.0, [x0]
+    for _ in range(4):
+        for part in (0.25, 0.5, 0.25) if composed else (1.0,):
+            x, t = base.step(system, x, t, part * h), t + part * h
+        wanted.append(x)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
