@@ -227,7 +227,7 @@ def test_integer_combinations() -> None:
 
 def test_what_is_refused() -> None:
     t = np.arange(200) * 0.1
-    with pytest.raises(ValueError, match="same distance"):
+    with pytest.raises(ValueError, match="equidistant times"):
         co.frequencies(t**2, t)
     with pytest.raises(ValueError, match="at least 64"):
         co.frequencies(t[:20], t[:20])

@@ -89,7 +89,7 @@ def test_what_cannot_be_differentiated_is_refused():
     system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), kink)))
     with pytest.raises(ValueError, match="not analytic"):
         co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
-    with pytest.raises(ValueError, match='take rotation="exact"'):
+    with pytest.raises(ValueError, match='use rotation="exact"'):
         co.modified_hamiltonian(system, co.Splitting(rotation="rational"), 4)
     with pytest.raises(ValueError, match="symbols need a polynomial one"):
         co.modified_hamiltonian(system, co.Splitting(), 4, symbols=True)

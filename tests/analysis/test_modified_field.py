@@ -120,7 +120,7 @@ def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -
     assert found.keeps("energy") is None
     for C, F in system.casimirs.items():
         if isinstance(F, co.Invariant):
-            with pytest.raises(TypeError, match="is no polynomial"):
+            with pytest.raises(TypeError, match="is not a polynomial"):
                 found.keeps(C)
         elif getattr(F, "degree", 2) == 2:
             assert found.keeps(C) is None
@@ -457,5 +457,5 @@ def test_a_field_of_very_many_monomials_is_not_made_exactly():
     g = co.algebras.su(10)
     A = np.random.default_rng(1).normal(size=(g.dim, g.dim))
     system = co.LiePoissonSystem(g, co.Quadratic(A + A.T))
-    with pytest.raises(TypeError, match=r"no exact modified field: the field of .* has some .e\+05 monomials"):
+    with pytest.raises(TypeError, match=r"no exact modified field: the field of .* has about .e\+05 monomials"):
         co.modified_field(system, co.GaussLegendre(1), 3, way="exact")

@@ -62,7 +62,7 @@ def test_fewer_than_three_points_are_refused() -> None:
     ("steps", "errors", "what"),
     [
         ([0.1, 0.2], [1.0], "shapes"),
-        ([0.1, 0.1, 0.2], [1.0, 1.0, 1.0], "different"),
+        ([0.1, 0.1, 0.2], [1.0, 1.0, 1.0], "distinct"),
         ([0.1, -0.1, 0.2], [1.0, 1.0, 1.0], "positive"),
         ([0.1, 0.2, 0.4], [1.0, np.nan, 1.0], "finite"),
         ([0.1, 0.2, 0.4], [1.0, -1.0, 1.0], "not negative"),

@@ -401,6 +401,8 @@ def test_a_stranger_reaches_nothing_while_workers_run(tmp_path, monkeypatch):
     def attacked(client, *given):
         key = next(line for line in client.security.tls_client_key.splitlines()[1:] if line)
         for kill in (True, False):
+            # A worker that is started again listens some time after its process has begun.
+            until(lambda: len(listening() - before) == 3)
             ports = listening() - before
             assert len(ports) == 3 and {host for host, _ in ports} == {"127.0.0.1"}
             assert not any(reached([port for _, port in ports], 2).values())

@@ -206,10 +206,10 @@ def test_composition_and_crowds():
 def test_refused_by_name():
     method = co.LineSplitting()
     for system in (co.systems.sphere_euler(N=5), co.systems.rigid_body((1, 2, 3))):
-        with pytest.raises(ValueError, match=f"{system.name} is none"):
+        with pytest.raises(ValueError, match=f"{system.name} is not one"):
             method.properties(system)
     body = co.MatrixSystem(co.MatrixAlgebra("so", 5), Weights(np.ones((5, 5))), name="body")
-    with pytest.raises(ValueError, match="body is none"):
+    with pytest.raises(ValueError, match="body is not one"):
         co.integrate(body, np.zeros((5, 5)), (0, 1), 0.1, method)
     for N in (9, 15, 49):
         with pytest.raises(ValueError, match=f"N of torus_euler is {N}"):

@@ -48,7 +48,7 @@ def test_an_attitude_that_nobody_carries():
         def properties(self, system):
             return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="coadjoint")
 
-    with pytest.raises(ValueError, match='carry no group element, though its properties say attitude="coadjoint"'):
+    with pytest.raises(ValueError, match='carry no group element, but its properties have attitude="coadjoint"'):
         run(Boasting(), attitude=True)
     assert run(Boasting()).x.shape == (11, 3)
 

@@ -198,7 +198,7 @@ def test_names_options_and_axes_that_are_wrong_are_refused():
     with pytest.raises(ValueError, match="from 0 to 2"):
         run.plot(components=[3])
     flat = Figure().subplots(1, 2)
-    with pytest.raises(ValueError, match="2, and there are 1 panels"):
+    with pytest.raises(ValueError, match="2 entries, and there are 1 panels"):
         run.plot("drift", axes=flat)
     with pytest.raises(ValueError, match="3d"):
         run.plot("coadjoint orbit", axes=flat[0])

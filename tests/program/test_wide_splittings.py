@@ -128,7 +128,7 @@ def test_what_takes_minutes_is_refused_at_once(algebra, count, method):
         lambda: co.prepare(system, method, 0.1),
         lambda: co.integrate(system, np.ones(g.dim), (0, 1), 0.1, method),
     ):
-        message = rf"Splitting cannot be used for .* has {count} flows of .* take GaussLegendre"
+        message = rf"Splitting cannot be used for .* has {count} flows of .* use GaussLegendre"
         with bounded_work(30.0), pytest.raises(ValueError, match=message):
             refused()
     assert co.GaussLegendre(2).properties(system).energy

@@ -95,7 +95,7 @@ WRONG = [
     (S.kirchhoff_body, {"coupling": (1, 2, 3)}, "coupling has shape"),
     (S.kirchhoff_body, {"coupling": 2 * np.eye(3)}, "the matrix of inertia, coupling and mass .* is not positive"),
     (S.clebsch_body, {"inertia": FULL}, "inertia has shape"),
-    (S.clebsch_body, {"inertia": (1, 2, 3)}, "no Clebsch case: .* nearest that fit are 0.833333, 1.83333, 2.83333"),
+    (S.clebsch_body, {"inertia": (1, 2, 3)}, "not a Clebsch case: .* nearest valid .* 0.833333, 1.83333, 2.83333"),
 ]  # fmt: skip
 
 

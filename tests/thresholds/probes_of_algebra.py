@@ -83,7 +83,7 @@ def a_matrix_algebra_is_not_too_large(N):
 def a_matrix_is_in_its_algebra(off):
     """Times N = 4; the nearest skew matrix takes half of what one entry is off."""
     W = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -1, 0]])
-    return accepted(lambda: co.MatrixAlgebra("so", 4).read(perturbed(W, (0, 2), 8 * off), "W"), "misses")
+    return accepted(lambda: co.MatrixAlgebra("so", 4).read(perturbed(W, (0, 2), 8 * off), "W"), "differs by")
 
 
 @probe(("algebra/matrix_states.py", "SPARED"), at=8 * U)

@@ -86,7 +86,7 @@ def invariants_are_kept_over_a_run(off):
 @probe(("analysis/sampled.py", "off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))"), at=64 * U)
 def times_are_even(off):
     t = perturbed(np.arange(129.0) / 128.0, (64,), off)
-    return accepted(lambda: co.frequencies(t, np.cos(40.0 * t), count=1), "same distance")
+    return accepted(lambda: co.frequencies(t, np.cos(40.0 * t), count=1), "equidistant")
 
 
 @sides(("analysis/frequencies.py", "FEWEST_SAMPLES"), below=64, above=63)

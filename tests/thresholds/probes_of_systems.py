@@ -64,7 +64,7 @@ def two_principal_values_of_a_tensor_vanish(light):
     tensor = np.diag([0.0, 2.0**-20 * (light * 2.0**20), 1.0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return not accepted(lambda: co.systems.so_n_body(tensor), "no mass")
+        return not accepted(lambda: co.systems.so_n_body(tensor), "whose sum")
 
 
 @probe(("systems/clebsch_body.py", "abs(missed) > 8 * UNIT_ROUNDOFF * size"), at=8 * U)
@@ -193,7 +193,7 @@ def coordinates_are_equally_spaced(off):
 @probe(("systems/forces/own_force.py", "np.max(np.abs(still - x)) > 1e-09 * np.max(np.abs(x))"), at=1e-9)
 def a_flow_moves_nothing_in_no_time(off):
     force = co.forces.OwnForce(lambda x, t, tau: x * (1.0 + off))
-    return accepted(lambda: co.ForcedSystem(co.systems.rigid_body((1, 2, 3)), [force]), "no time")
+    return accepted(lambda: co.ForcedSystem(co.systems.rigid_body((1, 2, 3)), [force]), "tau = 0")
 
 
 @probe(("systems/forces/matrices.py", "64 * n * UNIT_ROUNDOFF * size"), at=3 * 64 * U)
@@ -258,7 +258,8 @@ def a_stream_is_the_slope_of_the_energy(off):
     size = np.sum(np.abs(2.0 * A) * np.abs(B.T)) + abs(algebra.pairing(A, A))
     c = 4.0 * off * size / abs(slope)
     return accepted(
-        lambda: co.MatrixSystem(algebra, lambda W: 2.0 * W, energy=lambda W: (1.0 + c) * algebra.pairing(W, W)), "slope"
+        lambda: co.MatrixSystem(algebra, lambda W: 2.0 * W, energy=lambda W: (1.0 + c) * algebra.pairing(W, W)),
+        "gradient",
     )
 
 
@@ -375,7 +376,7 @@ def sites_are_not_too_many(sites):
 
 @limit(("systems/vlasov_moments.py", "MOST_LETTERS"), at=10_000)
 def a_written_potential_is_not_too_long(letters):
-    return accepted(lambda: co.systems.vlasov_moments(potential="1/2*x20".ljust(letters)), "letters")
+    return accepted(lambda: co.systems.vlasov_moments(potential="1/2*x20".ljust(letters)), "characters")
 
 
 @probe(

@@ -237,7 +237,7 @@ def test_fields_of_the_torus_in_netcdf(tmp_path):
     ("latitude", "longitude", "said"),
     [
         (np.linspace(75, -75, 9), np.arange(0, 360, 20.0), "those of no known grid"),
-        (np.linspace(90, -90, 9), np.linspace(0, 360, 19), "without the first one again"),
+        (np.linspace(90, -90, 9), np.linspace(0, 360, 19), "without its end point"),
         (np.linspace(90, -90, 9), np.arange(0, 180, 20.0), "not equally spaced over 2 pi"),
     ],
 )
@@ -278,7 +278,7 @@ def test_other_grids_are_refused(latitude, longitude, said, tmp_path):
         (lambda: SPHERE.rossby_haurwitz(4, 5), ValueError, "order must be a whole number from 0 to 4"),
         (lambda: SPHERE.zonal_jet(band=(0.5, 0.1)), ValueError, "a southern and a northern latitude"),
         (lambda: SPHERE.zonal_jet(-1.0), ValueError, "speed is -1.0; it must be positive"),
-        (lambda: TORUS.zonal_jet(width=1.0), ValueError, "the two jets"),
+        (lambda: TORUS.zonal_jet(width=1.0), ValueError, "the jets"),
         (lambda: TORUS.from_file(3), TypeError, "the name of a file"),
         (lambda: TORUS.from_file("a.csv"), ValueError, "give a file .npy or .nc"),
         (lambda: TORUS.from_file("a.npy", variable="w"), ValueError, "are for NetCDF"),
