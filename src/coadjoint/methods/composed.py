@@ -26,16 +26,27 @@ if TYPE_CHECKING:
     from coadjoint.methods.work import Work
 
 
-class Composed(Method):
-    """A base scheme at fractions of the step; it keeps what the base keeps."""
+class WithBase(Method):
+    """A scheme with the failure messages and the largest dimension of its base."""
 
     base: Method
-    coefficients: tuple[float, ...]
 
     @property
     def failures(self) -> Mapping[str, str]:  # type: ignore[override]
         """Those of the base."""
         return self.base.failures
+
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As for the base."""
+        return self.base.largest
+
+
+class Composed(WithBase):
+    """A base scheme at fractions of the step; it keeps what the base keeps."""
+
+    base: Method
+    coefficients: tuple[float, ...]
 
     @property
     def order(self) -> int:
@@ -51,11 +62,6 @@ class Composed(Method):
     def symmetric(self) -> bool:
         """Whether the base is symmetric and the coefficients are a palindrome."""
         return self.base.symmetric and self.coefficients == self.coefficients[::-1]
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
 
     @property
     def compensates(self) -> bool:  # type: ignore[override]
@@ -102,15 +108,10 @@ def with_settled_base(method: Any, system: System, coordinates: Sequence[int]) -
     return method if base is method.base else replace(method, base=base)
 
 
-class FlowsOfBase(FlowMethod):
+class FlowsOfBase(WithBase, FlowMethod):
     """A flow method with the parts of another one."""
 
     base: FlowMethod
-
-    @property
-    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base."""
-        return self.base.failures
 
     @property
     def parts(self) -> Any:
@@ -126,11 +127,6 @@ class FlowsOfBase(FlowMethod):
     def rotation(self) -> str:
         """As for the base."""
         return self.base.rotation
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the flows of the settled base."""

@@ -68,8 +68,7 @@ class Kahan(CompiledStepMethod):
         if not has_quadratic_energy(system):
             raise ValueError(
                 f"Kahan needs a quadratic vector field, but the Hamiltonian of {system.name} is not quadratic or "
-                "depends on "
-                "time; take Splitting or GaussLegendre"
+                "depends on time; take Splitting or GaussLegendre"
             )
         if system.algebra is None and not _has_linear_structure(system):
             raise ValueError(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, Representation
-from coadjoint.methods.composed import with_settled_base
+from coadjoint.methods.composed import WithBase, with_settled_base
 from coadjoint.methods.projection import (
     casimirs_restored,
     polynomial_casimirs,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Projected(Method):
+class Projected(WithBase):
     """A scheme with a projection: after each step, energy and polynomial Casimirs get their initial values again.
 
     A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at
@@ -81,16 +81,6 @@ class Projected(Method):
     def order(self) -> int:
         """That of the base."""
         return self.base.order
-
-    @property
-    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base."""
-        return self.base.failures
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
 
     @classmethod
     def examples(cls) -> Sequence[Projected]:

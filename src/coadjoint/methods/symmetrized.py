@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
-from coadjoint.methods.composed import FlowsOfBase
+from coadjoint.methods.composed import FlowsOfBase, WithBase
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.order_conditions import HIGHEST_ORDER
@@ -125,7 +125,7 @@ class PairOfFlows(FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class PairOfTableaux(RungeKuttaMethod):
+class PairOfTableaux(WithBase, RungeKuttaMethod):
     """A Runge-Kutta method over half a step, then its adjoint over the other half.
 
     The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
@@ -136,16 +136,6 @@ class PairOfTableaux(RungeKuttaMethod):
     symmetric = True
 
     base: RungeKuttaMethod
-
-    @property
-    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base."""
-        return self.base.failures
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
 
     @property
     def order(self) -> int:
