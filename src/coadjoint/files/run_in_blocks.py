@@ -80,7 +80,7 @@ def warn_of_plain_text(client: Any) -> None:
     if protocol not in WITHOUT_TLS or host is None or is_loopback(host):
         return
     warnings.warn(
-        f"the client is connected to {address} without TLS; whoever reaches this address can run code on the workers "
+        f"the client is connected to {address} without TLS; anyone who reaches it can run code on the workers "
         "and in this process: start the cluster with TLS credentials and connect by Client(address, security=...)",
         RuntimeWarning,
         stacklevel=2,

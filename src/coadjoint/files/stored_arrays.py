@@ -156,8 +156,8 @@ class StoredArray(NamedTuple):
 
     def decoded(self, content: bytes) -> NDArray[Any]:
         """Decode a chunk; ValueError if it is damaged."""
-        content, told = content[:-CHECKED], content[-CHECKED:]
-        if _sum_of(content) != told:
+        content, declared = content[:-CHECKED], content[-CHECKED:]
+        if _sum_of(content) != declared:
             raise ValueError("a chunk of the archive is damaged: its check sum does not match")
         if self.kind == "string":
             return np.array(texts_of(content, prod(self.chunk)), dtype=object).reshape(self.chunk)

@@ -117,12 +117,12 @@ def _check_slope(system: MatrixSystem, A: Matrix, B: Matrix) -> None:
     ahead, behind = (_number(energy(A + side * DIFFERENCE * B, *time)) for side in (1.0, -1.0))
     seen = (ahead - behind) / (2.0 * DIFFERENCE)
     P = system.slope_of(A, SAMPLE_TIME)
-    told = system.energy_sign * float(system.algebra.pairing(P, B))
+    declared = system.energy_sign * float(system.algebra.pairing(P, B))
     size = float(np.sum(np.abs(P) * np.abs(B.T))) + abs(ahead)
-    if np.isfinite(seen) and not abs(seen - told) <= AGREEMENT * system.algebra.N * size:
+    if np.isfinite(seen) and not abs(seen - declared) <= AGREEMENT * system.algebra.N * size:
         raise ValueError(
             f"the stream is not the gradient of the energy: along a sample matrix the derivative of the energy is "
-            f"{seen:.6g}, and energy_sign <stream, .> is {told:.6g}; correct one of them"
+            f"{seen:.6g}, and energy_sign <stream, .> is {declared:.6g}; correct one of them"
         )
 
 
