@@ -1,7 +1,8 @@
 """Repeats the tests marked `sensitive`, and digests of runs, as on other machines: `python variants.py`.
 
 Each variant sets what a machine may change: the BLAS kernels, NumPy's vector instructions, those of the C library, the
-level of the kernels, the share of the processor. One that does not apply here is named and left out.
+level of the kernels, the share of the processor. One that does not apply here is named and left out. Variants that set
+different things are set together, and one by one where that fails.
 """
 
 from __future__ import annotations
@@ -64,6 +65,28 @@ def variants() -> Iterator[Variant]:
     yield Variant(f"{SHARE:.0%} of the processor", {}, lacks, quota=True)
 
 
+def together(ones: list[Variant]) -> list[list[Variant]]:
+    """Group variants that set different things; one with a quota stays alone."""
+    groups: list[list[Variant]] = []
+    for one in ones:
+        fitting = (
+            group
+            for group in groups
+            if not any(one.quota or other.quota or one.setting.keys() & other.setting for other in group)
+        )
+        if group := next(fitting, None):
+            group.append(one)
+        else:
+            groups.append([one])
+    return groups
+
+
+def joined(group: list[Variant]) -> Variant:
+    """Return the one that sets everything that these set."""
+    setting = {name: value for one in group for name, value in one.setting.items()}
+    return Variant(", ".join(one.name for one in group), setting, quota=group[0].quota)
+
+
 def passed(variant: Variant) -> bool:
     """Run the sensitive tests under a setting."""
     # These files alone: to collect all tests takes longer than to run these.
@@ -92,24 +115,33 @@ def digests(setting: dict[str, str]) -> dict[str, str]:
     return found
 
 
+def wrong_under(variant: Variant, expected: dict[str, str]) -> str:
+    """Return what differs under a setting, or nothing."""
+    print(f"{variant.name}:", flush=True)
+    began = time.monotonic()
+    wrong = "" if passed(variant) else "tests"
+    if variant.setting:
+        found = digests(variant.setting)
+        differing = [name for name, digest in expected.items() if found[name] != digest]
+        wrong += f" bits of {', '.join(differing)}" if differing else ""
+    print(f"{variant.name}: {time.monotonic() - began:.0f} s", flush=True)
+    return wrong
+
+
 def main() -> int:
-    expected, wrong = digests({}), []
+    expected, failed, applying = digests({}), [], []
     for variant in variants():
         if variant.lacks:
             print(f"{variant.name}: left out, it needs {variant.lacks}", flush=True)
-            continue
-        print(f"{variant.name}:", flush=True)
-        began = time.monotonic()
-        if not passed(variant):
-            wrong.append(variant.name)
-        if variant.setting:
-            found = digests(variant.setting)
-            differing = [name for name, digest in expected.items() if found[name] != digest]
-            if differing:
-                wrong.append(f"{variant.name} (other bits: {', '.join(differing)})")
-        print(f"{variant.name}: {time.monotonic() - began:.0f} s", flush=True)
-    print("\n".join(["failed under:", *wrong]) if wrong else "the same under all of them", flush=True)
-    return int(bool(wrong))
+        else:
+            applying.append(variant)
+    for group in together(applying):
+        whole = joined(group)
+        if wrong := wrong_under(whole, expected):
+            alone = {one.name: wrong_under(one, expected) for one in group} if len(group) > 1 else {}
+            failed += [f"{name}: {wrong}" for name, wrong in {whole.name: wrong, **alone}.items() if wrong]
+    print("\n".join(["failed under:", *failed]) if failed else "the same under all of them", flush=True)
+    return int(bool(failed))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
+from coadjoint.analysis.line_fit import find_lines, spread_by_noise
 from coadjoint.analysis.sampled import sampled
 
 pytestmark = pytest.mark.thinned(3)
@@ -115,6 +116,26 @@ def test_uncertainty_covers_white_noise() -> None:
     # The change to the narrower window is a part of the error, so that the estimate errs to the safe side.
     assert np.all(np.sqrt(np.mean(z**2, axis=0)) < 1.15) and np.all(np.sqrt(np.mean(z**2, axis=0)) > 0.5)
     assert np.mean(np.abs(z) < 2) > 0.93
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("complex_signal", [False, True])
+@pytest.mark.parametrize("power", [1, 3, 5])
+@pytest.mark.parametrize("samples", [101, 801])
+def test_the_effect_of_noise_is_neither_too_small_nor_too_large(samples, power, complex_signal, channels):
+    """One line in white noise: true spread over claimed spread, real and complex, of all windows."""
+    members, level = 400, 0.1
+    rng = np.random.default_rng(samples + power)
+    s = np.linspace(-1.0, 1.0, samples)
+    w = 40.0 + rng.uniform(0.0, 3.0, (members, 1))
+    wave = np.exp(1j * w * s)[..., None] * np.arange(1.0, channels + 1.0)
+    noise = rng.standard_normal((2, members, samples, channels))
+    signal = wave + level * (noise[0] + 1j * noise[1])
+    found = find_lines(s, signal if complex_signal else signal.real, 1, power)
+    true = np.sqrt(np.mean((found.frequency - w) ** 2))
+    claimed = np.sqrt(np.mean(spread_by_noise(found, s, power) ** 2))
+    # The spread of 400 draws is known to 1 / sqrt(800); six per cent more cover the median of few bins.
+    assert abs(np.log(true / claimed)) < 4 / np.sqrt(2 * members) + 0.06
 
 
 def body_period(m: np.ndarray, x0: np.ndarray) -> float:

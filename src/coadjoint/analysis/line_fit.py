@@ -113,15 +113,17 @@ def correct_lines(
 def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
     """Return the standard error of each frequency due to noise near its line, shape (members, lines).
 
-    The noise is the median power of the residual near the line, which is insensitive to further lines; for white noise
-    the error is unbiased.
+    The noise is the median power of the residual near the line, which is insensitive to further lines, without the bins
+    at the line, whose noise the fit has taken away; for white noise the error is unbiased.
     """
     weight = hann(s, power)
     real = not np.iscomplexobj(lines.residual)
     spectrum = _spectrum(lines.residual, weight)
     bins = _bins(len(s), real)
-    count = min(2 * NEIGHBOURS + 1, spectrum.shape[1])
+    at_line = (power + 1) / 2 * math.pi
+    count = max(1, min(2 * NEIGHBOURS + 1, spectrum.shape[1] - power - 2))
     distance = np.abs(bins - lines.frequency[..., None])
+    distance = np.where(distance < at_line, np.inf, distance)
     near = np.argpartition(distance, count - 1, axis=2)[..., :count]
     power_near = np.abs(spectrum[np.arange(len(near))[:, None, None], near]) ** 2  # (members, lines, bins, channels)
     variance = np.median(power_near, axis=2) / math.log(2.0) / np.sum(weight**2)

@@ -37,14 +37,9 @@ struct Series {
         return order * W * (entries + order * int64_t(field.products.size() + field.factors.size()));
     }
 
-    // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0.
-    void expand(double h) {
-        const int64_t blocks = field.extended == field.blocks && (W == 8 || field.blocks == 1) ? field.blocks : 0;
-        if (field.written_out)
-            expand_written<true>(blocks, h);
-        else
-            expand_written<false>(blocks, h);
-    }
+    // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0. Defined in series.cpp, since all cases of it take
+    // minutes to compile.
+    void expand(double h);
 
     // x_1 h + ... + x_p h^p of one block of rows: four sums, each from its smallest terms.
     INLINE Row increment(int64_t block) const {

@@ -1,0 +1,17 @@
+#include "steps/series.hpp"
+
+namespace coadjoint {
+
+template <int W>
+void Series<W>::expand(double h) {
+    const int64_t blocks = field.extended == field.blocks && (W == 8 || field.blocks == 1) ? field.blocks : 0;
+    if (field.written_out)
+        expand_written<true>(blocks, h);
+    else
+        expand_written<false>(blocks, h);
+}
+
+template void Series<4>::expand(double);
+template void Series<8>::expand(double);
+
+}  // namespace coadjoint
