@@ -110,6 +110,51 @@ def test_linear_damping_alone_is_the_exponential_of_its_matrix():
         assert sol.balance()["energy"] < 64 * UNIT_ROUNDOFF * np.abs(sol.energy).max()
 
 
+@pytest.mark.parametrize("tau", [3.0, 0.5, -0.5, -3.0])
+def test_damping_over_long_steps_in_both_directions(tau):
+    """Half flows whose exponents have norms from 0.5 to about 4."""
+    still = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, {}), co.Quadratic(full(4, 7)), casimirs={})
+    R = np.diag([0.2, 0.5, 1.0, 1.5]) + np.random.default_rng(2).uniform(-0.4, 0.4, (4, 4))
+    forced = still.with_forces(co.forces.LinearDamping(R, np.zeros(4)))
+    x0 = np.array([1.0, -0.5, 0.25, 0.75])
+    exact = expm(-tau * R) @ x0
+    found = co.integrate(forced, x0, (0.0, tau), abs(tau)).x[-1]
+    # Rounding grows with the condition of the exponential.
+    bound = 64 * UNIT_ROUNDOFF * np.linalg.cond(expm(-tau * R)) * np.abs(exact).max()
+    np.testing.assert_allclose(found, exact, rtol=0, atol=bound)
+
+
+def oscillating(y, t):
+    return 0.5 * y * y * (1.0 + 0.5 * np.sin(3.0 * t))
+
+
+def oscillating_slope(y, t):
+    return y * (1.0 + 0.5 * np.sin(3.0 * t))
+
+
+@pytest.mark.parametrize("h", [0.125, -0.125])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
+def test_accounts_of_driven_systems(method, h):
+    """A force is credited with the change of H at fixed time, that of the start and that of the end of a step."""
+    H = co.Separable(dict.fromkeys(range(3), (oscillating, oscillating_slope)))
+    system = co.LiePoissonSystem(co.algebras.so(3), H, sign=-1)
+    forces = [co.forces.LinearDamping((0.3, 0.1, 0.2)), co.forces.Torque((0.2, -0.1, 0.3))]
+    x, t, steps = np.array([0.5, 0.8, -0.3]), 0.75, 8
+    sol = co.integrate(system.with_forces(*forces), x, (t, t + steps * h), abs(h), method)
+    labels, accounts = list(sol.work), np.zeros(2)
+    for k in range(steps):
+        now = t + k * h
+        for order, start, fixed in (((0, 1), now, now), ((1, 0), now + h / 2, now + h)):
+            for f in order:
+                after = forces[f].flow(system, x, start, h / 2)
+                accounts[f] += H.value(after, fixed) - H.value(x, fixed)
+                x = after
+            if fixed == now:
+                x = method.step(system, x, now, h)
+        np.testing.assert_allclose(sol.x[k + 1], x, rtol=0, atol=1e-14)
+        np.testing.assert_allclose([sol.work[label]["energy"][k + 1] for label in labels], accounts, rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize(("alpha", "length", "sense"), [(0.1, 1.0, 1), (0.25, 2.0, -1)])
 def test_one_spin_in_a_field(alpha, length, sense):
     """S_3 = s tanh(alpha B s t + artanh S_3(0)/s), and S precesses; S_3' = alpha B (s^2 - S_3^2)."""
