@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.description import description
+from coadjoint.systems.description import LONGEST_FORMULA, description
 from coadjoint.systems.ready_made import ready_made_systems
 
 NAMES = co.systems.names()
@@ -34,8 +34,17 @@ def test_formulas_are_those_of_the_system(name):
         known = getattr(system, kind, {})
         assert list(found[kind]) == list(known)
         for key, formula in found[kind].items():
-            if formula is not None and not formula.endswith("..."):
-                F = known[key]
+            F = known[key]
+            polynomial = isinstance(F, co.Polynomial) or (isinstance(F, co.Quadratic) and F.dim <= 64)
+            assert (formula is not None) == polynomial, key
+            if formula is not None and formula.endswith("..."):
+                # Cut between two terms or signs, as late as possible.
+                text = str(F.to_polynomial() if hasattr(F, "to_polynomial") else F)
+                whole = re.sub(r"x(\d+)", lambda found, names=names: names[int(found[1]) - 1], text)
+                cut = formula[:-3]
+                assert whole.startswith(cut + " ") and len(cut) <= LONGEST_FORMULA
+                assert len(cut) + len(whole[len(cut) :].split()[0]) >= LONGEST_FORMULA - 1
+            elif formula is not None:
                 wanted = float(getattr(F, "value", F)(x))
                 # Sums of at most some hundred products of numbers below one, with coefficients of six digits.
                 assert value_of(formula, names, x) == pytest.approx(wanted, rel=1e-4, abs=1e-4), (key, formula)
