@@ -43,6 +43,34 @@ def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
 
 
 @fluids
+@pytest.mark.parametrize("lead", [(0,), (1,), (2, 3), (2, 0)])
+def test_stacks_of_any_size(s, lead):
+    """Spectra, fields, modes, energies and invariants of several states, and of none, as of each alone."""
+    W = np.zeros((*lead, *s.shape), dtype=complex)
+    for seed, place in enumerate(np.ndindex(lead)):
+        W[place] = s.random(seed, degrees=(1, 5))
+    integrals = {**s.casimirs, **s.integrals}
+    parts = {
+        "energy spectrum": lambda W: s.energy_spectrum(W)[1],
+        "enstrophy spectrum": lambda W: s.enstrophy_spectrum(W)[1],
+        "field": lambda W: s.to_grid(W, (8, 9)),
+        "back": lambda W: s.from_grid(s.to_grid(W)),
+        "modes": lambda W: s.from_modes(s.mode_array(W)),
+        "motion": s.vector_field,
+        "spectrum": s.spectrum,
+        "energy": s.energy,
+        **integrals,
+    }
+    for name, part in parts.items():
+        found, one = part(W), np.asarray(part(s.random(1)))
+        assert np.shape(found) == (*lead, *one.shape), name
+        for place in np.ndindex(lead):
+            alone = part(W[place])
+            # Sums of N^2 products, in another order.
+            np.testing.assert_allclose(found[place], alone, rtol=0, atol=1e-11 * max(1, np.abs(alone).max()))
+
+
+@fluids
 @pytest.mark.parametrize("degrees", [(1, 4), (3, 6), (5, 5), (2, 9)])
 def test_a_listed_spectrum_is_counted_from_the_degree_zero(s, degrees):
     """Also with entries beyond the last degree, and zeros; the energy is that of the list, or the given one."""
