@@ -165,6 +165,31 @@ def test_integrals_by_polynomial_identity():
 
 
 @pytest.mark.parametrize(
+    ("external", "pair", "known"),
+    [
+        ((0.0, 0.5, 1.0, 0.0, 0.0), (0.0, 0.0, 0.5, 0.0), True),
+        ((1.0,), (0.5,), True),
+        ((0.0, 0.0, 1.0, 0.5), (0.0,), False),
+        ((0.0, 0.0, 1.0, 0.0, 0.5), (0.0,), False),
+        ((0.0, 0.0, 1.0), (0.0, 0.0, 0.5, 0.0, 0.25), False),
+    ],
+)
+def test_closed_forms_of_potentials_up_to_the_second_degree(external, pair, known):
+    """Whatever zeros follow; backward in time, and at another central coordinate."""
+    w = np.array([1.0, 2.5, 0.5])
+    system = decorated_particles(w, external, pair)
+    assert (system.closed_form is not None) == known
+    if known:
+        x0 = np.random.default_rng(3).standard_normal(system.dim)
+        h = 2.0**-17  # the error of the central difference is about h^2 and u / h
+        before, now, after = system.exact(x0, [-0.7 - h, -0.7, -0.7 + h])
+        field = by_hand(now, w, np.polynomial.Polynomial(external), np.polynomial.Polynomial(pair))
+        field[:6] *= x0[6]  # q and p move by z times their equations
+        np.testing.assert_allclose((after - before) / (2 * h), field, rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(system.vector_field(now), field, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"weights": ()}, "weights has shape"),

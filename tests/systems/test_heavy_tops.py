@@ -149,6 +149,21 @@ def test_kovalevskayas_integral_in_any_order_of_the_axes(order, lever):
         assert_bounded(named, (1.0, 0.5, -0.5, 0.6, 0.8, 0.0))
 
 
+@pytest.mark.parametrize(("size", "lever"), [(3.0, (0.5, -0.75)), (0.5, (0.0, 2.0))])
+def test_named_tops_are_heavy_tops(size, lever):
+    x = np.cos(1.0 + np.arange(6.0))
+    for named, ratio in ((co.systems.kovalevskaya_top, 2.0), (co.systems.goryachev_chaplygin_top, 4.0)):
+        top, other = named(size, lever), co.systems.heavy_top((size, size, size / ratio), (*lever, 0.0))
+        omega, m, gamma = x[:3] / [size, size, size / ratio], x[:3], x[3:]
+        wanted = np.concatenate([np.cross(m, omega) + np.cross(gamma, [*lever, 0.0]), np.cross(gamma, omega)])
+        np.testing.assert_allclose(top.vector_field(x), wanted, rtol=0, atol=32 * U)
+        assert top.energy(x) == pytest.approx(m @ omega / 2 + lever[0] * gamma[0] + lever[1] * gamma[1], rel=32 * U)
+        assert top.integrals == other.integrals and top.parameters == {"equatorial": size, "lever": lever}
+    K = co.systems.kovalevskaya_top(size, lever).integrals["K"]
+    turned, along = complex(x[0], x[1]) ** 2 / (2 * size), complex(*lever) * complex(x[3], x[4])
+    assert K(x) == pytest.approx(abs(turned - along) ** 2, rel=1e-13)
+
+
 def test_a_top_that_is_near_kovalevskayas_has_no_integral():
     assert co.systems.heavy_top((2.0, 2.0, 1.0 + 2**-50), (1, 0, 0)).integrals == {}
     assert co.systems.heavy_top((2.0, 2.0, 1.0), (1, 0, 0.1)).integrals == {}

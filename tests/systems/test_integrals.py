@@ -60,6 +60,18 @@ def test_what_is_none_is_refused(given, kind, message):
         body(integrals=given)
 
 
+@pytest.mark.parametrize("H", [SYMMETRIC, co.Polynomial("0.15*x1^2 + 0.15*x2^2 + 0.5*x3^3", dim=3)], ids=str)
+@pytest.mark.parametrize("off", [1e-10, 1e-12])
+def test_one_that_changes_by_more_than_rounding_is_refused(H, off):
+    """For polynomials the tolerance is some hundred round-offs."""
+    nearly = {"linear": co.Polynomial({(0, 0, 1): 1, (1, 0, 0): off}), "square": co.Quadratic([1.0, 1.0 + off, 1.0])}
+    for name, F in nearly.items():
+        with pytest.raises(ValueError, match=f"'{name}' is not an integral: it changes at the rate"):
+            co.LiePoissonSystem(SO3, H, sign=-1, integrals={name: F})
+    exact = {"linear": THIRD, "square": co.Quadratic([1.0, 1.0, 1.0])}
+    assert list(co.LiePoissonSystem(SO3, H, sign=-1, integrals=exact).integrals) == list(exact)
+
+
 def test_energies_that_are_functions():
     value, slope = (
         (lambda x: np.cosh(x[2]) + x[0] ** 2 + x[1] ** 2),

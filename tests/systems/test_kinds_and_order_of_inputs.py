@@ -114,6 +114,27 @@ def test_whole_numbers_are_the_same_in_every_type(name):
                     assert fields(found) == fields(expected), (key, kind)
 
 
+@pytest.mark.filterwarnings("ignore:.*no body has")
+@pytest.mark.parametrize("name", NAMES)
+def test_every_number_is_kept_and_matters(name):
+    """Each in turn, where that is accepted: in the parameters, and in the field or the energy."""
+    x = np.cos(1.0 + np.arange(co.systems.get(name).dim)) / 2
+
+    def looks(system):
+        state = system.algebra.projected(system.from_vector(x)) if hasattr(system, "from_vector") else x
+        return np.append(np.asarray(system.vector_field(state)).ravel(), system.energy(state))
+
+    first = looks(co.systems.get(name))
+    for key, value in real_parameters(name).items():
+        for place in range(len(numbers(value))):
+            at = itertools.count()
+            changed = mapped(value, lambda n: 1.25 * n or 0.375 if next(at) == place else n)  # noqa: B023
+            system = made(name, {key: changed})
+            if system is not None:
+                assert system.parameters == {**base(name), key: changed}
+                assert np.abs(looks(system) - first).max() > 1e-6, (key, place)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_truth_values_are_no_numbers(name):
     for key, value in real_parameters(name).items():

@@ -11,8 +11,10 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.forces.linear_damping import LinearDamping
 from coadjoint.systems.hamiltonian import Hamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.separable import Separable
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
@@ -216,6 +218,38 @@ def test_systems_are_immutable():
     assert system.casimirs
     with pytest.raises(ValueError, match=r"shape \(3,\)"):
         system.vector_field([1.0, 2.0])
+
+
+def test_what_is_given_and_returned_is_copied():
+    so3, third = catalogue.so(3), Polynomial({(0, 0, 1): 1})
+    given = {
+        "casimirs": {"C": Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})},
+        "integrals": {"x3": third},
+        "parameters": {"size": 2.0},
+        "layout": {"lattice": "ring", "shape": 5},
+    }
+    wanted = {**given, "layout": {"lattice": "ring", "shape": (5,)}}
+    wanted = {key: dict(value) for key, value in wanted.items()}
+    system = LiePoissonSystem(so3, Quadratic([1.0, 1.0, 2.0]), **given)
+    J = PoissonSystem(so3.structure_matrix, Quadratic(1.0), dim=3, **{k: given[k] for k in ("casimirs", "parameters")})
+    for mapping in given.values():
+        mapping.clear()
+    for one in (system, J):
+        for key in wanted:
+            if hasattr(one, key):
+                assert getattr(one, key) == wanted[key]
+                getattr(one, key).clear()
+                assert getattr(one, key) == wanted[key]
+    forced = system.with_forces(LinearDamping(0.1))
+    forced.casimirs.clear()
+    assert forced.casimirs == wanted["casimirs"]
+    x = np.array([1.0, 2.0, 3.0])
+    system.structure_matrix(x)[0, 1] = 9.0
+    system.hamiltonian.hessian(x)[0, 0] = 9.0
+    system.hamiltonian.gradient(x)[0] = 9.0
+    np.testing.assert_array_equal(system.vector_field(x), np.cross([1.0, 2.0, 6.0], x))
+    grid = LiePoissonSystem(so3, Quadratic(1.0), layout={"lattice": "square", "shape": [2, 3]})
+    assert grid.layout == {"lattice": "square", "shape": (2, 3)}
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,37 @@ def test_full_m_with_linear_part(sparse):
     assert again.has_sorted_indices
 
 
+@pytest.mark.parametrize("kind", [scipy.sparse.coo_array, scipy.sparse.csr_array, scipy.sparse.csc_array])
+def test_sparse_entries_in_any_order_with_duplicates_and_zeros(kind):
+    """Entries at one place are added; zeros, stored or by cancellation, are left out; the given matrix is unchanged."""
+    rows = np.array([2, 0, 1, 0, 3, 1, 2, 0, 3, 3, 1])
+    columns = np.array([0, 2, 1, 2, 3, 1, 0, 0, 0, 3, 3])
+    values = np.array([1.0, 0.5, 2.0, 1.5, 4.0, -0.75, 1.0, 0.0, 0.0, -4.0, 0.0])
+    M = kind((values, (rows, columns)), shape=(4, 4)) if kind is scipy.sparse.coo_array else None
+    if M is None:  # with duplicates that are not merged
+        major, minor = (rows, columns) if kind is scipy.sparse.csr_array else (columns, rows)
+        order = np.argsort(major, kind="stable")
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(major, minlength=4))])
+        M = kind((values[order], minor[order], indptr), shape=(4, 4))
+    stored, dense = M.data.copy(), M.toarray()
+    H = Quadratic(M)
+    np.testing.assert_array_equal(H.hessian(np.zeros(4)), dense)
+    (term,) = H.terms()
+    assert list(zip(term.rows.tolist(), term.indices.tolist(), strict=True)) == [(0, 2), (1, 1), (2, 0)]
+    np.testing.assert_array_equal(M.data, stored)
+    assert Quadratic(M) is not H and M.nnz == 11
+
+
+@pytest.mark.parametrize("lead", [(), (1,), (4,), (2, 3), (2, 0)])
+def test_values_at_many_states(lead):
+    M, b = random_symmetric(3), np.array([0.5, 0.0, -1.0])
+    H, x = Quadratic(M, linear=b, constant=2.0), np.random.default_rng(6).standard_normal((*lead, 3))
+    found = H(x)
+    wanted = 0.5 * np.einsum("...i,ij,...j->...", x, M, x) + x @ b + 2.0
+    assert np.shape(found) == lead
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=64 * U * (1 + np.abs(M).max()) * 9)
+
+
 def test_a_number_binds_to_any_dimension():
     H = Quadratic(3.0)
     assert H.dim is None

@@ -88,6 +88,21 @@ def test_paper_a37_has_the_papers_energy_and_casimir():
         system.exact(X, 1.0)
 
 
+@pytest.mark.parametrize(("a", "masses"), [(1.3, (0.7, -0.4, 1.1)), (-0.5, (0.0, 2.0, 0.25)), (0.0, (1.0, 0.5, 2.0))])
+def test_paper_a37_by_hand(a, masses):
+    """[e1, e3] = a e1 - e2 and [e2, e3] = e1 + a e2: x' = J(x) M x."""
+    system, x, y = systems.paper_a37(a, masses), X[0], X[1]
+    one, two, three = np.array(masses) * X
+    first, second = a * x - y, x + a * y
+    wanted = [first * three, second * three, -first * one - second * two]
+    np.testing.assert_allclose(system.vector_field(X), wanted, rtol=0, atol=1e-15)
+    assert system.energy(X) == pytest.approx(0.5 * np.dot(masses, X**2), rel=1e-15)
+    assert system.sign == 1 and system.parameters == {"a": a, "masses": masses}
+    if a > 0:
+        theta = np.arctan2(y, x)
+        assert system.casimirs["log C"](X) == pytest.approx(np.log(x * x + y * y) - 2 * a * theta, rel=1e-13)
+
+
 def test_systems_can_be_sent_to_another_process():
     system = pickle.loads(pickle.dumps(systems.rigid_body((1.0, 2.0, 3.0))))
     np.testing.assert_array_equal(system.exact(X, 2.0), systems.rigid_body((1.0, 2.0, 3.0)).exact(X, 2.0))

@@ -1,5 +1,7 @@
 """Spins on graphs: every coupling by hand, precession, 40 digits, integrals, shapes, and what is refused."""
 
+import functools
+import itertools
 import json
 from pathlib import Path
 
@@ -283,6 +285,70 @@ def test_edges_are_the_nearest_neighbours(lattice):
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     near = {(i, j) for i, j in np.argwhere(np.abs(apart - 1) < 1e-9).tolist() if i < j}
     assert {tuple(sorted(edge)) for edge in graph(lattice, shape, False)[1].tolist()} == near
+
+
+@pytest.mark.parametrize("lattice", PLACES)
+def test_edges_that_go_around(lattice):
+    """Along each axis by itself: the nearest neighbours among the images of the sites along the periodic axes."""
+    axes, sites = PLACES[lattice]
+    shape = (4, 3, 3)[: len(axes)]
+    cells = np.indices(shape).reshape(len(axes), -1).T @ axes
+    places = (cells[:, None] + np.array(sites, dtype=float)).reshape(-1, len(axes))
+    for around in itertools.product((False, True), repeat=len(axes)):
+        near = set()
+        for turns in itertools.product(*((-1, 0, 1) if flag else (0,) for flag in around)):
+            apart = np.linalg.norm(places[:, None] - places + (np.array(turns) * shape) @ axes, axis=2)
+            near |= {(i, j) for i, j in np.argwhere(np.abs(apart - 1) < 1e-9).tolist() if i < j}
+        assert {tuple(sorted(edge)) for edge in graph(lattice, shape, around)[1].tolist()} == near, around
+
+
+def test_each_spin_without_coupling_turns_about_its_own_field_at_all_times():
+    fields = np.array([[0.0, 0.0, 2.0], [1.0, -0.5, 0.25], [0.0, 0.0, 0.0]])
+    system, x0 = spin_lattice("chain", 3, exchange=0.0, field=fields), spins_of(3, 3)
+    t = np.array([0.0, 1.5, -0.75, 4.0])
+    found = system.exact(x0, t)
+    for k, time in enumerate(t):
+        turns = [np.array(rotation(B, time).tolist(), dtype=float) for B in fields]
+        wanted = np.concatenate([turn @ S for turn, S in zip(turns, x0.reshape(3, 3), strict=True)])
+        np.testing.assert_allclose(found[k], wanted, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(found[:, 6:], np.broadcast_to(x0[6:], (4, 3)))
+
+
+@pytest.mark.parametrize("factor", [1, -2, 0.5])
+@pytest.mark.parametrize("uniform", [True, False])
+def test_terms_of_a_field_in_time(factor, uniform):
+    """The terms, which compiled loops use, add up to value and gradient; three sites, whose fields differ."""
+    weights = np.array([1.0, -0.5, 2.0])
+
+    def same(t):
+        return np.array([0.5 * np.cos(t), np.sin(t), 1.0])
+
+    def each(t):
+        return np.outer(weights, same(t))
+
+    # Only plain functions are compiled, which takes seconds.
+    field = functools.partial(same if uniform else each)
+    system, x, t = spin_lattice("chain", 3, tensor=(1, 0.5, 2), field=field), spins_of(4, 3), 0.7
+    H = factor * system.hamiltonian
+    S, B = x.reshape(3, 3), np.broadcast_to(field(t), (3, 3))
+    T = np.array([1, 0.5, 2])
+    energy = -T @ (S[0] * S[1] + S[1] * S[2]) - np.sum(B * S)
+    slope = -np.stack([T * S[1], T * (S[0] + S[2]), T * S[1]]) - B
+    value, gradient = 0.0, np.zeros(9)
+    for term in H.terms():
+        if term.called:
+            y = x[term.coordinates]
+            value += term.value(y, t)
+            gradient[term.coordinates] += term.gradient(y, t)
+            assert not term.hessian(y, t).any()
+        else:
+            product = np.bincount(term.rows, weights=term.values * x[term.indices], minlength=9)
+            value += term.constant + term.linear @ x + product @ x / 2
+            gradient += term.linear + product
+    for found in (value, H.value(x, t)):
+        assert found == pytest.approx(factor * energy, rel=1e-13)
+    for found in (gradient, H.gradient(x, t)):
+        np.testing.assert_allclose(found, factor * slope.ravel(), rtol=0, atol=1e-13)
 
 
 def test_many_spins():

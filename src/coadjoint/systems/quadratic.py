@@ -385,9 +385,10 @@ class Quadratic(Summable):
     def __call__(self, x: npt.ArrayLike) -> Any:
         """Return the value at a state (n,), or the values at states (..., n), like other invariants."""
         array = array_given(x, "x", "iufc")
-        if array.ndim < 2 or array.size == 0:
+        width = array.shape[-1] if array.ndim > 1 else 0
+        if width == 0 or self.dim not in (None, width):  # one state, or states of another dimension
             return self.value(array)
-        rows = array.reshape(-1, array.shape[-1])
+        rows = array.reshape(-1, width)
         return np.array([self.value(row) for row in rows]).reshape(array.shape[:-1])
 
     @QUIET

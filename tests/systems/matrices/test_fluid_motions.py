@@ -173,6 +173,38 @@ def test_angular_momentum():
     np.testing.assert_allclose(moved, [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]] @ L[0], rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize(("degree", "order"), [(2, 0), (3, 1), (5, 4), (6, 6), (7, 2)])
+def test_the_field_of_rossby_and_haurwitz(degree, order):
+    """Solid rotation, and a harmonic of the given root mean square with a maximum at the given longitude."""
+    from scipy.special import gamma, lpmv
+
+    N, zonal, wave, longitude = 9, -0.7, 1.3, 0.4
+    for s in (co.systems.sphere_euler(N=N), co.systems.sphere_euler(N=N, rotation=0.6)):
+        W = s.relative(s.rossby_haurwitz(degree, order, zonal=zonal, wave=wave, longitude=longitude))
+        latitude, east = s.grid((12, 30))
+        # Without the phase of Condon and Shortley; the mean of the square over the sphere is one.
+        factor = np.sqrt((2 if order else 1) * (2 * degree + 1) * gamma(degree - order + 1) / gamma(degree + order + 1))
+        shape = (-1) ** order * factor * lpmv(order, degree, np.sin(latitude))
+        wanted = 2 * zonal * np.sin(latitude)[:, None] + wave * shape[:, None] * np.cos(order * (east - longitude))
+        np.testing.assert_allclose(s.to_grid(W, (12, 30)), wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("speed", "perturbation", "waves"), [(0.8, 0.0, 2), (2.0, 0.05, 1), (0.5, -0.1, 3)])
+def test_the_field_of_two_jets(speed, perturbation, waves):
+    """u = speed / cosh^2 eastward at pi / 2 and westward at 3 pi / 2; the vorticity is -du/dy, and waves on both."""
+    s, width = co.systems.torus_euler(N=65), 0.5
+    W = s.zonal_jet(speed, width=width, perturbation=perturbation, waves=waves)
+    x, y = s.grid((16, 80))
+    wanted = np.zeros((16, 80))
+    for sign, middle in ((1, np.pi / 2), (-1, 3 * np.pi / 2)):
+        for turn in 2 * np.pi * np.arange(-3, 4):
+            away = (y - middle + turn) / width
+            wanted += sign * 2 * speed / width * np.tanh(away) / np.cosh(away) ** 2
+            wanted += perturbation * speed / width * np.cos(waves * x)[:, None] / np.cosh(away) ** 2
+    # Waves beyond the 32nd are cut off: of the size exp(-32 pi width / 2), 1e-11, times some powers of 32.
+    np.testing.assert_allclose(s.to_grid(W, (16, 80)), wanted, rtol=0, atol=1e-7)
+
+
 def test_known_integrals():
     W = SPHERE.random(9, degrees=(1, 7))
     assert list(SPHERE.integrals) == ["angular momentum x", "angular momentum y", "angular momentum z"]

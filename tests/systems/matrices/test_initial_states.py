@@ -43,6 +43,89 @@ def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
 
 
 @fluids
+@pytest.mark.parametrize("lead", [(0,), (1,), (2, 3), (2, 0)])
+def test_stacks_of_any_size(s, lead):
+    """Spectra, fields, modes, energies and invariants of several states, and of none, as of each alone."""
+    W = np.zeros((*lead, *s.shape), dtype=complex)
+    for seed, place in enumerate(np.ndindex(lead)):
+        W[place] = s.random(seed, degrees=(1, 5))
+    integrals = {**s.casimirs, **s.integrals}
+    parts = {
+        "energy spectrum": lambda W: s.energy_spectrum(W)[1],
+        "enstrophy spectrum": lambda W: s.enstrophy_spectrum(W)[1],
+        "field": lambda W: s.to_grid(W, (8, 9)),
+        "back": lambda W: s.from_grid(s.to_grid(W)),
+        "modes": lambda W: s.from_modes(s.mode_array(W)),
+        "motion": s.vector_field,
+        "spectrum": s.spectrum,
+        "energy": s.energy,
+        **integrals,
+    }
+    for name, part in parts.items():
+        found, one = part(W), np.asarray(part(s.random(1)))
+        assert np.shape(found) == (*lead, *one.shape), name
+        for place in np.ndindex(lead):
+            alone = part(W[place])
+            # Sums of N^2 products, in another order.
+            np.testing.assert_allclose(found[place], alone, rtol=0, atol=1e-11 * max(1, np.abs(alone).max()))
+
+
+@fluids
+@pytest.mark.parametrize("degrees", [(1, 4), (3, 6), (5, 5), (2, 9)])
+def test_a_listed_spectrum_is_counted_from_the_degree_zero(s, degrees):
+    """Also with entries beyond the last degree, and zeros; the energy is that of the list, or the given one."""
+    first, last = degrees
+    listed = np.array([7.0, 3.0, 0.5, 2.0, 0.0, 4.0, 1.5, 0.25, 5.0, 1.0, 9.0])
+    wanted = np.where((np.arange(11) >= first) & (np.arange(11) <= last), listed, 0.0)[1:]
+    for energy, scale in ((None, 1.0), (2.5, 2.5 / wanted.sum())):
+        found = s.energy_spectrum(s.random(7, spectrum=listed, degrees=degrees, energy=energy))[1]
+        np.testing.assert_allclose(found[:10], scale * wanted, rtol=0, atol=1e-12)
+        assert np.abs(found[10:]).max(initial=0.0) < 1e-12
+    by_function = s.random(7, spectrum=lambda l: listed[l.astype(int)], degrees=degrees, enstrophy=0.75)
+    assert s.enstrophy_spectrum(by_function)[1].sum() == pytest.approx(0.75, rel=1e-12)
+    np.testing.assert_allclose(
+        s.relative(by_function) * np.linalg.norm(s.relative(s.random(7, spectrum=listed, degrees=degrees))),
+        s.relative(s.random(7, spectrum=listed, degrees=degrees)) * np.linalg.norm(s.relative(by_function)),
+        atol=1e-12 * s.algebra.N**3,
+    )
+
+
+@pytest.mark.parametrize("make", [co.systems.sphere_euler, co.systems.torus_euler])
+@pytest.mark.parametrize("N", [3, 5, 9, 31])
+def test_a_random_field_has_equal_shares_of_enstrophy_by_default(make, N):
+    """Of the degrees 2 to 10, or as far as N resolves; the number of modes of a degree is its share."""
+    s = make(N=N)
+    degree, enstrophy = s.enstrophy_spectrum(s.random(3))
+    last = min(10, N - 1 if make is co.systems.sphere_euler else N // 2)
+    first = min(2, last)
+    if make is co.systems.sphere_euler:
+        count = 2 * degree + 1
+    else:
+        n = np.arange(-(N // 2), N // 2 + 1)
+        count = np.bincount(np.rint(np.hypot(n[:, None], n)).astype(int).ravel())[1:]
+    wanted = np.where((degree >= first) & (degree <= last), count, 0.0)
+    np.testing.assert_allclose(enstrophy, wanted / wanted.sum() * s.area / 2, rtol=0, atol=1e-12 * s.area)
+
+
+@fluids
+def test_fields_about_several_points_add_up_in_any_order(s):
+    places = np.array([(0.5, 1.0), (-0.9, 4.0), (0.2, 2.5), (1.1, 5.5)])
+    strengths, sizes = np.array([2.0, -0.5, 1.25, 0.75]), np.array([0.5, 0.35, 0.5, 0.7])
+    makers = (
+        lambda k: s.blobs(places[k], strengths[k], sizes[k]),
+        lambda k: s.patches(places[k], sizes[k], strengths[k]),
+        lambda k: s.patches(places[k], sizes[k], strengths[k], edge=0.3),
+    )
+    for make in makers:
+        whole = s.relative(make(np.arange(4)))
+        single = sum(s.relative(make(np.array([k]))) for k in range(4))
+        # Places on the sphere are good to 3e-13.
+        assert np.abs(whole - single).max() < 1e-11 * np.abs(whole).max()
+        assert np.abs(s.relative(make(np.array([2, 0, 3, 1]))) - whole).max() < 1e-11 * np.abs(whole).max()
+        assert np.abs(s.relative(make(np.array([0]))) - s.relative(make(np.array([2])))).max() > 0.1
+
+
+@fluids
 def test_matrices_of_another_size_are_refused(s):
     for call in (s.to_grid, s.mode_array, s.energy_spectrum, s.relative, s.absolute):
         with pytest.raises(ValueError, match=r"a state has the shape \(5, 5\)"):

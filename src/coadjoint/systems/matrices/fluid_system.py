@@ -147,5 +147,5 @@ class FluidSystem(MatrixSystem):
         count = int(number.max()) + 1
         each = weights * (modes.real**2 + modes.imag**2)
         rows = each.reshape(-1, number.size)
-        found = np.stack([np.bincount(number, row, count) for row in rows]).reshape(*each.shape[:-2], count)
+        found = np.array([np.bincount(number, row, count) for row in rows]).reshape(*each.shape[:-2], count)
         return np.arange(1, count, dtype=np.int64), np.asarray(found[..., 1:], dtype=np.float64)

@@ -1,0 +1,73 @@
+"""Descriptions of ready-made systems: the formulas are those of the system, in the names of its coordinates."""
+
+import inspect
+import json
+import re
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.systems.description import LONGEST_FORMULA, description
+from coadjoint.systems.ready_made import ready_made_systems
+
+NAMES = co.systems.names()
+
+
+def value_of(formula, names, x):
+    """Evaluate a formula in named coordinates; any other word in it is an error."""
+    longest_first = sorted(range(len(names)), key=lambda k: -len(names[k]))
+    pattern = "|".join(re.escape(names[k]) for k in longest_first)
+    places = {name: k for k, name in enumerate(names)}
+    # A name that ends with a digit must not be followed by another one.
+    code = re.sub(rf"({pattern})(?!\d)", lambda found: f"x[{places[found[1]]}]", formula).replace("^", "**")
+    return eval(code, {"__builtins__": {}}, {"x": x})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_formulas_are_those_of_the_system(name):
+    system, found = co.systems.get(name), description(name)
+    names = found["coordinates"]
+    assert len(names) == len(set(names)) == system.dim == found["dimension"]
+    x = np.cos(1.0 + np.arange(system.dim))
+    for kind in ("casimirs", "integrals"):
+        known = getattr(system, kind, {})
+        assert list(found[kind]) == list(known)
+        for key, formula in found[kind].items():
+            F = known[key]
+            polynomial = isinstance(F, co.Polynomial) or (isinstance(F, co.Quadratic) and F.dim <= 64)
+            assert (formula is not None) == polynomial, key
+            if formula is not None and formula.endswith("..."):
+                # Cut between two terms or signs, as late as possible.
+                text = str(F.to_polynomial() if hasattr(F, "to_polynomial") else F)
+                whole = re.sub(r"x(\d+)", lambda found, names=names: names[int(found[1]) - 1], text)
+                cut = formula[:-3]
+                assert whole.startswith(cut + " ") and len(cut) <= LONGEST_FORMULA
+                assert len(cut) + len(whole[len(cut) :].split()[0]) >= LONGEST_FORMULA - 1
+            elif formula is not None:
+                wanted = float(getattr(F, "value", F)(x))
+                # Sums of at most some hundred products of numbers below one, with coefficients of six digits.
+                assert value_of(formula, names, x) == pytest.approx(wanted, rel=1e-4, abs=1e-4), (key, formula)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_it_says_of_the_system(name):
+    system, found = co.systems.get(name), description(name)
+    assert json.loads(json.dumps(found)) == found
+    assert found["name"] == name and found["sign"] == system.sign
+    assert found["exact"] == (system.closed_form is not None)
+    signature = inspect.signature(ready_made_systems()[name]).parameters
+    assert list(found["parameters"]) == list(signature)
+    for key, told in found["parameters"].items():
+        assert told["kind"] and told["meaning"], key
+        default = np.asarray(signature[key].default, dtype=object)
+        assert np.array_equal(np.asarray(told["default"], dtype=object), default)
+    assert found["summary"].endswith(".") and "`" not in found["summary"]
+    if system.algebra is None:
+        assert found["algebra"] is None and found["attitude"] == "none"
+    elif hasattr(system.algebra, "triples"):
+        assert found["attitude"] == ("coadjoint" if system.representation is None else "representation")
+        x = np.random.default_rng(2).standard_normal(system.dim)
+        assert found["rank"] == np.linalg.matrix_rank(system.structure_matrix(x), tol=1e-9)
+    else:
+        assert found["attitude"] == "matrices"

@@ -1,0 +1,153 @@
+"""Fields and flows of forces in Python: against formulas, quadratures and another solver, at any time and backward."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.systems.forces.double_bracket import exponential
+from coadjoint.systems.forces.normal_deviates import normal_deviates, words_of
+
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
+X = np.array([0.7, -0.4, 1.1])
+RATE = np.array([[0.5, 0.25, 0.0], [-1.0, 0.75, 0.125], [0.0, 0.5, 2.0]])
+U = 2.0**-53
+
+
+@pytest.mark.parametrize("tau", [0.75, -0.5, 3.0])
+@pytest.mark.parametrize("toward", [0.0, 0.25, (0.5, -1.0, 2.0)])
+@pytest.mark.parametrize("rate", [0.4, -0.3, (0.5, 0.0, -0.25), RATE, np.zeros((3, 3))], ids=str)
+def test_linear_damping(rate, toward, tau):
+    dense = np.asarray(rate) if np.ndim(rate) == 2 else np.diag(np.broadcast_to(rate, 3))
+    aim, force = np.broadcast_to(toward, 3), co.forces.LinearDamping(rate, toward)
+    wanted = aim + expm(-tau * dense) @ (X - aim)
+    # Exponentials of matrices of norm 8 at most, which the Pade approximant scales and squares.
+    np.testing.assert_allclose(
+        force.flow(BODY, X, 0.3, tau), wanted, rtol=0, atol=256 * U * max(1, np.abs(wanted).max())
+    )
+    np.testing.assert_allclose(force.field(BODY, X, 0.3), -dense @ (X - aim), rtol=0, atol=16 * U)
+
+
+@pytest.mark.parametrize("tau", [0.75, -1.25])
+def test_torques(tau):
+    wind, t = np.array([0.5, -1.0, 2.0]), 0.7
+    constant = co.forces.Torque(wind)
+    np.testing.assert_array_equal(constant.field(BODY, X, t), wind)
+    np.testing.assert_allclose(constant.flow(BODY, X, t, tau), X + tau * wind, rtol=0, atol=8 * U)
+    # Five points of Gauss and Legendre integrate polynomials of degree nine exactly, and no others.
+    for degree in range(11):
+        power = co.forces.Torque(lambda t, degree=degree: wind * t**degree)
+        exact = X + wind * ((t + tau) ** (degree + 1) - t ** (degree + 1)) / (degree + 1)
+        error = np.abs(power.flow(BODY, X, t, tau) - exact).max()
+        assert (error < 64 * U * 2.0**degree) == (degree <= 9), (degree, error)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_torques_of_the_state_are_a_step_of_the_fourth_order(way):
+    of_state = co.forces.Torque(lambda x: np.array([x[1] * x[2], -x[0], np.sin(x[0]) - x[2]]))
+    of_both = co.forces.Torque(lambda x, t: np.array([x[1] * np.cos(3 * t), t * x[2], -x[0] * x[2]]))
+    for force in (of_state, of_both):
+        errors = []
+        for tau in (way / 8, way / 16, way / 32):
+            exact = solve_ivp(
+                lambda s, y, f=force: f.field(BODY, y, s), (0.7, 0.7 + tau), X, "DOP853", rtol=1e-13, atol=1e-15
+            )
+            errors.append(np.abs(force.flow(BODY, X, 0.7, tau) - exact.y[:, -1]).max())
+        assert np.all(np.abs(np.log2(np.array(errors[:-1]) / errors[1:]) - 5) < 0.5), errors
+
+
+def test_the_field_of_a_flow_of_ones_own():
+    """x' = -x |x| / (1 + t) about the time t, where the flow of the time t alone counts."""
+
+    def flow(x, t, tau):
+        return x / (1 + tau * np.abs(x) / (1 + t))
+
+    force = co.forces.OwnForce(flow, name="drag")
+    for t in (0.0, 0.7, 3.0):
+        # Differences of order four, of steps 2^-12, whose rounding is u times 2^12.
+        np.testing.assert_allclose(force.field(BODY, X, t), -X * np.abs(X) / (1 + t), rtol=0, atol=2.0**-38)
+        np.testing.assert_array_equal(force.flow(BODY, X, t, -0.25), flow(X, t, -0.25))
+    forward = co.forces.OwnForce(flow, name="drag", backward=False)
+    with pytest.raises(TypeError, match="the field of drag is not known: its flow does not run backward"):
+        forward.field(BODY, X, 0.0)
+    with pytest.raises(ValueError, match="the flow of shift changes a state for tau = 0"):
+        BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x + 0.1, name="shift"))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "A3,7", "sl(2)"])
+def test_exponentials_along_orbits(name, sign):
+    """Of small and large arguments, which take several pieces: exp(D), D x = sign J(x) v, linear in x."""
+    algebra = co.algebras.get(name, **({"a": 1.5} if name == "A3,7" else {}))
+    n, rng = algebra.dim, np.random.default_rng(3)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(1.0), sign=sign)
+    x, direction = rng.standard_normal((2, n))
+    for size in (0.0, 0.01, 1.0, 4.5):
+        v = size * direction
+        D = np.column_stack([sign * system.structure_matrix(unit) @ v for unit in np.eye(n)])
+        wanted = expm(D) @ x
+        # Terms of the series reach e times the state in each piece; their number is the norm.
+        tolerance = 64 * U * (1 + np.abs(D).sum()) * np.abs(expm(np.abs(D)) @ np.abs(x)).max()
+        np.testing.assert_allclose(exponential(system, v, x), wanted, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("metric", [0.7, (0.5, 0.0, 2.0), RATE @ RATE.T], ids=["number", "diagonal", "matrix"])
+def test_the_flow_of_a_double_bracket(metric, way):
+    """A symmetric step of order two on the orbit, of an energy that depends on the time."""
+    H = co.Hamiltonian(
+        lambda x, t: 0.5 * (x[0] ** 2 + 2 * x[1] ** 2) + np.cos(t) * x[2],
+        lambda x, t: np.array([x[0], 2 * x[1], np.cos(t)]),
+    )
+    system, force = co.LiePoissonSystem(co.algebras.so(3), H), co.forces.DoubleBracketDamping(0.3, metric)
+    errors = []
+    for tau in (way / 8, way / 16, way / 32):
+        found = force.flow(system, X, 0.7, tau)
+        exact = solve_ivp(lambda s, y: force.field(system, y, s), (0.7, 0.7 + tau), X, "DOP853", rtol=1e-13, atol=1e-15)
+        errors.append(np.abs(found - exact.y[:, -1]).max())
+        assert found @ found == pytest.approx(X @ X, rel=64 * U)
+        np.testing.assert_allclose(force.flow(system, found, 0.7 + tau, -tau), X, rtol=0, atol=2.0**-40)
+    assert np.all(np.abs(np.log2(np.array(errors[:-1]) / errors[1:]) - 3) < 0.3), errors
+
+
+def test_normal_deviates():
+    """Independent of how many are drawn, different by every argument, and of the normal distribution."""
+    many = normal_deviates(7, 3, 0.5, 1, 20_000)
+    for count in (1, 2, 3, 4, 5, 9):
+        np.testing.assert_array_equal(normal_deviates(7, 3, 0.5, 1, count), many[:count])
+    np.testing.assert_array_equal(normal_deviates(7, 3, -0.0, 1, 8), normal_deviates(7, 3, 0.0, 1, 8))
+    draws = [many[:8]]
+    for other in ((8, 3, 0.5, 1), (7, 4, 0.5, 1), (7, 3, -0.5, 1), (7, 3, 0.5 + 2.0**-53, 1), (7, 3, 0.5, 0)):
+        draws.append(normal_deviates(*other, 8))
+    assert len({draw.tobytes() for draw in draws}) == len(draws)
+    assert np.abs(np.corrcoef(np.array(draws))[~np.eye(6, dtype=bool)]).max() < 0.99
+    # Five standard deviations of the means of powers: 1, 2, 15 and 96 are the variances of x, x^2, x^3, x^4.
+    for power, mean, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
+        assert abs(np.mean(many**power) - mean) < 5 * np.sqrt(variance / len(many))
+    assert abs(np.mean(many[1:] * many[:-1])) < 5 / np.sqrt(len(many))
+    assert words_of(7, 3, 0.5, 1, 5).shape == (5,)
+
+
+def test_forces_are_applied_in_their_order_and_labelled_by_it():
+    some = co.forces
+    first, second = some.LinearDamping(0.1), some.Torque((0.0, 0.5, 0.0))
+    third, bath = some.LinearDamping(0.3), some.HeatBath(0.2, temperature=0.1, seed=5, stream=2)
+    other = some.HeatBath(0.2, temperature=0.1, seed=5, stream=4)
+    system = BODY.with_forces(first, second).with_forces(third, bath, other)
+    assert system.forces == (first, second, third, bath, other)
+    assert system.labels == ("LinearDamping", "Torque", "LinearDamping 2", "HeatBath", "HeatBath 2")
+    assert system.name == f"rigid_body with {', '.join(system.labels)}"
+    moved = system.numbered_from(3)
+    assert [force.stream for force in moved.forces[3:]] == [5, 7] and moved.forces[:3] == system.forces[:3]
+    assert system.numbered_from(0) is system and [force.stream for force in system.forces[3:]] == [2, 4]
+    still = BODY.with_forces(first, second, third)
+    assert still.numbered_from(3) is still and still.reversible and not system.reversible
+    np.testing.assert_allclose(
+        still.vector_field(X) - BODY.vector_field(X), -0.4 * X + [0, 0.5, 0], rtol=0, atol=16 * U
+    )
+    slope = X / [1.0, 2.0, 2.5]
+    wanted = {"LinearDamping": -0.1 * slope @ X, "Torque": 0.5 * slope[1], "LinearDamping 2": -0.3 * slope @ X}
+    assert still.power(X) == pytest.approx(wanted, rel=1e-14)
+    with pytest.raises(ValueError, match="two forces draw the same noise"):
+        system.with_forces(some.HeatBath(0.7, temperature=0.5, seed=5, stream=4))
