@@ -280,7 +280,7 @@ def test_what_is_done_to_a_dataset_does_not_change_the_solution(tmp_path):
     assert same(found.energy, sol.energy) and "more" not in found.to_xarray() and found.to_xarray().attrs["watch"] == 1
 
 
-@pytest.mark.parametrize("attitude", [False, True, "coadjoint"])
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
 def test_the_end_by_an_event(tmp_path, attitude):
     sol = co.integrate(BODY, X, (7.0, 27.0), 0.1, attitude=attitude, save_every=3, events=co.Event(2, terminal=True))
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")
