@@ -1,6 +1,7 @@
 """What does not fit is refused before it is made, with the estimate; what fits is made in seconds."""
 
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,3 +188,88 @@ def test_groups_of_linux(tmp_path):
 
 def test_available_is_asked_of_this_machine():
     assert 2**20 < memory.available() <= memory.UNKNOWN
+
+
+MEMINFO = "MemTotal:       16000000 kB\nMemFree:         1000000 kB\nMemAvailable:    3000000 kB\nSwapFree: 9 kB\n"
+
+
+@pytest.fixture
+def files(monkeypatch):
+    """Contents of the files from which the system reports memory; others do not exist."""
+    found = {}
+
+    def read(self, **more):
+        if str(self) not in found:
+            raise FileNotFoundError(str(self))
+        return found[str(self)]
+
+    monkeypatch.setattr(Path, "read_text", read)
+    return found
+
+
+def test_memory_of_the_machine(files, monkeypatch):
+    """What can be taken without swapping, in bytes; the total where that is not reported; a limit of the shell."""
+    sizes = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096}
+    monkeypatch.setattr("os.sysconf", sizes.__getitem__)
+    assert memory.available() == 4096 * 1000
+    files["/proc/meminfo"] = "MemAvailable: unknown kB\n"
+    assert memory.available() == 4096 * 1000
+    files["/proc/meminfo"] = MEMINFO
+    assert memory.available() == 1024 * 3000000
+    monkeypatch.setattr("resource.getrlimit", lambda which: (2**30, 2**40))
+    monkeypatch.setattr("resource.getpagesize", lambda: 4096)
+    assert memory.available() == 1024 * 3000000, "the memory taken is not known"
+    files["/proc/self/statm"] = "1000 90 80 70 60 50 40\n"
+    assert memory.available() == 2**30 - 1000 * 4096
+    files["/proc/self/statm"] = f"{2**20} 90 80 70 60 50 40\n"
+    assert memory.available() == 0, "never negative"
+    monkeypatch.setattr("resource.getrlimit", lambda which: (-1, -1))
+    assert memory.available() == 1024 * 3000000
+
+
+def test_the_group_with_the_least_counts(files, monkeypatch):
+    """Groups of both kinds, at every depth, those above included; a group without a limit does not count."""
+    groups = {
+        "/sys/fs/cgroup": (9000, 1000, 0),
+        "/sys/fs/cgroup/user": (5000, 4000, 500),
+        "/sys/fs/cgroup/user/job": (9000, 100, 0),
+        "/sys/fs/cgroup/memory": (8000, 0, 0),
+        "/sys/fs/cgroup/memory/own": (8000, 6000, 1000),
+    }
+    names = {False: ("memory.max", "memory.current", "file"), True: ("memory.limit_in_bytes", "memory.usage_in_bytes")}
+
+    def put(place, most, used, cached):
+        old = place.startswith("/sys/fs/cgroup/memory")
+        files[f"{place}/{names[old][0]}"], files[f"{place}/{names[old][1]}"] = f"{most}\n", f"{used}\n"
+        files[f"{place}/memory.stat"] = f"anon 1\n{'total_cache' if old else 'file'} {cached}\ncache 7\n"
+
+    for place, numbers in groups.items():
+        put(place, *numbers)
+    files["/proc/meminfo"] = MEMINFO
+    files["/proc/self/cgroup"] = "5:cpu,memory:/own\n4:cpuset:/none\n0::/user/job\n"
+    left = {place: most - used + cached for place, (most, used, cached) in groups.items()}
+    assert memory.available() == min(left.values()) == 1500
+    for place in groups:
+        for other, numbers in groups.items():
+            put(other, *(numbers if other != place else (1200, 300, 20)))
+        assert memory.available() == 920, place
+    for place, numbers in groups.items():
+        put(place, *numbers)
+    files["/sys/fs/cgroup/user/memory.max"] = "max\n"
+    assert memory.available() == 3000
+    put("/sys/fs/cgroup/user/job", 1200, 300, 20)
+    files["/proc/self/cgroup"] = "0::/../user/job\n"
+    assert memory.available() == 920, "a process of another namespace has a path above the root"
+
+
+def test_what_just_fits_is_made(monkeypatch):
+    """The limit itself fits; what is small is not checked."""
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**9)
+    for count in (0, memory.SMALL, 10**9):
+        memory.check_room(count, "it")
+    with pytest.raises(ValueError, match=r"^it needs about 1\.0 GB; this machine has 1\.0 GB free; take less$"):
+        memory.check_room(10**9 + 1, "it", "take less")
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 0)
+    memory.check_room(memory.SMALL, "it")
+    with pytest.raises(ValueError, match=r"^it needs about 67 MB; this machine has 0 MB free$"):
+        memory.check_room(memory.SMALL + 1, "it")

@@ -1,5 +1,6 @@
 """The files of an archive: what counts, what a peer reads at any time, and what is refused."""
 
+import errno
 import json
 import os
 import shutil
@@ -8,12 +9,15 @@ import numpy as np
 import pytest
 import xarray
 
+from coadjoint.files.archive_folder import ArchiveFolder
 from coadjoint.files.archive_store import (
     FORMAT,
     ROOT,
     ArchiveError,
+    ArchiveMoved,
     ArchiveReplaced,
     ArchiveStore,
+    Kept,
     read_array,
     read_kept,
     read_root,
@@ -195,6 +199,17 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
             b'{"attributes": {"archive_format": "1"}, "consolidated_metadata": {"metadata": {}}}',
             "archive_format is '1'",
         ),
+        *(
+            (
+                b'{"attributes": {"archive_format": %b}, "consolidated_metadata": {"metadata": {}}}' % version,
+                "archive_format is .*; it must be a whole number from 1 up",
+            )
+            for version in (b"true", b"0", b"-1", b"1.0", b"null")
+        ),
+        (
+            b'{"attributes": {}, "attributes": {"archive_format": 1}, "consolidated_metadata": {"metadata": {}}}',
+            "is no archive of a run, or its zarr.json is damaged",
+        ),
         (
             b'{"attributes": {"archive_format": 1}, "consolidated_metadata": {"metadata": {"x": {}}}}',
             "the arrays in zarr.json are damaged",
@@ -232,3 +247,221 @@ def test_regions_of_members_are_written_by_themselves(tmp_path):
     with xarray.open_zarr(store.path, chunks=None) as found:
         assert np.array_equal(found["x"], values)
     assert json.loads((store.path / ROOT).read_text())["consolidated_metadata"]["metadata"]["x"]["shape"] == [6, 7]
+
+
+def open_descriptors():
+    """Return the open descriptors of this process; none where the system does not list them."""
+    return set(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else set()
+
+
+def test_attributes_are_merged_and_removed(store):
+    store.commit({"steps": 3, "seconds": 0.5}, {"time": 0})
+    store.commit({"steps": 4, "mood": None}, {"time": 0})
+    assert read_root(store.path)[1] == {"archive_format": FORMAT, "steps": 4, "seconds": 0.5} == store.attributes
+
+
+def test_states_that_are_kept_stay_and_others_go(store):
+    kept = [store.keep({"k": k}, {"number": k}) for k in range(4)]
+    store.commit({}, {"time": 0}, [kept[1], None, kept[3]])
+    files = {name for name in os.listdir(store.path / ".coadjoint") if name.startswith("state-")}
+    assert files == {kept[1].file, kept[3].file}
+    assert read_kept(store.path, kept[3])["k"] == 3
+    for one in (kept[0], kept[2]):
+        with pytest.raises(ArchiveMoved, match=f"the state {one.file} is missing"):
+            read_kept(store.path, one)
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["lock", "../x/c.0.0", "state-/../lock", "/etc/hostname", "state-\0", "state-a/b", "", "x/state-a"],
+)
+def test_names_of_states_are_plain(store, file):
+    with pytest.raises(ArchiveError, match=r"a state is called .*, which is no plain name"):
+        read_kept(store.path, Kept(file, "0", {}))
+
+
+def test_a_chunk_is_no_longer_than_its_array_allows(store):
+    """It is not read, however long it is."""
+    written(store, 0, 20)
+    store.commit({}, {"time": 20})
+    most = store.arrays["x"].most_bytes
+    (store.path / "x" / "c.0.0").write_bytes(bytes(most + 1))
+    with pytest.raises(ArchiveError, match=rf"it has {most + 1} bytes, and at most {most} belong there"):
+        read_array(store.path, "x", store.arrays["x"])
+    (store.path / "x" / "c.0.0").write_bytes(bytes(most))
+    with pytest.raises(ArchiveError, match="its check sum does not match"):
+        read_array(store.path, "x", store.arrays["x"])
+
+
+def test_files_of_a_folder(tmp_path, monkeypatch):
+    """The beginning of a file, regular files alone, and none that does not fit into memory."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "file").write_bytes(b"0123456789")
+    os.mkfifo(tmp_path / "in" / "pipe")
+    (tmp_path / "in" / "link").symlink_to("file")
+    (tmp_path / "in" / "nowhere").symlink_to("none")
+    before = open_descriptors()
+    with ArchiveFolder(tmp_path) as folder:
+        read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"most": 10})]
+        assert read == [b"0123456789", b"0123", b"0123456789", b"0123456789"]
+        for name, number in (("pipe", errno.EINVAL), ("link", errno.ELOOP), ("nowhere", errno.ELOOP)):
+            with pytest.raises(OSError) as refused:
+                folder.read("in", name)
+            assert refused.value.errno == number
+        with pytest.raises(OSError):
+            folder.read("", "in")
+        with pytest.raises(ValueError, match="it has 10 bytes, and at most 9 belong there"):
+            folder.read("in", "file", most=9)
+        assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
+        with monkeypatch.context() as patched:
+            patched.setattr("coadjoint.memory.SMALL", 0)
+            patched.setattr("coadjoint.memory.available", lambda: 19)
+            assert folder.read("in", "file", head=9) == b"012345678"
+            with pytest.raises(ValueError, match="it needs about"):
+                folder.read("in", "file")
+        folder.remove("in", "link")
+        folder.remove("in", "link")
+        tmp_path.rename(tmp_path.with_name("aside"))
+        assert folder.names("in") == {"file", "pipe", "nowhere"}, "the folder stays the same when it is renamed"
+    assert open_descriptors() == before
+
+
+def test_what_killed_processes_have_left_is_removed_everywhere(store):
+    """Temporary files of every folder; other files stay. Arrays alone have the lengths of the root again."""
+    written(store, 0, 10)
+    store.commit({}, {"time": 10})
+    store.close()
+    places = ("", ".coadjoint", "x", "component")
+    for place in places:
+        for name in (".zarr.json.writing", ".c.0.writing", "own.writing", ".writing.txt"):
+            (store.path / place / name).write_bytes(b"half")
+    metadata = store.path / "x" / ROOT
+    metadata.write_text(metadata.read_text().replace("[10, 3]", "[0, 3]"))
+    ArchiveStore.opened(store.path).close()
+    for place in places:
+        left = {name for name in os.listdir(store.path / place) if "writing" in name}
+        assert left == {"own.writing", ".writing.txt"}, place
+    assert json.loads(metadata.read_text())["shape"] == [10, 3]
+
+
+def test_what_was_committed_before_the_lock_is_seen(store, monkeypatch):
+    """Another process commits and ends after the root was read, and before the archive is locked."""
+    lock = ArchiveFolder.lock
+
+    def later(self, *given):
+        monkeypatch.undo()
+        written(store, 0, 10)
+        store.commit({"steps": 10}, {"time": 10})
+        store.close()
+        return lock(self, *given)
+
+    monkeypatch.setattr(ArchiveFolder, "lock", later)
+    again = ArchiveStore.opened(store.path)
+    assert again.attributes["steps"] == 10 and again.arrays["x"].shape == (10, 3)
+    again.close()
+
+
+def test_nothing_stays_open_or_locked(store, tmp_path, monkeypatch):
+    """After an archive that cannot be opened, made or moved."""
+    written(store, 0, 10)
+    store.commit({}, {"time": 10})
+    store.close()
+    before = open_descriptors()
+    with monkeypatch.context() as patched, pytest.raises(ArchiveError, match="cannot be written"):
+        patched.setattr(ArchiveStore, "_write_arrays", lambda *given: (_ for _ in ()).throw(OSError(28, "full")))
+        ArchiveStore.opened(store.path)
+    with monkeypatch.context() as patched, pytest.raises(OSError, match="full"):
+        patched.setattr(ArchiveFolder, "write", lambda *given: (_ for _ in ()).throw(OSError(28, "full")))
+        ArchiveStore.begun(tmp_path / "other.zarr", arrays())
+    moved = ArchiveStore.begun(tmp_path / "moved.zarr", arrays())
+    with pytest.raises(OSError):
+        moved.moved(store.path)
+    with pytest.raises(ArchiveError):
+        read_root(tmp_path / "none.zarr")
+    assert open_descriptors() == before
+    again = ArchiveStore.opened(store.path)
+    again.moved(tmp_path / "there.zarr")
+    written(again, 10, 20)
+    again.commit({}, {"time": 20})
+    again.close()
+    assert open_descriptors() == before and np.array_equal(
+        read_array(tmp_path / "there.zarr", "x", again.arrays["x"]), X[:20]
+    )
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors are not listed")
+def test_the_order_in_which_a_commit_reaches_the_disk(store, monkeypatch):
+    """Each file before its name, and chunks and states with their names before the root that refers to them."""
+    events, fsync, replace = [], os.fsync, os.replace
+
+    def synced(descriptor):
+        events.append(
+            ("sync", os.path.relpath(os.readlink(f"/proc/self/fd/{descriptor}"), os.path.realpath(store.path)))
+        )
+        fsync(descriptor)
+
+    def replaced(source, target, **folders):
+        inside = os.path.realpath(f"/proc/self/fd/{folders['src_dir_fd']}")
+        events.append(("name", os.path.relpath(os.path.join(inside, target), os.path.realpath(store.path))))
+        replace(source, target, **folders)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", replaced)
+    kept = written(store, 0, 20)
+    store.commit({}, {"time": 20}, [kept])
+    root = events.index(("name", ROOT))
+    named = [name for kind, name in events if kind == "name"]
+    assert {f".coadjoint/{kept.file}", "x/c.0.0", "x/c.1.1", "time/c.1"} <= {n for k, n in events[:root] if k == "name"}
+    for name in named:
+        folder, _, file = name.rpartition("/")
+        written_at = events.index(("sync", os.path.join(folder, f".{file}.writing")))
+        assert written_at < events.index(("name", name)), name
+        if events.index(("name", name)) < root:
+            assert events.index(("name", name)) < events.index(("sync", folder)) < root, name
+    assert events.index(("sync", ".")) > root
+
+
+GOOD = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"dims": ("time", "a b")}, "the dimensions are"),
+        ({"dims": ("time", 3)}, "the dimensions are"),
+        ({"dims": (), "shape": (), "chunk": ()}, "the dimensions are"),
+        ({"dims": ("row",) * 9, "shape": (1,) * 9, "chunk": (1,) * 9}, "the dimensions are"),
+        ({"shape": (7,)}, "the shape is"),
+        ({"shape": (7, -1)}, "the shape is"),
+        ({"shape": (7, True)}, "the shape is"),
+        ({"shape": (7, 3.0)}, "the shape is"),
+        ({"shape": (7, 2**62 + 1)}, "the shape is"),
+        ({"chunk": (8,)}, "the chunk is"),
+        ({"chunk": (0, 3)}, "the chunk is"),
+        ({"chunk": (8, 0)}, "the chunk is"),
+        ({"chunk": (8, 4)}, "which is too large for the shape"),
+        ({"chunk": (2**16 + 1, 1)}, "which is too large for the shape"),
+        ({"shape": (7, 2**10), "chunk": (2**10, 2**10)}, "which is too large for the shape"),
+        ({"dims": ("row", "component"), "chunk": (8, 3)}, "which is too large for the shape"),
+    ],
+)
+def test_shapes_that_the_library_does_not_write(changed, said):
+    with pytest.raises(ValueError, match=said):
+        GOOD._replace(**changed).check()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {},
+        {"shape": (0, 3)},
+        {"shape": (7, 0), "chunk": (8, 1)},
+        {"chunk": (2**16, 3)},
+        {"shape": (7, 2**20), "chunk": (1, 2**20)},
+        {"dims": ("row",), "shape": (2**20,), "chunk": (2**20,)},
+    ],
+)
+def test_shapes_that_the_library_writes(changed):
+    array = GOOD._replace(**changed)
+    array.check()
+    assert StoredArray.of_metadata(json.loads(json.dumps(array.metadata()))).metadata() == array.metadata()

@@ -183,6 +183,7 @@ def test_a_run_that_fails_says_so_whenever_it_is_asked(tmp_path):
     with pytest.raises(co.IntegrationError) as again:
         co.resume(path)
     for error in (failure.value, again.value):
+        np.testing.assert_equal(error.residual, plain.value.residual)
         assert (str(error), error.step, error.time) == (str(plain.value), plain.value.step, plain.value.time)
         assert error.partial.finished and error.partial.attributes["run_failed"] == 1
         assert np.array_equal(error.partial.x, plain.value.partial.x)
@@ -290,3 +291,149 @@ def test_another_helper_under_a_compiled_function_is_refused(tmp_path):
     with pytest.raises(ArchiveError, match="not what the run was begun with"):
         co.resume(path, system=system(2.0))
     assert co.resume(path, system=system(1.0)).finished
+
+
+def test_a_failure_is_told_with_its_numbers(tmp_path):
+    """Step, time and residual, by the archive of one run and by the marker of a block."""
+    from coadjoint.files.archive_folder import ArchiveFolder
+    from coadjoint.files.blocks import read_marker, write_marker
+
+    run = (BODY, (3.0, -20.0, 7.0), (7.0, 107.0), STEP, co.ExplicitRungeKutta("runge2"))
+    said = {"failed_step": 3, "failed_time": 7.25, "failed_residual": 0.5}
+    for name in ("run", "many"):
+        with pytest.raises(co.IntegrationError) as first:
+            if name == "run":
+                co.integrate(*run, archive=tmp_path / name)
+            else:
+                co.ensemble(run[0], [X, run[1]], *run[2:], archive=tmp_path / name, members_per_block=1)
+        assert first.value.time == 7.0 + (first.value.step - 1) * STEP
+        root = json.loads((tmp_path / name / "zarr.json").read_text())
+        root["attributes"] |= said
+        (tmp_path / name / "zarr.json").write_text(json.dumps(root))
+        if name == "many":
+            with ArchiveFolder(tmp_path / name) as folder:
+                marker = read_marker(folder, 1)
+                write_marker(folder, 1, marker.about | said, marker.stored)
+        with pytest.raises(co.IntegrationError) as again:
+            co.resume(tmp_path / name)
+        assert (again.value.step, again.value.time, again.value.residual) == (3, 7.25, 0.5)
+        assert again.value.partial.attributes["failed_residual"] == 0.5
+
+
+def test_seconds_of_earlier_pieces_count(tmp_path):
+    path, seconds = tmp_path / "run.zarr", 1e6
+    cut(path)
+    root = json.loads((path / "zarr.json").read_text())
+    root["attributes"]["seconds"] = seconds
+    (path / "zarr.json").write_text(json.dumps(root))
+    assert seconds <= co.resume(path, until=9).stats.seconds < 2 * seconds
+    assert seconds <= co.resume(path).stats.seconds == co.open_archive(path).stats.seconds < 2 * seconds
+
+
+def test_a_link_at_the_place_of_an_archive_stays(tmp_path):
+    """Also one that leads nowhere: nothing is written in its place or behind it."""
+    (tmp_path / "run.zarr").symlink_to(tmp_path / "none")
+    for run in (
+        lambda: co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr"),
+        lambda: co.ensemble(BODY, [X], SPAN, STEP, archive=tmp_path / "run.zarr"),
+    ):
+        with pytest.raises(ArchiveError, match=r"run\.zarr: exists; co\.resume continues an archive"):
+            run()
+    assert os.listdir(tmp_path) == ["run.zarr"] and os.readlink(tmp_path / "run.zarr") == str(tmp_path / "none")
+
+
+def test_a_new_archive_removes_what_a_killed_run_has_left(tmp_path):
+    from coadjoint.files.unfinished import LOCK, _prefix
+
+    left = tmp_path / f"{_prefix(tmp_path / 'run.zarr')}01234567"
+    left.mkdir()
+    (left / LOCK).touch()
+    co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
+    assert os.listdir(tmp_path) == ["run.zarr"]
+
+
+@pytest.mark.parametrize("commits", [1, 3, 100])
+def test_a_run_that_commits_while_it_is_opened(tmp_path, monkeypatch, commits):
+    """The state that the root named may be removed before it is read: the root is read again, but not forever."""
+    from coadjoint.files import archived_solution
+    from coadjoint.files.archive_store import ArchiveMoved
+
+    cut(tmp_path / "run.zarr")
+    read, moved = archived_solution.read_kept, []
+
+    def gone(path, kept):
+        moved.append(kept)
+        if len(moved) <= commits:
+            raise ArchiveMoved(f"{path}: the state {kept.file} is missing")
+        return read(path, kept)
+
+    monkeypatch.setattr(archived_solution, "read_kept", gone)
+    if commits < archived_solution.ATTEMPTS:
+        assert co.open_archive(tmp_path / "run.zarr").reached == 5 and len(moved) == commits + 1
+    else:
+        with pytest.raises(ArchiveError, match=r"the state state-\w+\.npz is missing") as refused:
+            co.open_archive(tmp_path / "run.zarr")
+        assert type(refused.value) is ArchiveError and len(moved) == archived_solution.ATTEMPTS
+
+
+@pytest.mark.parametrize("name", ["x", "casimir_x_2"])
+def test_committed_chunks_are_all_looked_for_before_a_run_goes_on(tmp_path, monkeypatch, name):
+    """Any of them may be missing; the last ones, to which the run adds, may be damaged as well."""
+    for each in ("FEWEST_ROWS", "MOST_ROWS"):
+        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{each}", 2)
+    path = tmp_path / "run.zarr"
+    cut(path, until=9, every=1)
+    chunks = sorted((path / name).glob("c.*"))
+    assert len(chunks) == 5
+    for chunk in chunks[::2]:
+        content = chunk.read_bytes()
+        chunk.unlink()
+        with pytest.raises(ArchiveError, match=rf"{name}/{chunk.name} is missing"):
+            co.resume(path)
+        chunk.write_bytes(content)
+    cut(tmp_path / "odd.zarr", until=8, every=1)
+    chunk = max((tmp_path / "odd.zarr" / name).glob("c.*"))
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    with pytest.raises(ArchiveError, match=rf"{name}/{chunk.name} cannot be read \(.*check sum"):
+        co.resume(tmp_path / "odd.zarr")
+    chunk.write_bytes(content)
+    assert co.resume(path).finished and co.resume(tmp_path / "odd.zarr").finished
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="open descriptors are not listed")
+def test_nothing_stays_open(tmp_path):
+    """After a run, one that is cut, continued to its end and to a later one, refused, or read."""
+    co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "first.zarr").to_xarray().load()
+    before = len(os.listdir("/proc/self/fd"))
+    cut(tmp_path / "run.zarr")
+    with pytest.raises(ArchiveError, match="the run is one of"):
+        co.resume(tmp_path / "run.zarr", system=co.systems.rigid_body(inertia=(1, 2, 2.75)))
+    for ends in ({"until": 9}, {}, {"t_end": 3.0}, {"t_end": 3.0}):
+        found = co.resume(tmp_path / "run.zarr", **ends)
+    with pytest.raises(ArchiveError, match="give a later end"):
+        co.resume(tmp_path / "run.zarr", 2.0)
+    found.to_xarray().load()
+    assert found.finished and len(os.listdir("/proc/self/fd")) == before
+
+
+def test_what_cannot_be_compared_is_named(tmp_path):
+    """A function may read what no fingerprint has; the run goes on with a warning."""
+    fluid = co.systems.sphere_euler(4)
+    observe = {"odd": lambda W: eval("W")[0, 1].real, "even": lambda W: W[0, 1].imag}
+    cut(tmp_path / "run.zarr", fluid, fluid.random(seed=1), method=co.IsospectralGauss(1), observe=observe)
+    with pytest.raises(ArchiveError, match=r"the run observes \['odd', 'even'\], and observe has \['even', 'odd'\]"):
+        co.resume(tmp_path / "run.zarr", observe=dict(reversed(observe.items())))
+    with pytest.warns(UserWarning, match=r"observe is compared without .*, which cannot be fingerprinted"):
+        found = co.resume(tmp_path / "run.zarr", observe=observe)
+    np.testing.assert_array_equal(found.observed["odd"], found.x[:, 0, 1].real)
+
+
+@pytest.mark.parametrize(("watch", "over"), [(True, "over every step"), (False, "over the saved points")])
+def test_deviations_are_named_for_where_they_were_looked_for(tmp_path, watch, over):
+    damped = BODY.with_forces(co.forces.LinearDamping(0.125))
+    for k, (system, names) in enumerate(((BODY, ["drift"]), (damped, ["change", "balance"]))):
+        run = system, X, SPAN, STEP, co.GaussLegendre(1)
+        for found in (co.integrate(*run, watch=watch), co.integrate(*run, watch=watch, archive=tmp_path / f"{k}.zarr")):
+            for name in names:
+                assert found.to_xarray()[name].attrs["long_name"].endswith(f"in each tenth of the run, {over}")

@@ -14,8 +14,17 @@ from coadjoint.files import run_in_blocks as ensembles
 from coadjoint.files.archive_folder import ArchiveFolder
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
 from coadjoint.files.block_run import BlockRun
-from coadjoint.files.blocks import blocks_of, lock_file, marker_file, read_about, read_marker, size_of_blocks
+from coadjoint.files.blocks import (
+    blocks_of,
+    lock_file,
+    marker_file,
+    read_about,
+    read_marker,
+    size_of_blocks,
+    write_marker,
+)
 from coadjoint.files.ensemble_archive import left_of
+from coadjoint.files.run_in_blocks import Team
 from coadjoint.files.unfinished import locked
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.times import times_of
@@ -346,3 +355,185 @@ def test_the_attributes_say_what_was_run(tmp_path):
     assert not list((archive / ".coadjoint").glob("*.lock")), "locks of blocks are removed at the end"
     again = co.open_archive(archive)
     assert_same(again, co.integrate(again.system, again.x0, again.t_span, again.step, again.method))
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    """Chunks of eight points, so that a block of a run of 33 points has five; nobody waits for the disk."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    for name in ("FEWEST_ROWS", "MOST_ROWS"):
+        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{name}", 8)
+
+
+@pytest.mark.parametrize("options", [{}, {"attitude": True, "save_every": 3}])
+@pytest.mark.parametrize("span", [(0, 4), (7.5, 3.5)])
+def test_blocks_of_many_chunks(tmp_path, small_chunks, span, options):
+    found = co.ensemble(BODY, X, span, 0.125, archive=tmp_path / "many.zarr", members_per_block=4, **options)
+    assert len(list((tmp_path / "many.zarr" / "x").glob("c.*.0.0"))) == -(-len(found.t) // 8)
+    assert_same(found, co.integrate(BODY, X, span, 0.125, **options))
+
+
+@pytest.mark.parametrize("steps", [(32, 15, 7), (7, 32, 16), (15, 1, 0)])
+def test_a_cut_between_chunks_of_a_block(tmp_path, monkeypatch, small_chunks, steps):
+    """Points that a marker refers to are read, and the others are NaN: in, at the end of, and behind a chunk."""
+    archive, whole = tmp_path / "many.zarr", co.integrate(BODY, X, (0, 4), 0.125)
+    store, blocks = cut(archive, monkeypatch, steps)
+    for found in (co.open_archive(archive), co.load(archive)):
+        assert found.reached == min(steps) and not found.finished
+        for block, done in zip(blocks, steps, strict=True):
+            own = slice(block.first, block.last)
+            np.testing.assert_array_equal(found.x[: done + 1, own], whole.x[: done + 1, own])
+            np.testing.assert_array_equal(found.to_xarray()["x"][: done + 1, own], whole.x[: done + 1, own])
+            assert np.isnan(found.x[done + 1 :, own]).all()
+            assert (found.status[own] == (done == 32)).all()
+    assert [block.number for block in left_of(store)] == [k for k, done in enumerate(steps) if done < 32]
+    abouts = [read_about(store.folder, block.number) for block in blocks]
+    for name in ("evaluations", "iterations", "seconds"):
+        # Not exact for seconds, which are added in another order elsewhere.
+        assert getattr(found.stats, name) == pytest.approx(sum(about[name] for about in abouts), rel=1e-12)
+    assert_same(co.ensemble(BODY, X, (0, 4), 0.125, archive=archive), whole)
+
+
+@pytest.mark.parametrize("row", [0, 2, 4])
+def test_any_chunk_that_is_missing_is_computed_again(tmp_path, small_chunks, row):
+    archive = tmp_path / "many.zarr"
+    first = co.ensemble(BODY, X, (0, 4), 0.125, archive=archive, members_per_block=4)
+    x = first.x.copy()
+    (archive / "x" / f"c.{row}.1.0").unlink()
+    store, _ = prepared(archive)
+    assert [block.number for block in left_of(store)] == [1]
+    np.testing.assert_array_equal(co.ensemble(BODY, X, (0, 4), 0.125, archive=archive).x, x)
+
+
+def test_work_of_all_blocks_is_added(tmp_path):
+    """Of blocks with different work, in the archive and in the solution; that of the members is that of one run."""
+    x0 = X * np.geomspace(0.1, 2.0, len(X))[:, None]
+    found = co.ensemble(
+        BODY, x0, (0, 4), 0.125, co.GaussLegendre(2), archive=tmp_path / "many.zarr", members_per_block=4
+    )
+    whole = co.integrate(BODY, x0, (0, 4), 0.125, co.GaussLegendre(2))
+    attributes = read_root(tmp_path / "many.zarr")[1]
+    for own in (found.stats, whole.stats):
+        assert (attributes["evaluations"], attributes["iterations"]) == (own.evaluations, own.iterations)
+    store, blocks = prepared(tmp_path / "many.zarr")
+    abouts = [read_about(store.folder, block.number) for block in blocks]
+    each = {about["iterations"] / (block.last - block.first) for about, block in zip(abouts, blocks, strict=True)}
+    assert len(each) == 3
+    assert sum(about["iterations"] for about in abouts) == found.stats.iterations > found.stats.evaluations / 10
+    assert attributes["seconds"] == pytest.approx(sum(about["seconds"] for about in abouts), rel=1e-12)
+
+
+def test_seconds_of_earlier_calls_count(tmp_path, monkeypatch):
+    archive, seconds = tmp_path / "many.zarr", 1e6
+    store, blocks = cut(archive, monkeypatch, (5, 9, 32))
+    for block in blocks:
+        marker = read_marker(store.folder, block.number)
+        write_marker(store.folder, block.number, {**marker.about, "seconds": seconds}, marker.stored)
+    found = co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
+    assert 3 * seconds <= found.stats.seconds < 4 * seconds
+
+
+@pytest.mark.parametrize("members_per_block", [1, 2, 5])
+def test_the_error_is_that_of_the_first_member_that_fails(tmp_path, members_per_block):
+    """Also where members behind it fail sooner."""
+    x0 = np.array([[1.0, 1.0], [1.0, 1e270], [1.0, 2.0], [1.0, 1e290], [1.0, 1e300]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        with pytest.raises(co.IntegrationError) as expected:
+            co.integrate(GROWING, x0, (0, 100), 0.5)
+        with pytest.raises(co.IntegrationError, match=r"^3 of 5 members failed, .* is member 1: in step") as failed:
+            co.ensemble(GROWING, x0, (0, 100), 0.5, archive=tmp_path / "many.zarr", members_per_block=members_per_block)
+    for name in ("step", "time", "residual"):
+        np.testing.assert_equal(getattr(failed.value, name), getattr(expected.value, name))
+    assert failed.value.partial.stats.steps == expected.value.partial.stats.steps
+    np.testing.assert_array_equal(failed.value.partial.x, expected.value.partial.x)
+
+
+def edit_root(archive, **more):
+    root = json.loads((archive / "zarr.json").read_text())
+    root["attributes"] |= more
+    (archive / "zarr.json").write_text(json.dumps(root))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"coadjoint_version": "0.0.1"}, "the version of coadjoint differs"),
+        ({"archive_first_step": "0"}, "the first step, by a function or a number that is not stored, differs"),
+        ({"sign": -BODY.sign}, "the sign of the system differs"),
+        ({"archive_observed": '{"names": [], "stored": {"more": 1}}'}, "observe differs"),
+    ],
+)
+def test_archives_of_other_runs_with_the_same_arguments(tmp_path, changed, said):
+    archive = tmp_path / "many.zarr"
+    co.ensemble(BODY, X, (0, 1), 0.125, archive=archive, members_per_block=4)
+    edit_root(archive, **changed)
+    with pytest.raises(ArchiveError, match=f"is the archive of another ensemble: {said}; give another name"):
+        co.ensemble(BODY, X, (0, 1), 0.125, archive=archive)
+
+
+@pytest.mark.parametrize("member", [0, 5, 10])
+def test_one_member_that_differs_is_noticed(tmp_path, member):
+    """In any block, by its last bit or the sign of a zero; and elements that are carried in another way."""
+    archive, x0 = tmp_path / "many.zarr", X.copy()
+    x0[:, 2] = 0.0
+    given = {"attitude": True, "archive": archive, "members_per_block": 4}
+    co.ensemble(BODY, x0, (0, 1), 0.125, **given)
+    nearest, negative = x0.copy(), x0.copy()
+    nearest[member, 1] = np.nextafter(nearest[member, 1], 9.0)
+    negative[member, 2] = -0.0
+    for other in (nearest, negative):
+        with pytest.raises(ArchiveError, match="another ensemble: x0 differs"):
+            co.ensemble(BODY, other, (0, 1), 0.125, **given)
+    turned = np.tile(np.eye(3), (11, 1, 1))
+    turned[member] = QUARTER
+    with pytest.raises(ArchiveError, match="another ensemble: the initial attitude differs"):
+        co.ensemble(BODY, x0, (0, 1), 0.125, **{**given, "attitude": turned})
+    with pytest.raises(ArchiveError, match="another ensemble: the attitude differs"):
+        co.ensemble(BODY, x0, (0, 1), 0.125, **{**given, "attitude": "coadjoint"})
+    assert co.ensemble(BODY, x0, (0, 1), 0.125, **given).finished
+
+
+def test_an_interrupt_brings_the_ensemble_so_far(tmp_path, monkeypatch):
+    ran, run_block = [], ensembles.run_block
+
+    def interrupted(*given):
+        ran.append(given)
+        if len(ran) == 3:
+            raise KeyboardInterrupt
+        return run_block(*given)
+
+    monkeypatch.setattr(ensembles, "run_block", interrupted)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        co.ensemble(BODY, X, (0, 1), 0.125, archive=tmp_path / "many.zarr", members_per_block=4)
+    partial = stopped.value.partial
+    assert partial.said == "8 of 11 members" and partial.status.tolist() == [1] * 8 + [0] * 3
+    np.testing.assert_array_equal(partial.x[:, :8], co.integrate(BODY, X[:8], (0, 1), 0.125).x)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="open descriptors are not listed")
+def test_nothing_stays_open(tmp_path, monkeypatch):
+    """After a run, one that is lost, one that is continued, one that is refused, and one that finds itself locked."""
+    archive = tmp_path / "many.zarr"
+    co.ensemble(BODY, X, (0, 4), 0.125, archive=tmp_path / "first.zarr", members_per_block=4)
+    before = len(os.listdir("/proc/self/fd"))
+    store, _ = cut(archive, monkeypatch, (3, 5))
+    store.close()
+    gc.collect()
+    lock = locked(archive / ".coadjoint" / lock_file(1), os.O_CREAT)
+    with pytest.raises(ArchiveUnwritten):
+        co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
+    os.close(lock)
+    with pytest.raises(ArchiveError, match="x0 differs"):
+        co.ensemble(BODY, X + 1.0, (0, 4), 0.125, archive=archive)
+    co.resume(archive)
+    assert co.open_archive(archive).finished
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_the_number_of_workers():
+    class Cluster:
+        def __init__(self, count):
+            self.scheduler_info = lambda n_workers: {"workers": dict.fromkeys(range(count))}
+
+    assert [Team().hands, Team(None, 3).hands, Team(Cluster(4)).hands, Team(Cluster(0)).hands] == [1, 3, 4, 1]

@@ -4,6 +4,7 @@ import json
 import os
 import random
 import shutil
+import zlib
 
 import h5py
 import numpy as np
@@ -12,6 +13,7 @@ import xarray
 from numcodecs import Blosc, Pickle, Zstd
 
 import coadjoint as co
+from coadjoint.files.checked_files import _length, check_hdf5, check_zarr
 from coadjoint.files.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.loaded_solution import LoadError
 from coadjoint.files.output import write_dataset
@@ -102,8 +104,6 @@ def virtual(file, path):
 
 
 def bomb(file, _):
-    import zlib
-
     found = replaced(file, "x", chunks=(33, 2, 3), compression="gzip")
     found.id.write_direct_chunk((0, 0, 0), zlib.compress(bytes(2**26), 9))
 
@@ -233,3 +233,168 @@ def test_a_file_of_an_archive_has_its_sum_as_well(tmp_path):
     with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as dataset:
         assert dataset.attrs[CHECKSUM] == checksum_of(dataset)
     assert np.array_equal(co.load(tmp_path / "run.nc").x, found.x)
+
+
+BOUNDARIES = (1, 2, 100, 254, 255, 256, 257, 300, 2**16 - 1, 2**16, 2**16 + 255, 2**16 + 256, 2**16 + 257, 2**17)
+
+
+@pytest.mark.parametrize("length", BOUNDARIES)
+def test_the_length_of_a_chunk_is_read_from_its_header(length):
+    """The same as what it becomes, for every width of the number in the header."""
+    content = np.random.default_rng(1).integers(0, 4, length, dtype=np.uint8).tobytes()
+    for codec, name in ((Blosc("zstd", 1), "blosc"), (Blosc("lz4", 0), "blosc"), (Zstd(1), "zstd")):
+        packed = bytes(codec.encode(content))
+        assert len(bytes(codec.decode(packed))) == _length(packed[:32], name) == length
+    assert _length(content[:32], "") is None
+
+
+@pytest.mark.parametrize("single", [0, 1])
+@pytest.mark.parametrize("width", range(4))
+@pytest.mark.parametrize("dictionary", range(4))
+def test_every_header_of_a_frame(single, width, dictionary):
+    """RFC 8878: descriptor, window unless the frame is a single segment, dictionary, and the length less 256 in two
+    bytes; without a length the frame may become anything.
+    """
+    size = (single, 2, 4, 8)[width]
+    length = 100 if size == 1 else 0x0201 if size == 2 else 0x04030201
+    head = b"\x28\xb5\x2f\xfd" + bytes([width << 6 | single << 5 | dictionary])
+    head += b"\x77" * (1 - single) + b"\x66" * (0, 1, 2, 4)[dictionary]
+    head += (length - (256 if size == 2 else 0)).to_bytes(size, "little") if size else b""
+    assert _length((head + b"\x55" * 32)[:32], "zstd") == (length if size else -1)
+    assert _length(b"\x29" + head[1:], "zstd") == -1 and _length(head[:4], "zstd") == -1
+
+
+def hdf5_with(path, filters, chunk=None, mask=0):
+    """Write a variable of three numbers whose chunk has passed filters in this order."""
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_chunk((3,))
+    for each in filters:
+        getattr(plist, f"set_{each}")(*([1] if each == "deflate" else []))
+    with h5py.File(path, "w") as file:
+        made = h5py.h5d.create(file.id, b"x", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((3,)), plist)
+        made.write(h5py.h5s.ALL, h5py.h5s.ALL, np.arange(3.0))
+        if chunk is not None:
+            made.write_direct_chunk((0,), chunk, mask)
+    return path
+
+
+@pytest.mark.parametrize(
+    "filters",
+    [
+        (), ("shuffle",), ("deflate",), ("fletcher32",), ("shuffle", "deflate"), ("deflate", "fletcher32"),
+        ("fletcher32", "deflate"), ("shuffle", "fletcher32", "deflate"), ("shuffle", "deflate", "fletcher32"),
+    ],
+)  # fmt: skip
+def test_filters_in_any_order_are_accepted(tmp_path, filters):
+    check_hdf5(hdf5_with(tmp_path / "x.nc", filters))
+
+
+def sums(content):
+    """Append four bytes in the place of a check sum."""
+    return content + bytes(4)
+
+
+PACKED_CHUNKS = {
+    "longer": (("deflate",), zlib.compress(bytes(25)), 0, "has a chunk of another length"),
+    "shorter": (("deflate",), zlib.compress(bytes(23)), 0, "has a chunk of another length"),
+    "far longer": (("deflate",), zlib.compress(bytes(2**20)), 0, "has a chunk of another length"),
+    "longer, with a sum behind": (
+        ("deflate", "fletcher32"), sums(zlib.compress(bytes(28))), 0, "has a chunk of another length",
+    ),
+    "without the sum inside": (("fletcher32", "deflate"), zlib.compress(bytes(24)), 0, "has a chunk of another length"),
+    "filter left out": (("deflate",), bytes(24), 1, "has a chunk without all of its filters"),
+    "second filter left out": (("shuffle", "deflate"), bytes(24), 2, "has a chunk without all of its filters"),
+    "first filter left out": (
+        ("shuffle", "deflate"), zlib.compress(bytes(24)), 1, "has a chunk without all of its filters",
+    ),
+    "packed twice": (("deflate", "deflate"), zlib.compress(zlib.compress(bytes(24))), 0, "has the filters"),
+    "not packed": (("deflate",), bytes(24), 0, "."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PACKED_CHUNKS)
+def test_packed_chunks_are_as_long_as_declared(tmp_path, kind):
+    filters, chunk, mask, said = PACKED_CHUNKS[kind]
+    path = hdf5_with(tmp_path / "x.nc", filters, chunk, mask)
+    with pytest.raises((ValueError, zlib.error), match=said):
+        check_hdf5(path)
+    with pytest.raises(LoadError):
+        co.load(path)
+
+
+def test_texts_and_sizes_of_hdf5(tmp_path, monkeypatch):
+    path = tmp_path / "x.nc"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("names", data=np.array(["a", "b"], dtype=object), dtype=h5py.string_dtype())
+        file.create_dataset("x", (10**6,), "f8")  # no byte of it is stored
+    check_hdf5(path)
+    with monkeypatch.context() as patched:
+        patched.setattr("coadjoint.memory.SMALL", 0)
+        patched.setattr("coadjoint.memory.available", lambda: 10**7)
+        with pytest.raises(ValueError, match="the content needs about 16 MB"):
+            check_hdf5(path)
+    with h5py.File(path, "w") as file:
+        file.create_dataset("names", (2, 2), dtype=h5py.string_dtype())
+    with pytest.raises(ValueError, match="has texts over 2 dimensions"):
+        check_hdf5(path)
+
+
+def one_place(change):
+    """Change the metadata of an array alone, or of the index alone."""
+
+    def changed(path):
+        file = path / "x" / ".zarray"
+        tree = json.loads(file.read_text())
+        change(tree)
+        file.write_text(json.dumps(tree))
+
+    return changed
+
+
+def on_both(name, **more):
+    return lambda path: edit(path, name, lambda about: about.update(more))
+
+
+CONTRADICTIONS = {
+    "chunks in one place": (one_place(lambda about: about.update(chunks=[33, 1, 3])), "contradict each other"),
+    "codec in one place": (one_place(lambda about: about.update(compressor=None)), "contradict each other"),
+    "type in one place": (one_place(lambda about: about.update(dtype="<f4")), "contradict each other"),
+    "two packers": (on_both("x", filters=[{"id": "blosc"}], compressor={"id": "zstd"}), "the codecs of"),
+    "objects": (on_both("x", dtype="|O"), "neither numbers nor text"),
+    "end of the type": (on_both("x", dtype="<f8,<i4"), "neither numbers nor text"),
+    "list of types": (on_both("x", dtype=[["a", "<f8"]]), "neither numbers nor text"),
+    "negative shape": (on_both("x", shape=[33, -2, 3]), "the shape of"),
+    "fraction": (on_both("x", shape=[33, 2.0, 3]), "the shape of"),
+    "flag": (on_both("x", chunks=[33, True, 3]), "the shape of"),
+    "negative chunk": (on_both("x", chunks=[-33, -2, 3]), "the shape of"),
+}
+
+
+@pytest.mark.parametrize("kind", CONTRADICTIONS)
+def test_metadata_of_a_zarr_store(tmp_path, sol, kind):
+    change, said = CONTRADICTIONS[kind]
+    write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
+    check_zarr(tmp_path / "run.zarr")
+    change(tmp_path / "run.zarr")
+    with pytest.raises(ValueError, match=said):
+        check_zarr(tmp_path / "run.zarr")
+
+
+def test_texts_of_a_zarr_store_are_as_many_as_declared(tmp_path, sol):
+    """Names of variable length, packed and not, in both formats."""
+    for number in (2, 3):
+        path = tmp_path / f"{number}.zarr"
+        dataset = sol.to_xarray()
+        dataset = dataset.assign_coords(component=dataset["component"].astype(object))
+        dataset.to_zarr(path, zarr_format=number)
+        check_zarr(path)
+        (chunk,) = (file for file in (path / "component").rglob("*") if file.name in ("0", "0.0"))
+        about = json.loads((path / "component" / {2: ".zarray", 3: "zarr.json"}[number]).read_text())
+        codecs = [each.get("id", each.get("name")) for each in about.get("codecs", [about.get("compressor")])]
+        assert {2: "blosc", 3: "zstd"}[number] in codecs
+        codec = {2: Blosc("lz4"), 3: Zstd(0)}[number]
+        texts = bytes(codec.decode(chunk.read_bytes()))
+        for other in (texts + b"\0", texts[:-1], (4).to_bytes(4, "little") + texts[4:], b""):
+            chunk.write_bytes(codec.encode(other) if other else b"")
+            with pytest.raises((ValueError, RuntimeError)):
+                check_zarr(path)

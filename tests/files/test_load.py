@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+from pathlib import Path
 
 import h5py
 import numcodecs
@@ -210,3 +211,106 @@ def test_nothing_in_a_dataset_is_executed(tmp_path, monkeypatch, codecs, consoli
     with pytest.raises(ValueError, match=r"is stored by pickle|cannot be read as a dataset"):
         co.load(path)
     assert not run.exists()
+
+
+class Energy:
+    """An energy that depends on the time."""
+
+    def __call__(self, x, t):
+        return 0.5 * (x[0] ** 2 + 2 * x[1] ** 2 + 3 * x[2] ** 2) + t * x[0]
+
+
+class Slope:
+    def __call__(self, x, t):
+        return np.array([x[0] + t, 2 * x[1], 3 * x[2]])
+
+
+def driven():
+    return co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(Energy(), Slope()))
+
+
+@pytest.mark.parametrize("x0", [X, [X, X[::-1], (0.5, -0.5, 0.25)]], ids=["one member", "three members"])
+@pytest.mark.parametrize("span", [(7.5, 9.5), (7.5, 5.5)])
+def test_the_energy_at_the_start_is_that_of_the_time_of_the_start(tmp_path, x0, span):
+    """Also where the first saved time is another one: by the system that is given when the file is read."""
+    times = 7.5 + np.sign(span[1] - 7.5) * np.array([0.4, 1.3])
+    sol = co.integrate(BODY, x0, span, 0.125, t_eval=times)
+    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    found, states = co.load(tmp_path / "run.nc", driven()), np.asarray(x0)
+    wanted = 0.5 * states**2 @ [1.0, 2.0, 3.0] + 7.5 * states[..., 0]
+    # Sums of a few terms below 10, in any order.
+    np.testing.assert_allclose(found.initial["energy"], wanted, rtol=0, atol=1e-14)
+    assert np.shape(found.initial["energy"]) == np.shape(sol.initial["energy"])
+    np.testing.assert_allclose(found.initial["|x|^2"], np.sum(states**2, axis=-1), rtol=0, atol=1e-14)
+    assert list(found.initial) == list(sol.initial)
+
+
+def test_the_start_of_members_with_systems_of_their_own(tmp_path):
+    batch = co.batch([co.systems.rigid_body((1, 2, c)) for c in (2.25, 2.5, 3.0)])
+    sol = co.integrate(batch, [X, X[::-1], (0.5, -0.5, 0.25)], (7.5, 9.5), 0.125, t_eval=[8.1, 9.0])
+    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    found = co.load(tmp_path / "run.nc")
+    for name, values in sol.initial.items():
+        np.testing.assert_allclose(found.initial[name], values, rtol=0, atol=1e-15)
+
+
+def test_a_copy_keeps_the_system_that_was_given(tmp_path):
+    body = co.systems.rigid_body((1, 2, 3))
+    co.integrate(body, X, (7.5, 9.5), 0.125).to_xarray().to_netcdf(tmp_path / "body.nc", engine="h5netcdf")
+    co.integrate(body, X, (7.5, 9.5), 0.125, archive=tmp_path / "body.zarr")
+    for name in ("body.nc", "body.zarr"):
+        copy = pickle.loads(pickle.dumps(co.load(tmp_path / name, system=BODY)))
+        assert copy.path == tmp_path / name and copy.system.parameters == BODY.parameters
+    system = driven()
+    found = co.load(tmp_path / "body.nc", system)
+    again = pickle.loads(pickle.dumps(found))
+    assert found.system is system
+    assert again.system.energy(np.array(X), 2.0) == system.energy(np.array(X), 2.0)
+
+
+def test_what_is_done_to_a_dataset_does_not_change_the_solution(tmp_path):
+    sol = RUNS["observed"]()
+    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    found = co.load(tmp_path / "run.nc")
+    assert found.observed["a b"] is found.observed["a b"] and found.casimirs["|x|^2"] is found.casimirs["|x|^2"]
+    dataset = found.to_xarray()
+    dataset["more"] = ("time", np.zeros(len(sol.t)))
+    dataset.attrs["watch"] = 0
+    del dataset["energy"]
+    assert same(found.energy, sol.energy) and "more" not in found.to_xarray() and found.to_xarray().attrs["watch"] == 1
+
+
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+def test_the_end_by_an_event(tmp_path, attitude):
+    sol = co.integrate(BODY, X, (7.0, 27.0), 0.1, attitude=attitude, save_every=3, events=co.Event(2, terminal=True))
+    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    found = co.load(tmp_path / "run.nc")
+    assert found._ending is not None
+    np.testing.assert_equal(found._ending._asdict(), sol._ending._asdict())
+    between = 0.5 * (7.0 + sol.t[-1])
+    for t in (7.0, between, sol.t[-1]):
+        np.testing.assert_array_equal(found.at(t).x, sol.at(t).x)
+    for read in (found, sol):
+        with pytest.raises(ValueError, match="t"):
+            read.at(sol.t[-1] + 0.05)
+
+
+def test_a_run_that_does_not_fit_into_memory_is_refused(tmp_path, monkeypatch):
+    sol = RUNS["one member"]()
+    write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
+    size = sol.to_xarray().nbytes
+    monkeypatch.setattr("coadjoint.memory.SMALL", 0)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: size)
+    with pytest.raises(ValueError, match=r"run\.zarr: the run in it needs about .*; read parts of it with xarray"):
+        co.load(tmp_path / "run.zarr")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+def test_nobody_waits_for_a_pipe(tmp_path, monkeypatch):
+    """Also for one that takes the place of a file when it has been looked at."""
+    os.mkfifo(tmp_path / "run.nc")
+    with pytest.raises(ValueError, match="is no file and no folder"):
+        co.load(tmp_path / "run.nc")
+    monkeypatch.setattr(Path, "is_file", lambda self: True)
+    with pytest.raises(ValueError, match=r"is no NetCDF file|cannot be read"):
+        co.load(tmp_path / "run.nc")

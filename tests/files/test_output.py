@@ -257,3 +257,35 @@ def test_package_that_is_missing(tmp_path, monkeypatch, suffix, package, extra):
     assert str(refused.value).endswith(
         f'needs the package {package}, which is not installed; install it with: pip install "coadjoint[{extra}]"'
     )
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open descriptors are not listed")
+@pytest.mark.parametrize("name", ["run.nc", "run.zarr"])
+@pytest.mark.parametrize("full", [False, True])
+def test_nothing_stays_open(tmp_path, monkeypatch, name, full):
+    write_dataset(SMALL, tmp_path / f"first{Path(name).suffix}")
+    before = len(os.listdir("/proc/self/fd"))
+
+    @contextmanager
+    def failing(self):
+        raise OSError("no space left on device")
+        yield
+
+    if full:
+        monkeypatch.setattr(Unfinished, "writing", failing)
+        with pytest.raises(OSError, match="no space left"):
+            write_dataset(SMALL, tmp_path / name)
+    else:
+        write_dataset(SMALL, tmp_path / name)
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_positions_in_a_file(tmp_path):
+    with SteadfastFile(tmp_path / "image", nullcontext) as file:
+        file.write(b"0123456789")
+        assert file.seek(-3, os.SEEK_CUR) == 7 and file.read() == b"789" and file.tell() == 10
+        assert file.seek(-4, os.SEEK_END) == 6 and file.read(2) == b"67"
+        assert file.seek(1, os.SEEK_CUR) == 9 and file.seek(2) == 2 and file.truncate() == 2
+        assert file.seek(0, os.SEEK_END) == 2 and file.truncate(4) == 4
+        assert file.seek(0) == 0 and file.read() == b"01\0\0" and file.seek(9) == 9 and file.read() == b""
+    assert (tmp_path / "image").read_bytes() == b"01\0\0"

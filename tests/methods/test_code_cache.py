@@ -219,6 +219,15 @@ def test_a_damaged_file_is_built_again(cache, damage):
     cache.file.write_bytes(damage(cache.file.read_bytes()))
     assert cache.load() == (BUILT, []) and cache.built == 1
     assert cache.load() == (BUILT, []) and cache.built == 1
+    assert list(cache.folder.iterdir()) == [cache.file], "the damaged one is removed"
+
+
+def test_names_that_begin_alike(cache):
+    """A library does not displace another one."""
+    for _ in range(2):
+        for name in (NAME, f"{NAME}4", NAME[:-1]):
+            assert cached_library(name, cache.build).which() == BUILT
+        assert cache.built == 3 and len(list(cache.folder.iterdir())) == 3
 
 
 def test_a_library_that_cannot_be_loaded(cache):

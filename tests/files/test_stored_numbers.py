@@ -1,0 +1,113 @@
+"""Numbers by name as bytes: every layout of arrays is read back, and damaged or hostile bytes are refused."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+from coadjoint.files.stored_numbers import numbers_from, numbers_to
+
+GRID = np.arange(24.0).reshape(2, 3, 4)
+ARRAYS = {
+    "by rows": GRID,
+    "by columns": np.asfortranarray(GRID),
+    "transposed": GRID[0].T,
+    "strided": GRID[:, ::2, ::-1],
+    "one": np.array(0.5),
+    "none": np.zeros((0, 3)),
+    "whole": np.arange(-3, 4, dtype=np.int32),
+    "flags": np.array([[True, False], [False, False]]),
+    "swapped": np.arange(3, dtype=">f8"),
+    "special": np.array([np.nan, np.inf, -0.0]),
+    "plain": 3,
+}
+
+
+def test_every_layout_is_read_back():
+    found = numbers_from(numbers_to(ARRAYS))
+    assert list(found) == list(ARRAYS)
+    for name, values in ARRAYS.items():
+        wanted = np.asarray(values)
+        assert found[name].shape == wanted.shape and found[name].dtype == wanted.dtype, name
+        np.testing.assert_array_equal(found[name], wanted, err_msg=name)
+        found[name][...] = 0  # one's own memory, which a resumed run changes
+    assert np.signbit(numbers_from(numbers_to(ARRAYS))["special"][2])
+
+
+def archive(write, **options):
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", **options) as file:
+        write(file)
+    return content.getvalue()
+
+
+def raw(array, version=(1, 0)):
+    content = io.BytesIO()
+    np.lib.format.write_array(content, array, version=version, allow_pickle=True)
+    return content.getvalue()
+
+
+def declared(shape):
+    """Return an array of six numbers whose header declares another shape."""
+    content, old = raw(np.zeros(6)), b"(6,), }" + b" " * 20
+    assert old in content
+    return content.replace(old, f"{shape}, }}".encode().ljust(len(old)))
+
+
+ENTRIES = {
+    "objects": (raw(np.array([1, None], dtype=object)), "not of numbers"),
+    "text": (raw(np.array(["a"])), "not of numbers"),
+    "times": (raw(np.array(["2026"], dtype="M8[Y]")), "not of numbers"),
+    "complex": (raw(np.zeros(2, dtype=complex)), "not of numbers"),
+    "many axes": (raw(np.zeros((1,) * 9)), "not of numbers"),
+    "second version": (raw(np.zeros(2), (2, 0)), "an unknown version"),
+    "longer": (raw(np.zeros(6)) + b"\0", "contradicts its shape"),
+    "shorter": (raw(np.zeros(6))[:-1], "contradicts its shape"),
+    "huge": (declared((10**12,)), "contradicts its shape"),
+    "negative": (declared((-6,)), "not of numbers"),
+    "twice negative": (declared((-2, -3)), "not of numbers"),
+    "no shape": (declared(6), "."),
+    "no array": (b"nothing", "."),
+    "empty": (b"", "."),
+}
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_entries_that_are_refused(name):
+    content, said = ENTRIES[name]
+    with pytest.raises(ValueError, match=said):
+        numbers_from(archive(lambda file: file.writestr("x.npy", content)))
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_nothing_is_unpacked(compression):
+    """A few bytes could become any number of them."""
+    with pytest.raises(ValueError, match="compressed or encrypted"):
+        numbers_from(archive(lambda file: file.writestr("x.npy", raw(np.zeros(6))), compression=compression))
+
+
+def test_entries_do_not_share_bytes():
+    """Many entries of the directory could refer to one array."""
+    content = archive(lambda file: file.writestr("x.npy", raw(np.zeros(1000))))
+    end = content.rindex(b"PK\5\6")
+    begin = int.from_bytes(content[end + 16 : end + 20], "little")
+    entry, count = content[begin:end], 50
+    tail = bytearray(content[end:])
+    for at, number, size in ((8, count, 2), (10, count, 2), (12, count * len(entry), 4), (16, begin, 4)):
+        tail[at : at + size] = number.to_bytes(size, "little")
+    with pytest.raises(ValueError, match="its entries are longer than the file"):
+        numbers_from(content[:begin] + entry * count + bytes(tail))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"nothing" * 100, numbers_to(ARRAYS)[:-30]])
+def test_what_is_no_archive_is_refused(content):
+    with pytest.raises(ValueError, match="BadZipFile while it was read"):
+        numbers_from(content)
+
+
+def test_a_flipped_bit_is_refused():
+    content = bytearray(numbers_to({"x": GRID}))
+    content[content.index(GRID[1, 1].tobytes()) + 3] ^= 1
+    with pytest.raises(ValueError, match="BadZipFile while it was read"):
+        numbers_from(bytes(content))
