@@ -311,3 +311,16 @@ def test_written_brackets_are_the_sums_of_their_terms(seed):
         lines.append(f"[{basis[i]}, {basis[j]}] ={text}")
         expected[i, j] = total
     assert read_written(lines, basis) == expected
+
+
+@pytest.mark.parametrize("large", [0, 1])
+def test_antisymmetry_is_measured_by_the_smaller_element(large):
+    """An error that is small beside the constants of one element is not beside those of the other."""
+    small = 1 - large
+    constants = np.zeros((4, 4, 4))
+    constants[large, 2, 2], constants[2, large, 2] = 1e12, -1e12
+    constants[large, small, small], constants[small, large, small] = 1e-3, -1e-3
+    LieAlgebra(constants)
+    constants[small, large, small] += 1e-8
+    with pytest.raises(ValueError, match="antisymmetry violated"):
+        LieAlgebra(constants)

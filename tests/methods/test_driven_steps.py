@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
+from coadjoint.methods.short_orbit import rate_at, short_orbit
 
 U = 2.0**-53
 JUMP = 1 / (2 - 2 ** (1 / 3))
@@ -96,3 +97,29 @@ def test_the_derivative_is_that_of_the_step(name):
     sides = [[method.step(system, X0 + s * d * unit, t, h) for s in (1, -1)] for unit in np.eye(3)]
     differences = np.stack([(ahead - behind) / (2 * d) for ahead, behind in sides], axis=1)
     assert np.abs(tangent - differences).max() <= d**2
+
+
+@pytest.mark.parametrize("base", [splitting(2), splitting(4), co.GaussLegendre(1), co.GaussLegendre(2)])
+def test_fractions_are_known_no_better_than_those_of_the_base(base):
+    assert co.Composition(base, (0.25, 0.5, 0.25)).known_to == base.known_to
+    assert co.Composition(base, UNEVEN).known_to == max(base.known_to, U)
+
+
+def test_a_short_orbit_begins_at_its_time():
+    method = splitting(2)
+    here, there = short_orbit(method, driven(), X0, 1.25, 16), short_orbit(method, driven(1.25), X0, 0.0, 16)
+    assert abs(here.spacing - there.spacing) <= 16 * U * there.spacing
+    # Round-off of 16 steps of a motion that turns by a quarter in each.
+    assert np.abs(here.points - there.points).max() <= 4096 * U
+    assert np.abs(here.tangents - there.tangents).max() <= 4096 * U
+    assert np.abs(here.points - short_orbit(method, driven(), X0, 0.0, 16).points).max() > 1e-3
+
+
+def test_the_rate_is_that_of_the_field_or_of_its_derivative():
+    sheared = co.LiePoissonSystem(co.algebras.heisenberg(1), co.Quadratic(np.zeros(3), linear=[2.0, 0.0, 0.0]))
+    # The derivative of the field is nilpotent, so that only |f|/|x| counts: x2' = 2 x3, up to its sign.
+    assert math.isclose(rate_at(sheared, np.array([0.0, 3.0, 4.0])), 8.0 / 5.0, rel_tol=8 * U)
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 4.0]))
+    # At rest about the first axis, a perturbation turns at the frequency sqrt((2 - 1) (4 - 1)) |x|, in two components.
+    assert math.isclose(rate_at(body, np.array([2.0, 0.0, 0.0])), 2.0 * math.sqrt(3.0 * math.sqrt(2.0)), rel_tol=8 * U)
+    assert rate_at(sheared, np.zeros(3)) == 1.0
