@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.methods.short_orbit import rate_at, short_orbit
+from coadjoint.methods.step_derivatives import derivative_of
 
 U = 2.0**-53
 JUMP = 1 / (2 - 2 ** (1 / 3))
@@ -123,3 +124,13 @@ def test_the_rate_is_that_of_the_field_or_of_its_derivative():
     # At rest about the first axis, a perturbation turns at the frequency sqrt((2 - 1) (4 - 1)) |x|, in two components.
     assert math.isclose(rate_at(body, np.array([2.0, 0.0, 0.0])), 2.0 * math.sqrt(3.0 * math.sqrt(2.0)), rel_tol=8 * U)
     assert rate_at(sheared, np.zeros(3)) == 1.0
+
+
+def test_differences_are_taken_at_the_state_zero_too():
+    def step(x):
+        return np.array([math.sin(x[0]) + 2.0 * x[1], x[0] * x[1] - x[1]])  # math rejects complex numbers
+
+    found = derivative_of(step, np.zeros(2))
+    assert found.by == "differences"
+    # Central differences at the distance 2^-17: h^2/6 by the third derivative.
+    assert np.abs(found.derivative - [[1.0, 2.0], [0.0, -1.0]]).max() <= 2.0**-34
