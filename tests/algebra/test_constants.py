@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.written_brackets import read_brackets as read_written
 
 
 def dense(g):
@@ -289,3 +290,37 @@ def test_wrong_brackets_are_refused(brackets, error, message):
 def test_wrong_basis_names_are_refused(basis, error, message):
     with pytest.raises(error, match=message):
         LieAlgebra([(0, 1, 1, 1.0)], dim=2, basis=basis)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_written_brackets_are_the_sums_of_their_terms(seed):
+    """Elements may occur several times, with signs, quotients, decimals and exponents, with or without spaces."""
+    rng = np.random.default_rng(seed)
+    basis = ("e1", "e12", "E", "p_x", "x")
+    lines, expected = [], {}
+    for i, j in ((0, 1), (3, 2), (4, 0)):
+        total, text = {}, ""
+        for number in range(int(rng.integers(1, 8))):
+            sign = str(rng.choice(["-", "+"])) if number or rng.random() < 0.5 else ""
+            factor, size = [("", 1.0), ("2", 2.0), ("1/3", 1 / 3), ("0.5*", 0.5), ("25e-2 ", 0.25), (".5/4 * ", 0.125)][
+                rng.integers(6)
+            ]
+            k = int(rng.integers(len(basis)))
+            text += f"{' ' * int(rng.integers(2))}{sign} {factor} {basis[k]}"
+            total[k] = total.get(k, 0.0) + (-size if sign == "-" else size)
+        lines.append(f"[{basis[i]}, {basis[j]}] ={text}")
+        expected[i, j] = total
+    assert read_written(lines, basis) == expected
+
+
+@pytest.mark.parametrize("large", [0, 1])
+def test_antisymmetry_is_measured_by_the_smaller_element(large):
+    """An error that is small beside the constants of one element is not beside those of the other."""
+    small = 1 - large
+    constants = np.zeros((4, 4, 4))
+    constants[large, 2, 2], constants[2, large, 2] = 1e12, -1e12
+    constants[large, small, small], constants[small, large, small] = 1e-3, -1e-3
+    LieAlgebra(constants)
+    constants[small, large, small] += 1e-8
+    with pytest.raises(ValueError, match="antisymmetry violated"):
+        LieAlgebra(constants)

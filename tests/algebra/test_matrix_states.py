@@ -111,3 +111,15 @@ def test_a_member_is_measured_by_its_own_size(size):
         G("so", 3).read(members)
     members[1] = size * skew
     assert np.array_equal(G("so", 3).read(members), members)
+
+
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
+def test_the_trace_of_a_member_is_spared_by_its_own_size(order):
+    """A mean that is round-off beside a large member is none beside a small one."""
+    g = co.MatrixAlgebra("sl", 2)
+    members = np.array([np.diag([1.0, -1.0 + 2.0**-40]), 2.0**30 * np.diag([1.0, -1.0 + 2.0**-52])])[order]
+    together = g.projected(members, spared=8 * 2.0**-53)
+    assert np.array_equal(together, [g.projected(member, spared=8 * 2.0**-53) for member in members])
+    assert np.array_equal(
+        together != members, np.array([[[True, False], [False, True]], np.zeros((2, 2), bool)])[order]
+    )

@@ -56,6 +56,8 @@ def entries(matrix):
 
 PLANES = {
     "rotation with damping": [[-0.5, 2.0], [-1.5, -0.5]],
+    "rotation damped along one axis": [[0.0, 2.0], [-2.0, -0.5]],
+    "rotation damped along the other": [[-0.5, 1.0], [-1.0, 0.0]],
     "saddle": [[0.0, 2.0], [0.5, 0.0]],
     "decay at two rates": [[0.0, 1.0], [1e-3, -2.0]],
     "growth at two rates": [[1.5, 0.25], [0.5, 0.5]],
@@ -69,6 +71,7 @@ PLANES = {
 }
 CHAIN = np.diag([1.0, 2.0, 3.0], 1)
 GENERAL = np.array([[0.0, 1.0, 0.0, 0.5], [-1.0, 0.2, 0.0, 0.0], [0.3, 0.0, -0.1, 2.0], [0.0, 0.4, -2.0, 0.0]])
+CANCELLING = np.array([[-2.0, 1.0, 0.5], [1.0, -2.0, 0.5], [1.0, 1.0, -1.0]])  # the sum of every column is zero
 SHEARED = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
 MATRICES = {
     "scale": (np.diag([1.0, -0.5, 1.0]), {Kind.SCALE}),
@@ -78,6 +81,7 @@ MATRICES = {
     "chain": (CHAIN, {Kind.SERIES}),
     "Jordan 3": (np.eye(3) + np.diag([1.0, 1.0], 1), {Kind.SERIES}),
     "general": (GENERAL, {Kind.SERIES}),
+    "cancelling columns": (CANCELLING, {Kind.SERIES}),
     "mixed": (np.diag([1.0, 0, 0, 0, 0, 0]) + np.diag([0.0, 0, 1.0, 0, 0], 1), {Kind.SCALE, Kind.SHEAR}),
     **{name: (np.array(D), {Kind.PLANE}) for name, D in PLANES.items()},
 }

@@ -1,0 +1,136 @@
+"""Steps in Python of a driven system, from any time and in both directions: order, symmetry, derivative."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from coadjoint.methods.short_orbit import rate_at, short_orbit
+from coadjoint.methods.step_derivatives import derivative_of
+
+U = 2.0**-53
+JUMP = 1 / (2 - 2 ** (1 / 3))
+UNEVEN = (JUMP, 1 - 2 * JUMP, JUMP)
+
+
+def splitting(order, adjoint=False):
+    """The parts in the order of the coordinates: the automatic order depends on the Hamiltonian at the time zero."""
+    return co.Splitting(order=order, parts="coordinates", adjoint=adjoint)
+
+
+METHODS = {
+    "splitting": splitting(2),
+    "first order": splitting(1),
+    "adjoint": splitting(1, adjoint=True),
+    "suzuki": splitting(4),
+    "flows at three fractions": co.Composition(splitting(2), UNEVEN),
+    "flows in flows": co.Composition(co.Composition(splitting(2), (0.25, 0.5, 0.25)), UNEVEN),
+    "a sweep and its adjoint": co.methods.even_order(splitting(1), 4),
+    "stages": co.GaussLegendre(2),
+    "stages at three fractions": co.Composition(co.GaussLegendre(1), UNEVEN),
+    "a tableau and its adjoint": co.methods.even_order(co.ExplicitRungeKutta("runge2"), 2),
+    "Runge-Kutta": co.ExplicitRungeKutta("rk4"),
+    "midpoint on the orbit": co.CommutatorFree(2),
+    "third order on the orbit": co.CommutatorFree(3),
+    "fourth order on the orbit": co.CommutatorFree(4),
+}
+SPANS = ((0.0, 0.08), (1.3, 0.08), (-0.7, -0.08))
+X0 = np.array([0.4, -0.7, 0.5])
+
+
+def driven(earlier=0.0, sign=-1):
+    """A body in a varying field, with a varying moment; at the time t as another one at t + earlier."""
+
+    def field(y, t):
+        return 0.5 * y * y + math.sin(2.0 * (t + earlier)) * y, y + math.sin(2.0 * (t + earlier)), 1.0 + 0.0 * y * t
+
+    def moment(y, t):
+        rate = 1.0 + 0.5 * math.cos(3.0 * (t + earlier))
+        return 0.5 * rate * y * y, rate * y, rate + 0.0 * y
+
+    terms = {
+        0: tuple((lambda y, t, k=k: field(y, t)[k]) for k in range(3)),
+        1: tuple((lambda y, t, k=k: moment(y, t)[k]) for k in range(3)),
+        2: (lambda y: 0.75 * y * y, lambda y: 1.5 * y, lambda y: 1.5 + 0.0 * y),
+    }
+    # [e1, e2] = -e3 and a scaled axis, so that no constant is one
+    algebra = co.algebras.change_of_basis(co.algebras.so(3), np.diag([-1.0, 2.0, 0.5]))
+    return co.LiePoissonSystem(algebra, co.Separable(terms), sign=sign)
+
+
+def exact(system, t, h):
+    """The motion with an error far below those of the steps."""
+    return solve_ivp(lambda s, x: system.vector_field(x, s), (t, t + h), X0, "DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
+
+
+@pytest.mark.parametrize("span", SPANS)
+@pytest.mark.parametrize("name", METHODS)
+def test_a_step_has_the_order_of_the_scheme(name, span):
+    method, system, (t, h) = METHODS[name], driven(), span
+    errors = [np.abs(method.step(system, X0, t, s) - exact(system, t, s)).max() for s in (h, h / 2)]
+    # The error of one step has the power order + 1; the next term changes the ratio by less than a factor of 2.
+    assert errors[1] <= errors[0] / 2**method.order + 1e-13
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_step_depends_on_the_time_of_the_system_alone(name):
+    method, h = METHODS[name], -0.125  # sums of times are exact
+    here, there = method.step(driven(), X0, 1.25, h), method.step(driven(1.5), X0, -0.25, h)
+    # Each of at most some hundreds of flows evaluates functions whose arguments are equal up to rounding.
+    assert np.abs(here - there).max() <= 512 * U
+
+
+@pytest.mark.parametrize("name", [name for name, method in METHODS.items() if method.symmetric])
+def test_a_symmetric_step_is_undone_by_the_step_backward(name):
+    method, system, t, h = METHODS[name], driven(sign=1), 0.8, 0.125
+    back = method.step(system, method.step(system, X0, t, h), t + h, -h)
+    assert np.abs(back - X0).max() <= 512 * U
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_derivative_is_that_of_the_step(name):
+    method, system, t, h = METHODS[name], driven(), 0.8, -0.2
+    end, tangent = method.tangent(system, X0, t, h)
+    assert np.abs(end - method.step(system, X0, t, h)).max() <= 64 * U
+    d = 2.0**-14  # central differences: the third derivatives are about h, times d^2/6, plus U/d by rounding
+    sides = [[method.step(system, X0 + s * d * unit, t, h) for s in (1, -1)] for unit in np.eye(3)]
+    differences = np.stack([(ahead - behind) / (2 * d) for ahead, behind in sides], axis=1)
+    assert np.abs(tangent - differences).max() <= d**2
+
+
+@pytest.mark.parametrize("base", [splitting(2), splitting(4), co.GaussLegendre(1), co.GaussLegendre(2)])
+def test_fractions_are_known_no_better_than_those_of_the_base(base):
+    assert co.Composition(base, (0.25, 0.5, 0.25)).known_to == base.known_to
+    assert co.Composition(base, UNEVEN).known_to == max(base.known_to, U)
+
+
+def test_a_short_orbit_begins_at_its_time():
+    method = splitting(2)
+    here, there = short_orbit(method, driven(), X0, 1.25, 16), short_orbit(method, driven(1.25), X0, 0.0, 16)
+    assert abs(here.spacing - there.spacing) <= 16 * U * there.spacing
+    # Round-off of 16 steps of a motion that turns by a quarter in each.
+    assert np.abs(here.points - there.points).max() <= 4096 * U
+    assert np.abs(here.tangents - there.tangents).max() <= 4096 * U
+    assert np.abs(here.points - short_orbit(method, driven(), X0, 0.0, 16).points).max() > 1e-3
+
+
+def test_the_rate_is_that_of_the_field_or_of_its_derivative():
+    sheared = co.LiePoissonSystem(co.algebras.heisenberg(1), co.Quadratic(np.zeros(3), linear=[2.0, 0.0, 0.0]))
+    # The derivative of the field is nilpotent, so that only |f|/|x| counts: x2' = 2 x3, up to its sign.
+    assert math.isclose(rate_at(sheared, np.array([0.0, 3.0, 4.0])), 8.0 / 5.0, rel_tol=8 * U)
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 4.0]))
+    # At rest about the first axis, a perturbation turns at the frequency sqrt((2 - 1) (4 - 1)) |x|, in two components.
+    assert math.isclose(rate_at(body, np.array([2.0, 0.0, 0.0])), 2.0 * math.sqrt(3.0 * math.sqrt(2.0)), rel_tol=8 * U)
+    assert rate_at(sheared, np.zeros(3)) == 1.0
+
+
+def test_differences_are_taken_at_the_state_zero_too():
+    def step(x):
+        return np.array([math.sin(x[0]) + 2.0 * x[1], x[0] * x[1] - x[1]])  # math rejects complex numbers
+
+    found = derivative_of(step, np.zeros(2))
+    assert found.by == "differences"
+    # Central differences at the distance 2^-17: h^2/6 by the third derivative.
+    assert np.abs(found.derivative - [[1.0, 2.0], [0.0, -1.0]]).max() <= 2.0**-34

@@ -1,0 +1,146 @@
+"""Steps of drawn systems against dense matrices: each part by the exponential of its action on the momentum.
+
+The algebras are sums of one algebra in several bases, so that blocks of one pattern have other values; some are not
+unimodular, and the bases give structure constants of either sign.
+"""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.program.decompose import decompose
+from coadjoint.program.reading import Reading
+from coadjoint.program.second_order import part_jets
+from coadjoint.program.table import build_program
+
+U = 2.0**-53
+BASES = {
+    "so(3)": co.algebras.so(3),
+    "sl(2)": co.algebras.sl(2),
+    "e(3)": co.algebras.e(3),
+    "Heisenberg": co.algebras.heisenberg(1),
+    "spiral": co.algebras.get("A3,7", a=0.5),
+    "scaling": co.LieAlgebra([(0, 1, 1, -1.0), (0, 2, 2, 2.0), (0, 2, 1, 1.0)], dim=3),
+}
+
+
+def drawn_basis(rng, n):
+    """A matrix of whole numbers with determinant one or minus one, times powers of two with signs."""
+    lower, upper = rng.integers(-1, 2, (2, n, n))
+    T = (np.tril(lower, -1) + np.eye(n)) @ (np.triu(upper, 1) + np.eye(n))
+    return np.diag(rng.choice([-2.0, -1.0, -0.5, 0.5, 1.0, 2.0], n)) @ T
+
+
+def of_one_pattern(name, rng):
+    """Three copies of an algebra in one basis up to the sizes and signs of its elements."""
+    algebra = BASES[name]
+    if rng.random() < 0.6:
+        algebra = co.algebras.change_of_basis(algebra, drawn_basis(rng, algebra.dim))
+    scales = [np.diag(rng.choice([-3.0, -1.0, -0.5, 0.5, 1.0, 2.0], algebra.dim)) for _ in range(3)]
+    if rng.random() < 0.5:
+        scales = [np.eye(algebra.dim) * factor for factor in (1.0, -2.0, 0.5)]
+    return co.algebras.direct_sum(*(co.algebras.change_of_basis(algebra, scale) for scale in scales))
+
+
+def drawn_system(name, seed):
+    rng = np.random.default_rng([seed, *map(ord, name)])
+    algebra = of_one_pattern(name, rng)
+    n = algebra.dim
+    if seed % 2:  # one full matrix for all copies, with other linear terms
+        A = np.triu(rng.integers(-4, 5, (n // 3, n // 3)) / 8.0)
+        M = np.kron(np.eye(3), A + A.T - np.diag(np.diag(A) * rng.choice([1.0, 2.0])))
+    else:
+        A = np.triu(rng.integers(-4, 5, (n, n)) / 4.0 * (rng.random((n, n)) < 0.25))
+        M = np.diag(rng.integers(-4, 5, n) / 4.0) + 0.25 * (A + A.T)
+    linear = rng.integers(-2, 3, n) / 2.0 * (rng.random(n) < 0.5)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign=int(rng.choice([-1, 1])))
+    return system, 0.5 * rng.uniform(-1, 1, n), float(rng.choice([-0.2, 0.2]))
+
+
+def dense_constants(algebra):
+    c = np.zeros((algebra.dim,) * 3)
+    i, j, k, value = algebra.triples
+    c[i, j, k], c[j, i, k] = value, -value
+    return c
+
+
+def strang(count):
+    """Pairs of a part and its fraction of a step of order two."""
+    half = [(p, 0.5) for p in range(count)]
+    return [*half, *half[::-1]]
+
+
+def dense_step(system, parts, x, g, h):
+    """A step on the momentum x and the group element g, in the coadjoint representation, and the amplification."""
+    c, size = dense_constants(system.algebra), 1.0
+    for p, fraction in strang(len(parts)):
+        slope = part_jets(parts, x[None], 0.0).gradient[p, 0]
+        D = fraction * h * system.sign * np.einsum("ijk,j->ik", c, slope)  # D x = J(x) grad of the piece
+        size *= np.linalg.norm(expm(np.abs(D)), np.inf)
+        x, g = expm(D) @ x, g @ expm(-D)
+    return x, g, size
+
+
+def check_step(system, choice, x, h):
+    """Compare a step in Python, with its group element, and the compiled one with dense matrices."""
+    n, decomposition = system.dim, decompose(system, choice)
+    parts = decomposition.parts
+    # The pieces add up to the energy minus the Casimirs, up to a constant.
+    pieces = part_jets(parts, x[None], 0.0).gradient.sum(axis=0)[0]
+    casimirs = sum((factor * C.gradient(x) for C, factor in decomposition.shift), np.zeros(n))
+    expected = system.hamiltonian.gradient(x) - casimirs
+    assert np.abs(pieces - expected).max() <= 2.0**-40  # squares amplify rounding by at most some hundreds
+    wanted, moved, size = dense_step(system, parts, x, np.eye(n), h)
+    method = co.Splitting(order=2, parts=choice)
+    end, group = Reading(build_program(system, method, group="coadjoint")).steps(x, h, 1, group=np.eye(n))
+    # Rounding of each flow, amplified by all: n products in a sum, some dozens in the series of expm.
+    tolerance = 64 * n * len(parts) * U * size
+    assert np.abs(end - wanted).max() <= tolerance
+    assert np.abs(group - moved).max() <= tolerance * size
+    assert np.abs(co.stepper(system, method, h)(x) - wanted).max() <= tolerance
+
+
+@pytest.mark.parametrize(
+    ("seed", "choice"), [(0, "coordinates"), (1, "coordinates"), (2, "coordinates"), (3, "auto"), (4, "auto")]
+)
+@pytest.mark.parametrize("name", BASES)
+def test_a_step_is_that_of_dense_matrices(name, seed, choice):
+    system, x, h = drawn_system(name, seed)
+    check_step(system, choice, x, h)
+
+
+@pytest.mark.parametrize("first", ["auto", "coordinates"])
+def test_choices_and_linear_terms_of_one_pattern_in_turn(first):
+    """Tables of equal forms are cached: neither the grouping of the forms nor the linear term may be that of another.
+
+    In the algebra e1, e2 commute, so that the parts are {e1, e2}, {e3} or one each, with the same forms.
+    """
+    x = np.array([0.5, -0.25, 0.75])
+    for factor in (1.0, 2.0):
+        algebra = co.LieAlgebra([(0, 2, 0, factor), (0, 2, 1, -1.0), (1, 2, 0, 1.0), (1, 2, 1, factor)], dim=3)
+        for linear in ([0.0, 0.0, 0.0], [0.5, 0.0, -1.0], [0.0, -2.0, 0.0]):
+            for M in ([1.0, 0.5, -0.25], [0.0, 0.5, 1.0]):
+                system = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear))
+                for choice in (first, {"auto": "coordinates", "coordinates": "auto"}[first]):
+                    check_step(system, choice, x, 0.2)
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_a_step_commutes_with_the_order_of_the_summands(name):
+    """The coordinates of a system in which the summands are exchanged are those of the system, exchanged."""
+    rng = np.random.default_rng(list(map(ord, name)))
+    one = BASES[name]
+    other = co.algebras.change_of_basis(one, -2.0 * np.eye(one.dim))
+    d = one.dim
+    M, linear = rng.uniform(-1, 1, 2 * d), rng.uniform(-1, 1, 2 * d)
+    swapped = np.r_[d : 2 * d, 0:d]
+    x, h = rng.uniform(-1, 1, 2 * d), -0.15
+    first = co.LiePoissonSystem(co.algebras.direct_sum(one, other), co.Quadratic(M, linear=linear), sign=-1)
+    second = co.LiePoissonSystem(
+        co.algebras.direct_sum(other, one), co.Quadratic(M[swapped], linear=linear[swapped]), sign=-1
+    )
+    method = co.Splitting(order=2, parts="coordinates")
+    # The parts of one summand commute with those of the other, so that their order in the sum does not matter.
+    a, b = co.stepper(first, method, h)(x), co.stepper(second, method, h)(x[swapped])
+    assert np.abs(a[swapped] - b).max() <= 64 * d * U * (1.0 + np.abs(x).max()) * 8
