@@ -285,6 +285,74 @@ def test_count_keeps_the_first_ones():
     assert np.array_equal(some["x2"].t, whole["x2"].t[:2]) and np.array_equal(some["x1"].t, whole["x1"].t)
 
 
+def test_a_choice_of_crossings_has_all_that_belongs_to_them():
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
+    events = [
+        co.Event("x3"),
+        co.Event("x2", count=2, terminal=True, name="flip"),
+        co.Event(lambda x, t: x[0] - 0.01 * t),
+    ]
+    found = co.integrate(BODY, x0, (0, 40), 0.125, events=events, attitude=True).events
+    assert found.names == ("x3", "flip", "event 2") and found.asked == tuple(events)
+    ends = found.ends(5)
+    assert np.isfinite(ends).all() and repr(found).startswith(
+        f"<crossings of x3: {len(found['x3'])}, flip: 10, event 2: "
+    )
+    for k, name in enumerate(found.names):
+        for some in (found[name], found[k]):
+            assert some.which.tolist() == [k] * len(some) and len(some) == np.count_nonzero(found.which == k) > 0
+    picked = [found.of(3), found["flip"], found.chosen(found.member > 2), found.chosen(np.arange(len(found)))]
+    for some in picked:
+        assert (some.names, some.coordinates, some.asked) == (found.names, ("x1", "x2", "x3"), found.asked)
+        rows = [
+            np.flatnonzero((found.t == t) & (found.member == m))[0] for t, m in zip(some.t, some.member, strict=True)
+        ]
+        for name in ("x", "which", "direction", "attitude"):
+            assert np.array_equal(getattr(some, name), getattr(found, name)[rows]), name
+    assert np.array_equal(picked[-1].ends(5), ends) and np.array_equal(found.of(3).ends(5)[3:4], ends[3:4])
+    assert np.array_equal(found["flip"].ends(5), ends)
+    for wrong in (3, -1, "x1"):
+        with pytest.raises(ValueError, match="event"):
+            found[wrong]
+    with pytest.raises(TypeError, match="take one event by its name"):
+        iter(found)
+
+
+def test_each_run_of_a_prepared_one_has_events_of_its_own():
+    ready, span = co.prepare(BODY, co.Splitting(order=4), 0.125, attitude=True), (1, 21)
+    listed = [
+        co.Event("x2"),
+        [co.Event("x2", direction=1)],
+        co.Event("x1"),
+        [co.Event("x3"), co.Event("x2", terminal=True)],
+    ]
+    expected = [
+        co.integrate(BODY, FLIPPING, span, 0.125, co.Splitting(order=4), attitude=True, events=e) for e in listed
+    ]
+    for k in (0, 1, 2, 3, 2, 1, 0, 3, 3):
+        found = ready.run(FLIPPING, span, events=listed[k])
+        for name in ("t", "x", "which", "direction", "attitude"):
+            assert np.array_equal(getattr(found.events, name), getattr(expected[k].events, name)), (k, name)
+        assert np.array_equal(found.x, expected[k].x) and found.events.names == expected[k].events.names
+    assert ready.run(FLIPPING, span).events is None
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("between", [False, True])
+def test_an_end_is_on_the_branch_on_which_the_run_is(way, between):
+    """The angle of the Casimir has gone round several times when an event ends the run."""
+    system = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.05), co.Quadratic([0.01, 0.02, 1.0]))
+    given = {"t_eval": np.linspace(2.0, 2.0 + 10.0 * way, 24)} if between else {"save_every": 3}
+    event = co.Event("x1", terminal=True, count=7)
+    sol = co.integrate(system, (1.0, 0.0, 3.0), (2, 2 + 10 * way), 0.0625, co.Splitting(order=2), events=event, **given)
+    assert len(sol.events) == 7 and sol.t[-1] == sol.events.t[-1]
+    period = system.casimirs["log C"].period
+    principal = system.casimirs["log C"](sol.x[-1])
+    assert abs(sol.casimirs["log C"][-1] - principal) > 2.5 * period
+    # Each of at most 160 steps has some ten flows, which round the state by some units.
+    assert np.ptp(sol.casimirs["log C"]) < 160 * 10 * 8 * U * (1.0 + 4.0 * period) < 1e-3 * period
+
+
 def test_a_batch_and_a_driven_system():
     bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)])
     sol = co.integrate(bodies, FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
