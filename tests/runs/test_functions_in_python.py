@@ -115,14 +115,13 @@ def test_events_and_observed_functions_of_matrices_get_the_time(python_streams, 
     assert found.events.direction[0] == way and np.array_equal(found.observed["late"], found.t - when)
 
 
-def test_an_event_is_first_called_at_the_start_of_the_run():
+def test_an_event_is_first_called_at_the_start_of_the_run(python_streams):
     """Its value elsewhere may be undefined."""
-    body = co.systems.rigid_body((1, 2, 3))
-    event = co.Event(lambda x, t: 1.0 / t + 1.0 / (x[1] - 2.0))
-    found = co.integrate(body, (0.1, 1.0, 0.2), (T0, T0), 0.125, events=event).events
-    assert len(found) == 0
+    system = co.MatrixSystem(GENERAL, transposed)
+    event = co.Event(lambda W, t: 1.0 / t + 1.0 / (W[0, 0] + 2.0))
+    assert len(co.integrate(system, W0, (T0, T0 + 0.5), 0.125, events=event).events) == 0
     with pytest.raises(ZeroDivisionError):
-        co.integrate(body, (0.1, 1.0, 0.2), (0.0, 1.0), 0.125, events=event)
+        co.integrate(system, W0, (0.0, 0.5), 0.125, events=event)
 
 
 class Unheard(Exception):
@@ -169,15 +168,28 @@ class Choosy(Forward):
         return super().step(system, x, t, h)
 
 
-@pytest.mark.parametrize("culprit", [0, 1, 2])
-@pytest.mark.parametrize("threads", [1, 2])
-def test_what_a_member_of_a_batch_raises_is_raised(culprit, threads):
+def bodies_with(culprit):
     names = ["culprit" if m == culprit else f"body {m}" for m in range(3)]
-    systems = [
+    return [
         co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.3 + m]), name=name)
         for m, name in enumerate(names)
     ]
-    ready = co.prepare(co.batch(systems), Choosy(), 0.125, threads=threads)
+
+
+@pytest.mark.filterwarnings("ignore:the tangents of .* are computed in Python:RuntimeWarning")
+@pytest.mark.parametrize("culprit", [0, 2])
+def test_what_a_member_raises_beside_tangent_vectors_is_raised(culprit, recwarn):
+    batch = co.batch(bodies_with(culprit))
+    x0 = np.tile((0.1, 1.0, 0.2), (3, 1))
+    with pytest.raises(Unheard, match=r"at t = 2\.5"):
+        co.lyapunov(batch, x0, (T0, T0 + 2.0), 0.125, Choosy(), exponents=1)
+    assert np.isfinite(co.lyapunov(batch, x0, (T0, T0 + 0.5), 0.125, Choosy(), exponents=1).exponents).all()
+
+
+@pytest.mark.parametrize("culprit", [0, 1, 2])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_a_member_of_a_batch_raises_is_raised(culprit, threads):
+    ready = co.prepare(co.batch(bodies_with(culprit)), Choosy(), 0.125, threads=threads)
     assert np.isfinite(ready.run((0.1, 1.0, 0.2), (T0, T0 + 0.5)).x).all()
     for _ in range(2):
         with pytest.raises(Unheard, match=r"at t = 2\.5"):

@@ -91,3 +91,25 @@ def test_members_without_a_crossing_have_a_row():
     assert none.x.shape == (2, 0, 3) and none.t.shape == (2, 0) and none.counts.tolist() == [0, 0]
     assert co.section(body, rest, event, *given).counts.tolist() == [0]
     assert repr(found) == f"<section: {2 * len(own.events)} crossings of x2 by 6 members>"
+
+
+def test_every_argument_reaches_the_run(monkeypatch):
+    body, x0, seen = co.systems.rigid_body(inertia=(1, 2, 3)), [(0.1, 1.0, 0.1)] * 2, []
+
+    def recorded(*given, **options):
+        seen.append((given, options))
+        return co.integrate(*given, **options)
+
+    monkeypatch.setattr("coadjoint.runs.section.integrate", recorded)
+    event, method = co.Event("x2", -1, name="down"), co.GaussLegendre(2)
+    co.section(body, x0, event, (1, 41), 0.125, method, crossings=2, threads=1)
+    co.section(body, x0, event, (1, 21), accuracy=1e-6, method=method)
+    (one, options), (two, others) = seen
+    assert one == (body, x0, (1, 41), 0.125, method) and two == (body, x0, (1, 21), None, method)
+    assert (options["threads"], others["threads"]) == (1, None) and (options["accuracy"], others["accuracy"]) == (
+        None,
+        1e-6,
+    )
+    asked = options["events"]
+    assert (asked.g, asked.direction, asked.count, asked.terminal, asked.name) == ("x2", -1, 2, True, "down")
+    assert others["events"] is event and not options["progress"] and not options["watch"]
