@@ -5,6 +5,7 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
+from coadjoint.kernels import events as kernel_events
 from coadjoint.runs import event_run
 from failing_parts import failing_parts
 
@@ -445,3 +446,35 @@ def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, unt
         co.integrate(BODY, FLIPPING, given[2], 0.125, events=event)
     assert np.array_equal(alone.value.partial.x, found.x[: step + 1, 1])
     assert np.array_equal(alone.value.partial.events.t, own[:1])
+
+
+@pytest.mark.parametrize("spare", [0, 1, 2, 3])
+def test_more_crossings_than_there_is_room_for_are_refused(monkeypatch, spare):
+    """None is lost in silence: as many as there is room for are found, one more is an error."""
+    steps = 240
+    monkeypatch.setattr(kernel_events, "SPARE", spare - kernel_events.ROWS * (steps + 1))
+    given = BODY, FLIPPING, (0, steps * 0.125), 0.125, co.Splitting(order=4)
+    event = co.Event("x2")
+    count = int(np.count_nonzero(np.diff(np.sign(co.integrate(*given).x[:, 1]))))
+    assert 0 < count <= 3
+    if spare < count:
+        with pytest.raises(ValueError, match=r"crossings were found in the steps of one call; take a smaller step"):
+            co.integrate(*given, events=event)
+    else:
+        assert len(co.integrate(*given, events=event).events) == count
+
+
+def test_a_bar_counts_the_steps_of_a_run_with_events(capfd):
+    event = co.Event("x2", count=1, terminal=True)
+    whole = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=co.Event("x2"), progress=True)
+    assert len(whole.events) > 1 and "800 of 800 steps (100 %)" in capfd.readouterr().err
+    ended = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=event, progress=True)
+    # The first call of the loop takes 256 steps, in which the event is.
+    assert ended.stats.steps < 256 and "256 of 800 steps (32 %)" in capfd.readouterr().err
+
+
+def test_memory_for_events_is_estimated_first(monkeypatch):
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
+    crowd = np.tile(FLIPPING, (200_000, 1))
+    with pytest.raises(ValueError, match="looking for events of 200000 members needs about"):
+        co.integrate(BODY, crowd, (0, 0.125), 0.125, events=co.Event("x2"), save_every=1, watch=False)

@@ -396,3 +396,21 @@ def test_all_coordinates_in_any_order(shape):
     for m in range(2):
         anew = co.integrate(with_linear(body, field[m][[1, 2, 0]]), x, SPANS[0], STEP, ready.method)
         assert np.array_equal(found.x[:, m], anew.x)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_states_at_any_time_are_those_of_the_inputs(way):
+    """Of each member, and of the values that were given, whatever becomes of them."""
+    x, before, linear = numbers("e(3)", 6, 3)
+    ready = co.prepare(system("e(3)", before), co.GaussLegendre(2), STEP, inputs=(3, 4, 5))
+    times, given = 0.25 + way * np.array([0.0, 0.1, 0.55, 1.0]), linear[:, 3:].copy()
+    together = ready.run(x, (0.25, 0.25 + way), 4, linear=given)
+    given[:] = 7.0
+    found = together.at(times)
+    for m in range(3):
+        alone = ready.run(x, (0.25, 0.25 + way), 4, linear=linear[m, 3:])
+        own, asked = alone.at(times), ready.run(x, (0.25, 0.25 + way), t_eval=times, linear=linear[m, 3:])
+        assert np.array_equal(found.x[:, m], own.x) and np.array_equal(found.energy[:, m], own.energy)
+        # From a saved point four steps at most, whose iterations begin from another guess: some roundings each.
+        assert np.abs(own.x - asked.x).max() < 16 * 50 * U and np.abs(own.energy - asked.energy).max() < 16 * 50 * U
+        assert abs(own.energy[-1] - own.energy[0]) < 0.1 * STEP**2 < np.abs(own.energy[0] - found.energy[0, m - 1])

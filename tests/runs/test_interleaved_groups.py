@@ -6,6 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.loop import Crew
 from coadjoint.runs.piecewise_run import PiecewiseRun
+from failing_parts import failing_parts
 
 STEP, T0 = 0.125, 1.5
 FULL = np.array([[1.0, 0.2, 0.1], [0.2, 0.6, 0.0], [0.1, 0.0, 0.3]])
@@ -72,6 +73,24 @@ def test_events_end_each_member_at_its_own_time(way):
             assert np.array_equal(whole.x[going, m], alone.x[: going.sum()]) and np.isnan(whole.x[~going, m]).all()
             assert np.array_equal(whole.energy[going, m], alone.energy[: going.sum()])
             assert whole.drift()["energy"].members[m] == alone.drift()["energy"]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("m", [1, 4, 6])
+def test_a_member_whose_crossing_fails_is_felt_by_none_of_the_others(monkeypatch, m, way):
+    ready, span, event = prepared(BATCH, METHODS[0]), (T0, T0 + 10 * way), co.Event("x2")
+    whole = ready.run(X, span, events=event)
+    step = int(abs(whole.events.of(m).t[1] - T0) / STEP)  # in which it crosses for the second time
+    failing_parts(monkeypatch, m, T0 + way * STEP * step)
+    with pytest.raises(co.IntegrationError, match=rf"for 1 of 7 members \(first: member {m}\)") as caught:
+        ready.run(X, span, events=event)
+    found, others = caught.value.partial, np.arange(len(X)) != m
+    assert caught.value.step == step + 1 and np.array_equal(found.failed, ~others)
+    assert np.array_equal(found.x[:, others], whole.x[:, others])
+    assert np.array_equal(found.x[: step + 1, m], whole.x[: step + 1, m]) and np.isnan(found.x[step + 1 :, m]).all()
+    for k in range(len(X)):
+        assert np.array_equal(found.events.of(k).t, whole.events.of(k).t[: None if k != m else 1])
+    assert np.array_equal(found.drift()["energy"].tenths[others], whole.drift()["energy"].tenths[others])
 
 
 @pytest.mark.parametrize("done", [1, 2])

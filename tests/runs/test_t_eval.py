@@ -307,6 +307,16 @@ def test_times_are_those_that_were_given_whatever_becomes_of_them():
     assert np.array_equal(sol.at(0.6).x, same.at(0.6).x)
 
 
+@pytest.mark.parametrize("step", [STEP, 2.0**-13])
+def test_more_times_than_there_is_memory_for(monkeypatch, step):
+    """Between the steps, or at steps: as many saved points, which save_every would not change."""
+    monkeypatch.setattr("coadjoint.runs.room.SMALL", 0)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 2 * 10**5)
+    monkeypatch.setattr("coadjoint.runs.any_time.PartsOfSteps", None)  # nothing is computed
+    with pytest.raises(ValueError, match=r"^\d+ saved points of 1 member need about .* give fewer times in t_eval$"):
+        co.integrate(BODY, X, (0, 1), step, t_eval=np.linspace(0.0, 1.0, 2**13 + 1))
+
+
 @pytest.mark.parametrize("end", [80.0, -80.0])
 def test_what_has_several_values_goes_on(end):
     # The Casimir of A3,7 has an angle, which winds up along the run.
