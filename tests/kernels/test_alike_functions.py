@@ -12,7 +12,7 @@ from coadjoint.kernels.function_contents import key_of
 
 numba = pytest.importorskip("numba")
 
-from coadjoint.kernels import callbacks, fresh_code  # noqa: E402
+from coadjoint.kernels import callbacks, fresh_code, matrix_functions, numba_steps  # noqa: E402
 
 SLOPE = 2.0
 
@@ -149,3 +149,55 @@ def test_what_is_kept_is_bounded(monkeypatch):
     for k in range(5):
         co.prepare(spins([times(90.0 + k)]), co.Splitting(), 0.1)
     assert len(fresh_code._COMPILED) == 3
+
+
+def product(a, b):
+    return a * b
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Nothing is compiled: each compilation is an object of its own, with its arguments."""
+
+    class Made(tuple):
+        address = 8
+
+        __hash__, __eq__ = object.__hash__, object.__eq__
+
+    for module, name in ((callbacks, "_compiled"), (matrix_functions, "_made"), (numba_steps, "_compiled")):
+        monkeypatch.setattr(module, name, lambda *given: Made(given))
+    monkeypatch.setattr(fresh_code, "_COMPILED", {})
+
+
+def all_different(make, base, others):
+    """Whether each call has a result of its own, and the same call the same result."""
+    calls = [base, *({**base, **other} for other in others)]
+    found = [make(**call) for call in calls]
+    again = [make(**call) for call in reversed(calls)]
+    assert all(one is other for one, other in zip(found, reversed(again), strict=True))
+    assert len({id(one) for one in found}) == len(calls)
+
+
+def test_functions_are_compiled_for_each_way_of_calling(made):
+    base = {"function": product, "size": 3, "results": 3, "scalar": False, "flat": True, "timed": False, "what": "f"}
+    others = [{"size": 2}, {"results": 9}, {"scalar": True}, {"flat": False}, {"timed": True}, {"function": inner}]
+    all_different(callbacks.callback_of, base, others)
+    assert callbacks.callback_of(**base) is callbacks.callback_of(**{**base, "what": "another name"})
+
+
+def test_streams_are_compiled_for_each_kind_of_matrices(made):
+    base = {"function": product, "N": 3, "complex_entries": False, "timed": False, "traceless": ()}
+    others = [{"N": 4}, {"complex_entries": True}, {"timed": True}, {"traceless": ((0, 3),)}, {"function": inner}]
+    others += [{"traceless": ((0, 2),)}, {"traceless": ((0, 2), (2, 3))}]
+    all_different(matrix_functions._compiled, base, others)
+
+
+def test_steps_are_compiled_for_each_scheme_and_kind_of_system(made):
+    def compiled(**given):
+        found, reason = numba_steps.compiled_step(**given)
+        assert reason == ""
+        return found
+
+    base = {"function": product, "names": ("a", "b"), "values": (1, 2.0), "derivatives": False}
+    others = [{"derivatives": True}, {"names": ("b", "a")}, {"values": (2, 2.0)}, {"values": (1.0, 2.0)}]
+    all_different(compiled, base, [*others, {"function": inner}])

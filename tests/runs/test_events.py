@@ -5,6 +5,7 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
+from coadjoint.kernels import events as kernel_events
 from coadjoint.runs import event_run
 from failing_parts import failing_parts
 
@@ -285,6 +286,74 @@ def test_count_keeps_the_first_ones():
     assert np.array_equal(some["x2"].t, whole["x2"].t[:2]) and np.array_equal(some["x1"].t, whole["x1"].t)
 
 
+def test_a_choice_of_crossings_has_all_that_belongs_to_them():
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
+    events = [
+        co.Event("x3"),
+        co.Event("x2", count=2, terminal=True, name="flip"),
+        co.Event(lambda x, t: x[0] - 0.01 * t),
+    ]
+    found = co.integrate(BODY, x0, (0, 40), 0.125, events=events, attitude=True).events
+    assert found.names == ("x3", "flip", "event 2") and found.asked == tuple(events)
+    ends = found.ends(5)
+    assert np.isfinite(ends).all() and repr(found).startswith(
+        f"<crossings of x3: {len(found['x3'])}, flip: 10, event 2: "
+    )
+    for k, name in enumerate(found.names):
+        for some in (found[name], found[k]):
+            assert some.which.tolist() == [k] * len(some) and len(some) == np.count_nonzero(found.which == k) > 0
+    picked = [found.of(3), found["flip"], found.chosen(found.member > 2), found.chosen(np.arange(len(found)))]
+    for some in picked:
+        assert (some.names, some.coordinates, some.asked) == (found.names, ("x1", "x2", "x3"), found.asked)
+        rows = [
+            np.flatnonzero((found.t == t) & (found.member == m))[0] for t, m in zip(some.t, some.member, strict=True)
+        ]
+        for name in ("x", "which", "direction", "attitude"):
+            assert np.array_equal(getattr(some, name), getattr(found, name)[rows]), name
+    assert np.array_equal(picked[-1].ends(5), ends) and np.array_equal(found.of(3).ends(5)[3:4], ends[3:4])
+    assert np.array_equal(found["flip"].ends(5), ends)
+    for wrong in (3, -1, "x1"):
+        with pytest.raises(ValueError, match="event"):
+            found[wrong]
+    with pytest.raises(TypeError, match="take one event by its name"):
+        iter(found)
+
+
+def test_each_run_of_a_prepared_one_has_events_of_its_own():
+    ready, span = co.prepare(BODY, co.Splitting(order=4), 0.125, attitude=True), (1, 21)
+    listed = [
+        co.Event("x2"),
+        [co.Event("x2", direction=1)],
+        co.Event("x1"),
+        [co.Event("x3"), co.Event("x2", terminal=True)],
+    ]
+    expected = [
+        co.integrate(BODY, FLIPPING, span, 0.125, co.Splitting(order=4), attitude=True, events=e) for e in listed
+    ]
+    for k in (0, 1, 2, 3, 2, 1, 0, 3, 3):
+        found = ready.run(FLIPPING, span, events=listed[k])
+        for name in ("t", "x", "which", "direction", "attitude"):
+            assert np.array_equal(getattr(found.events, name), getattr(expected[k].events, name)), (k, name)
+        assert np.array_equal(found.x, expected[k].x) and found.events.names == expected[k].events.names
+    assert ready.run(FLIPPING, span).events is None
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("between", [False, True])
+def test_an_end_is_on_the_branch_on_which_the_run_is(way, between):
+    """The angle of the Casimir has gone round several times when an event ends the run."""
+    system = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.05), co.Quadratic([0.01, 0.02, 1.0]))
+    given = {"t_eval": np.linspace(2.0, 2.0 + 10.0 * way, 24)} if between else {"save_every": 3}
+    event = co.Event("x1", terminal=True, count=7)
+    sol = co.integrate(system, (1.0, 0.0, 3.0), (2, 2 + 10 * way), 0.0625, co.Splitting(order=2), events=event, **given)
+    assert len(sol.events) == 7 and sol.t[-1] == sol.events.t[-1]
+    period = system.casimirs["log C"].period
+    principal = system.casimirs["log C"](sol.x[-1])
+    assert abs(sol.casimirs["log C"][-1] - principal) > 2.5 * period
+    # Each of at most 160 steps has some ten flows, which round the state by some units.
+    assert np.ptp(sol.casimirs["log C"]) < 160 * 10 * 8 * U * (1.0 + 4.0 * period) < 1e-3 * period
+
+
 def test_a_batch_and_a_driven_system():
     bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)])
     sol = co.integrate(bodies, FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
@@ -377,3 +446,35 @@ def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, unt
         co.integrate(BODY, FLIPPING, given[2], 0.125, events=event)
     assert np.array_equal(alone.value.partial.x, found.x[: step + 1, 1])
     assert np.array_equal(alone.value.partial.events.t, own[:1])
+
+
+@pytest.mark.parametrize("spare", [0, 1, 2, 3])
+def test_more_crossings_than_there_is_room_for_are_refused(monkeypatch, spare):
+    """None is lost in silence: as many as there is room for are found, one more is an error."""
+    steps = 240
+    monkeypatch.setattr(kernel_events, "SPARE", spare - kernel_events.ROWS * (steps + 1))
+    given = BODY, FLIPPING, (0, steps * 0.125), 0.125, co.Splitting(order=4)
+    event = co.Event("x2")
+    count = int(np.count_nonzero(np.diff(np.sign(co.integrate(*given).x[:, 1]))))
+    assert 0 < count <= 3
+    if spare < count:
+        with pytest.raises(ValueError, match=r"crossings were found in the steps of one call; take a smaller step"):
+            co.integrate(*given, events=event)
+    else:
+        assert len(co.integrate(*given, events=event).events) == count
+
+
+def test_a_bar_counts_the_steps_of_a_run_with_events(capfd):
+    event = co.Event("x2", count=1, terminal=True)
+    whole = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=co.Event("x2"), progress=True)
+    assert len(whole.events) > 1 and "800 of 800 steps (100 %)" in capfd.readouterr().err
+    ended = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=event, progress=True)
+    # The first call of the loop takes 256 steps, in which the event is.
+    assert ended.stats.steps < 256 and "256 of 800 steps (32 %)" in capfd.readouterr().err
+
+
+def test_memory_for_events_is_estimated_first(monkeypatch):
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
+    crowd = np.tile(FLIPPING, (200_000, 1))
+    with pytest.raises(ValueError, match="looking for events of 200000 members needs about"):
+        co.integrate(BODY, crowd, (0, 0.125), 0.125, events=co.Event("x2"), save_every=1, watch=False)

@@ -1,5 +1,6 @@
 """Runs with inputs: the bits of a system made anew with that linear term, for every scheme and many algebras."""
 
+import itertools
 import threading
 from fractions import Fraction
 
@@ -11,6 +12,7 @@ from coadjoint.kernels import input_tables
 from coadjoint.program import decompose
 from coadjoint.program.offsets_of_squares import offsets_of_squares
 from coadjoint.program.split import split
+from coadjoint.runs.inputs import Inputs
 from coadjoint.systems.linear_term import linear_of, with_linear
 from verification.schemes_under_test import schemes, serves
 from verification.systems_under_test import full_matrix
@@ -378,3 +380,37 @@ def test_steps_that_are_calls_of_python_take_no_inputs():
 
     with pytest.raises(ValueError, match=r"takes no inputs for rigid_body: .*tables\.whole"):
         co.prepare(co.systems.rigid_body((1, 2, 3)), Called(), 0.1, inputs=True)
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 1)])
+def test_all_coordinates_in_any_order(shape):
+    """A value belongs to the coordinate that is named at its place, for all members or for each of them."""
+    body, x = co.systems.rigid_body((1, 2, 3)), np.array([0.4, -0.3, 0.5])
+    field = np.array([[0.1, -0.2, 0.4], [0.3, 0.5, -0.6]])
+    for where in itertools.permutations(range(3)):
+        inputs = Inputs(body, {"field": np.reshape(where, shape)})
+        shared, each = inputs.read({"field": field[0].reshape(shape)}), inputs.read({"field": field.reshape(2, *shape)})
+        assert shared[list(where)].tolist() == field[0].tolist() and each[:, list(where)].tolist() == field.tolist()
+    ready = co.prepare(body, co.Splitting(order=2), STEP, inputs={"field": np.reshape((2, 0, 1), shape)})
+    found = ready.run(x, SPANS[0], field=field.reshape(2, *shape))
+    for m in range(2):
+        anew = co.integrate(with_linear(body, field[m][[1, 2, 0]]), x, SPANS[0], STEP, ready.method)
+        assert np.array_equal(found.x[:, m], anew.x)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_states_at_any_time_are_those_of_the_inputs(way):
+    """Of each member, and of the values that were given, whatever becomes of them."""
+    x, before, linear = numbers("e(3)", 6, 3)
+    ready = co.prepare(system("e(3)", before), co.GaussLegendre(2), STEP, inputs=(3, 4, 5))
+    times, given = 0.25 + way * np.array([0.0, 0.1, 0.55, 1.0]), linear[:, 3:].copy()
+    together = ready.run(x, (0.25, 0.25 + way), 4, linear=given)
+    given[:] = 7.0
+    found = together.at(times)
+    for m in range(3):
+        alone = ready.run(x, (0.25, 0.25 + way), 4, linear=linear[m, 3:])
+        own, asked = alone.at(times), ready.run(x, (0.25, 0.25 + way), t_eval=times, linear=linear[m, 3:])
+        assert np.array_equal(found.x[:, m], own.x) and np.array_equal(found.energy[:, m], own.energy)
+        # From a saved point four steps at most, whose iterations begin from another guess: some roundings each.
+        assert np.abs(own.x - asked.x).max() < 16 * 50 * U and np.abs(own.energy - asked.energy).max() < 16 * 50 * U
+        assert abs(own.energy[-1] - own.energy[0]) < 0.1 * STEP**2 < np.abs(own.energy[0] - found.energy[0, m - 1])

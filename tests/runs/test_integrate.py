@@ -221,6 +221,7 @@ def test_drift_is_the_largest_deviation_over_every_step(name):
             drift = sol.drift()[key]
             assert drift == deviation.max() and drift.initial == values[0] and drift.members is None
             assert drift.tenths.tolist() == [deviation[tenths == tenth].max() for tenth in range(10)]
+            assert drift.growth == drift.tenths[9] / drift.tenths[0]
 
 
 def test_without_watching_the_drift_is_over_saved_points():
@@ -238,6 +239,7 @@ def test_drift_of_an_ensemble_is_that_of_each_member():
     alone = [co.integrate(s, x, (0, 2), 0.125).drift()["energy"] for x in crowd]
     assert drift.members.tolist() == alone and drift == max(alone)
     assert drift.tenths.shape == (3, 10) and drift.initial.shape == (3,)
+    assert drift.growth.tolist() == [each.tenths[9] / each.tenths[0] for each in alone]
 
 
 @pytest.mark.parametrize("a", [0.05, -0.05])

@@ -8,6 +8,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.poisson_defect import poisson_defect
+from coadjoint.extras import MissingPackageError
+from coadjoint.kernels import matrix_functions
 from long import long_where
 from served import state_of
 
@@ -107,6 +109,42 @@ def test_energy_that_depends_on_time():
     factor = (1.0 + 0.5 * np.cos(sol.t)) / (1.0 + 0.5 * np.cos(2.0))
     assert np.abs(sol.energy / sol.energy[0] - factor).max() < 1e-8
     assert sol.spectrum().std(axis=0).max() < 1e-15
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_drifts_of_an_energy_that_depends_on_time(way, monkeypatch):
+    """Measured from the energy at the start of the run, with either sign, at the saved times."""
+
+    def missing(*_):
+        raise MissingPackageError("a compiled stream", "numba")
+
+    monkeypatch.setattr(matrix_functions, "need", missing)
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W, t: (1.0 + t) * W.T)
+    W = states(system, 2)
+    sol = co.integrate(system, W, (2.0, 2.0 + way), 0.125, save_every=3)
+    alone = co.integrate(system, W[1], (2.0, 2.0 + way), 0.125, save_every=3)
+    for k, t in enumerate(sol.t):
+        assert np.array_equal(sol.energy[k], system.energy(sol.x[k], float(t)))
+    drift, off = sol.drift()["energy"], sol.energy - sol.energy[0]
+    assert (np.sign(off[1:]) == way).all() and np.array_equal(drift.members, np.abs(off).max(axis=0))
+    assert np.array_equal(drift.initial, [system.energy(one, 2.0) for one in W])
+    # Steps 3, 6 and 8 of 8 are in the tenths 2, 6 and 8.
+    assert np.array_equal(drift.tenths[:, [2, 6, 8]], np.abs(off[1:]).T) and np.count_nonzero(drift.tenths) == 6
+    assert alone.drift()["energy"].tenths.tolist() == drift.tenths[1].tolist()
+
+
+def test_balances_of_several_forces():
+    """What all of them do is taken from the energy."""
+    forces = co.forces.LinearDamping(0.2), co.forces.Viscosity(0.02), co.forces.Friction(lambda k: 0.3 / k)
+    driven, W = SPHERE.with_forces(*forces), states(SPHERE, 2)
+    sol = co.integrate(driven, W, (1.0, 2.0), 0.125)
+    for name, values in {"energy": sol.energy, "tr W^2": sol.casimirs["tr W^2"]}.items():
+        done = [work[name] for work in sol.work.values()]
+        assert len(done) == 3 and all(np.abs(work[-1]).min() > 1e-3 * np.abs(values[0]).max() for work in done)
+        left, drift = np.abs(values - values[0] - sum(done)), sol.balance()[name]
+        # The sums are rounded in another order.
+        assert np.abs(drift.members - left.max(axis=0)).max() <= 16 * 2.0**-53 * np.abs(values).max()
+        assert drift < 0.01 * np.abs(values - values[0]).max()
 
 
 def test_a_member_that_fails_leaves_the_others():

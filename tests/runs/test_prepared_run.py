@@ -245,3 +245,30 @@ def test_a_group_element_that_is_nearly_singular_is_refused(size):
     every = co.LiePoissonSystem(co.algebras.gl(3), co.Quadratic(np.arange(1.0, 10.0)), casimirs={})
     whole = co.integrate(every, np.full(9, 0.1), (0, 1), 0.1, attitude=steep)
     assert np.array_equal(whole.attitude[0], steep)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("attitude", [True, "coadjoint"])
+def test_a_wrong_group_element_is_refused_in_any_place(place, attitude):
+    ready, x = co.prepare(BODY, None, 0.1, attitude=attitude), np.array([X, -X, 2 * X])
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    wrong = [(np.zeros((3, 3)), "singular"), (np.diag([1.0, 0.0, 1.0]), "singular"), (2.0 * np.eye(3), "no element")]
+    wrong += [(np.diag([1.0, 1.0, np.nan]), "contains NaN"), (np.diag([1.0, 1.0, -1.0]), "no element")]
+    for element, said in wrong:
+        elements = np.stack([np.eye(3), turned, turned.T])
+        assert ready.run(x, (0, 0.1), attitude=elements).attitude.shape == (2, 3, 3, 3)
+        elements[place] = element
+        with pytest.raises(ValueError, match=said):
+            ready.run(x, (0, 0.1), attitude=elements)
+
+
+def test_some_members_have_their_group_elements_and_their_number():
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    elements = np.stack([np.linalg.matrix_power(quarter, m) for m in range(4)])
+    x = X * np.linspace(1, 2, 4)[:, None]
+    ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=elements)
+    whole = ready.run(x, (1, 2))
+    for first, last in ((0, 2), (1, 4), (3, 4)):
+        some = ready.among(first, last).run(x[first:last], (1, 2))
+        assert np.array_equal(some.x, whole.x[:, first:last])
+        assert np.array_equal(some.attitude, whole.attitude[:, first:last])

@@ -63,6 +63,19 @@ def test_an_energy_that_is_no_number_is_an_error():
     assert np.all(np.isfinite(failure.value.partial.x))
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_first_saved_point_without_an_energy_is_named(way):
+    """x1 is cos(t - 1), negative from step 13 on, of which step 15 is saved."""
+    H = co.Hamiltonian(lambda x: x[2] + 0.0 * math.log(x[0]), lambda x: np.array([0.0, 0.0, 1.0]))
+    turning, span = co.LiePoissonSystem(BODY.algebra, H, casimirs={}), (1.0, 1.0 + 2.5 * way)
+    with pytest.raises(co.IntegrationError) as failure:
+        co.integrate(turning, (1.0, 0.0, 0.5), span, 0.125, co.GaussLegendre(2), save_every=3)
+    error = failure.value
+    assert (error.step, error.time) == (15, 1.0 + way * 15 * 0.125)
+    assert f"the energy at t = {error.time:g} is not a finite number" in str(error)
+    assert len(error.partial.t) == 8 and np.isnan(error.partial.energy).tolist() == [False] * 5 + [True] * 3
+
+
 def test_an_error_travels_between_processes():
     error = co.IntegrationError("no convergence", step=3, time=0.2, residual=1e-3)
     again = pickle.loads(pickle.dumps(error))

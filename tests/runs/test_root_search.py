@@ -63,3 +63,45 @@ def test_the_lowest_point():
     assert abs(theta - PLACES).max() < 2.0**-20 and abs(value - 1e-3).max() < 1e-9
     theta, value = lowest(lambda which, theta: (theta - PLACES[which]) ** 2 - 0.01, len(PLACES))
     assert (value <= 0).all() and (abs(theta - PLACES) <= 0.1).all()
+
+
+def test_each_root_has_a_resolution_of_its_own():
+    """Neither a coarse nor a fine one is felt by the others, in whatever order they come."""
+    least = np.array([0.05, 2.0**-52, 1e-6])[np.arange(len(PLACES)) % 3]
+    for order in (np.arange(len(PLACES)), np.arange(len(PLACES))[::-1]):
+        seen = []
+
+        def values(which, theta, order=order, seen=seen):
+            seen.extend(which.tolist())
+            return np.exp(3.0 * theta) - np.exp(3.0 * PLACES[order][which])
+
+        every = np.arange(len(PLACES))
+        before, after = (values(every, np.full(len(PLACES), end)) for end in (0.0, 1.0))
+        seen.clear()
+        found = roots(values, before, after, least[order])
+        assert (np.abs(found - PLACES[order]) <= 2.0 * least[order] + 2.0**-50).all()
+        calls = np.bincount(seen, minlength=len(PLACES))
+        for k in every:
+            own = roots(
+                lambda which, t, k=k: values(which + k, t), before[k : k + 1], after[k : k + 1], least[order[k : k + 1]]
+            )
+            assert own[0] == found[k]
+        # Half of the digits take fewer values than all of them.
+        assert calls[least[order] == 0.05].max() < calls[least[order] == 2.0**-52].max()
+
+
+def test_minima_of_functions_that_stop_at_different_times():
+    """Some reach a value that is not positive at once, some late, some never."""
+    depths, places = np.array([0.5, -1e-6, 1e-3, 0.0, -1.0, 1e-9]), np.array([0.3, 0.4, 0.9, 0.618, 0.1, 0.02])
+
+    def values(which, theta):
+        return (theta - places[which]) ** 2 + depths[which]
+
+    theta, value = lowest(values, len(depths))
+    assert np.array_equal(value, values(np.arange(len(depths)), theta))
+    assert (value[depths < 0.0] <= 0.0).all() and (value[depths > 0.0] > 0.0).all()
+    never = depths > 0.0
+    assert np.abs(theta - places)[never].max() < 2.0**-20
+    for k in range(len(depths)):
+        own, low = lowest(lambda which, t, k=k: values(which + k, t), 1)
+        assert own[0] == theta[k] and low[0] == value[k]

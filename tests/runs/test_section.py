@@ -71,3 +71,45 @@ def test_drawn_and_refused():
         co.section(body, (1.0, 0.2, 0.1), "x2", (0, 1), 0.125)
     with pytest.raises(ValueError, match="crossings"):
         co.section(body, (1.0, 0.2, 0.1), co.Event(0), (0, 1), 0.125, crossings=0)
+
+
+def test_members_without_a_crossing_have_a_row():
+    """First, in between and last; a single state and one member have one."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    x0, rest = np.array([0.1, 1.0, 0.1]), np.array([0.0, 0.0, 1.0])
+    event, given = co.Event("x2"), ((3.0, 63.0), 0.125)
+    own = co.section(body, x0, event, *given)
+    assert own.x.shape[:2] == (1, len(own.events)) and own.counts.tolist() == [len(own.events)] and len(own.events) > 1
+    found = co.section(body, [rest, x0, rest, x0, rest, rest], event, *given)
+    assert found.counts.tolist() == [0, *own.counts, 0, *own.counts, 0, 0]
+    for m in range(6):
+        if m in (1, 3):
+            assert np.array_equal(found.x[m], own.x[0]) and np.array_equal(found.t[m], own.t[0])
+        else:
+            assert np.isnan(found.x[m]).all() and np.isnan(found.t[m]).all()
+    none = co.section(body, [rest, rest], event, *given)
+    assert none.x.shape == (2, 0, 3) and none.t.shape == (2, 0) and none.counts.tolist() == [0, 0]
+    assert co.section(body, rest, event, *given).counts.tolist() == [0]
+    assert repr(found) == f"<section: {2 * len(own.events)} crossings of x2 by 6 members>"
+
+
+def test_every_argument_reaches_the_run(monkeypatch):
+    body, x0, seen = co.systems.rigid_body(inertia=(1, 2, 3)), [(0.1, 1.0, 0.1)] * 2, []
+
+    def recorded(*given, **options):
+        seen.append((given, options))
+        return co.integrate(*given, **options)
+
+    monkeypatch.setattr("coadjoint.runs.section.integrate", recorded)
+    event, method = co.Event("x2", -1, name="down"), co.GaussLegendre(2)
+    co.section(body, x0, event, (1, 41), 0.125, method, crossings=2, threads=1)
+    co.section(body, x0, event, (1, 21), accuracy=1e-6, method=method)
+    (one, options), (two, others) = seen
+    assert one == (body, x0, (1, 41), 0.125, method) and two == (body, x0, (1, 21), None, method)
+    assert (options["threads"], others["threads"]) == (1, None) and (options["accuracy"], others["accuracy"]) == (
+        None,
+        1e-6,
+    )
+    asked = options["events"]
+    assert (asked.g, asked.direction, asked.count, asked.terminal, asked.name) == ("x2", -1, 2, True, "down")
+    assert others["events"] is event and not options["progress"] and not options["watch"]

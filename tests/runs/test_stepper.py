@@ -141,3 +141,17 @@ def test_other_refusals():
             co.Splitting(),
             0.1,
         )
+
+
+@pytest.mark.parametrize("method", [METHODS[2], METHODS[4]], ids=str)
+@pytest.mark.parametrize("name", ["A3,7", "driven so(4)"])
+def test_the_tangent_of_a_step_back_is_the_inverse(name, method):
+    """Symmetric schemes: from the state and the time where the step ends."""
+    s, x = setup(name)
+    there, back = (co.stepper(s, method, h) for h in (0.125, -0.125))
+    y = there(x, t=0.5)
+    P, Q = there.tangent(x, t=0.5), back.tangent(y, t=0.625)
+    # A step rounds some hundred times, or iterates until its stages stand still up to some rounding.
+    assert np.abs(Q @ P - np.eye(s.dim)).max() <= 512 * U * np.linalg.norm(P) * np.linalg.norm(Q)
+    assert np.abs(P - np.eye(s.dim)).max() > 0.01
+    assert there.tangent_by(x, t=0.5) == back.tangent_by(y, t=0.625) == "formula"

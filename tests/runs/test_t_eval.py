@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import state_at
+from coadjoint.runs import any_time, state_at
 from failing_parts import failing_parts
 from group_elements import random_element
 
@@ -264,6 +264,57 @@ def test_a_part_of_a_step_that_fails_is_felt_by_its_member_alone(monkeypatch, wa
     assert np.array_equal(found.energy[:, [0, 2]], whole.energy[:, [0, 2]])
     assert np.array_equal(found.x[:3, 1], whole.x[:3, 1]) and np.isnan(found.x[3:, 1]).all()
     assert np.isnan(found.energy[3:, 1]).all() and found.failed.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("x", [X, np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])], ids=["one", "three"])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_times_that_are_reached_in_pieces(monkeypatch, x, way):
+    """However many states are computed at once, each of them is the same."""
+    times = way * np.array([0.0, 0.01, 0.02, 0.25, 0.26, 0.3, 0.31, 0.5, 0.8, 0.99, 1.0])
+    given = {"attitude": True, "t_eval": times}
+    whole = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
+    for rows in (1, 4, 7):
+        monkeypatch.setattr(any_time, "ROWS", rows)
+        found = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
+        for name in ("t", "x", "energy", "attitude"):
+            assert np.array_equal(getattr(found, name), getattr(whole, name)), name
+        assert np.array_equal(found.casimirs["|x|^2"], whole.casimirs["|x|^2"])
+
+
+def test_noise_has_no_states_between_the_steps_of_any_member():
+    spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
+    baths = [spin.with_forces(co.forces.HeatBath(0.1, 0.5, seed=m)) for m in range(2)]
+    batch, x = co.batch(baths), np.array([X, 2 * X])
+    every = co.integrate(batch, x, (0, 1), STEP)
+    refused = pytest.raises(ValueError, match=r"HeatBath of .* is a noise, drawn once for a step")
+    with refused:
+        co.integrate(batch, x, (0, 1), STEP, t_eval=[0.5, 0.55])
+    with refused:
+        co.integrate(batch, x, (0, 1), STEP, events=co.Event("x1"))
+    with refused:
+        every.at([0.55])
+    found = co.integrate(batch, x, (0, 1), STEP, t_eval=every.t[2:5])
+    assert np.array_equal(found.x, every.x[2:5])
+
+
+def test_times_are_those_that_were_given_whatever_becomes_of_them():
+    times, x, g = np.array([0.0, 0.3, 0.7]), X.copy(), random_element(BODY.representation, 2)
+    sol = co.integrate(BODY, x, (0, 1), STEP, co.Splitting(order=4), attitude=g, t_eval=times)
+    same = co.integrate(BODY, X, (0, 1), STEP, co.Splitting(order=4), attitude=g.copy(), t_eval=times.copy())
+    times[:], x[:], g[:] = 0.5, 7.0, 2.0 * np.eye(3)
+    for name in ("t", "t_eval", "x", "x0", "attitude", "attitude0", "energy"):
+        assert np.array_equal(getattr(sol, name), getattr(same, name)), name
+    assert np.array_equal(sol.at(0.6).x, same.at(0.6).x)
+
+
+@pytest.mark.parametrize("step", [STEP, 2.0**-13])
+def test_more_times_than_there_is_memory_for(monkeypatch, step):
+    """Between the steps, or at steps: as many saved points, which save_every would not change."""
+    monkeypatch.setattr("coadjoint.runs.room.SMALL", 0)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 2 * 10**5)
+    monkeypatch.setattr("coadjoint.runs.any_time.PartsOfSteps", None)  # nothing is computed
+    with pytest.raises(ValueError, match=r"^\d+ saved points of 1 member need about .* give fewer times in t_eval$"):
+        co.integrate(BODY, X, (0, 1), step, t_eval=np.linspace(0.0, 1.0, 2**13 + 1))
 
 
 @pytest.mark.parametrize("end", [80.0, -80.0])

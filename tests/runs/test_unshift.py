@@ -219,3 +219,19 @@ def test_an_attitude_that_overflows_is_said(together, sense):
     sound = np.isfinite(partial.attitude).reshape(len(partial.t), -1).all(axis=1)
     assert np.isfinite(partial.x).all() and sound[:11].all() and not sound[-1]
     assert raised.value.time == partial.t[np.argmin(sound)]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("members", [1, 30])
+@pytest.mark.parametrize("x0", [(0.1, 1.0, 0.2), (-0.1, -1.0, -0.2), (0.1, 0.2, -1.0)], ids=str)
+def test_an_attitude_overflows_whatever_the_signs(x0, members, way):
+    """Of the momentum and of the step; also if all members but the last one are slow."""
+    M = np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0])
+    system = co.LiePoissonSystem(co.algebras.get("so(2,1)"), co.Quadratic(M))
+    crowd = 1e-6 * np.ones((members, 3))
+    crowd[-1] = x0
+    with pytest.raises(co.IntegrationError, match=r"the attitude at t = .* take a shorter span"):
+        co.integrate(system, crowd, (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
+    if members > 1:
+        calm = co.integrate(system, crowd[:-1], (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
+        assert np.isfinite(calm.attitude).all()

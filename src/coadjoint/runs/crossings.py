@@ -246,7 +246,7 @@ def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: 
     if isinstance(g, Polynomial | Quadratic):
         return g
     timed = takes_time(g, name)
-    value = g(start, t0) if timed else g(start)
+    value = g(start.copy(), t0) if timed else g(start.copy())
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
         raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
     if isinstance(moved, MatrixSystem):

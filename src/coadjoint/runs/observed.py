@@ -37,7 +37,7 @@ class Observed:
             start = self._matrices.states(x0)
             _check_of_matrices(self._matrices, observe)
         for name, given in observe.items():
-            value = _value_at(given, name, start)
+            value = _value_at(given, name, start.copy())
             if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
                 raise TypeError(
                     f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
@@ -64,7 +64,7 @@ class Observed:
         timed = takes_time(function, name)
         found = np.full(points.shape[:2], np.nan)
         for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
-            W = system.states(points[k, m, : system.dim])
+            W = system.states(points[k, m, : system.dim].copy())
             value = function(W, float(t[k])) if timed else function(W)
             found[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
         return found

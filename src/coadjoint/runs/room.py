@@ -29,7 +29,8 @@ def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     points = (free - (need - one * times.points)) // one
     # The start and the end are always saved.
     every = -(-times.steps // (points - 1)) if points >= 2 else 0
-    right = f"give save_every={every} or more" if every else "run fewer members at a time"
+    fewer = f"give save_every={every} or more" if times.marks is None else "give fewer times in t_eval"
+    right = fewer if every else "run fewer members at a time"
     raise ValueError(
         f"{short(times.points)} saved points of {members} member{'s' if members > 1 else ''} need about "
         f"{in_words(need)}; this machine has {in_words(free)} free; {right}"
