@@ -99,7 +99,9 @@ def test_whether_lines_are_drawn_is_seen_on_a_member_that_lives_with_its_own_fie
     systems = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, w])) for w in (first, other)]
     t = T0 + 0.1 * np.arange(200)
     sense = np.sign(systems[0].vector_field(np.array([1.0, 0.0, 0.0]))[1])
-    x = np.stack([np.stack([np.cos(w * (t - T0)), sense * np.sin(w * (t - T0)), 0.0 * t], -1) for w in (first, other)], 1)
+    x = np.stack(
+        [np.stack([np.cos(w * (t - T0)), sense * np.sin(w * (t - T0)), 0.0 * t], -1) for w in (first, other)], 1
+    )
     x[1:, 0] = np.nan
     run = SimpleNamespace(
         t=t, x=x, system=co.batch(systems), failed=np.array([True, False]), carried=None, attitude=None
@@ -122,7 +124,7 @@ def made(deviations: Any, energy: Any, failed: Any = None) -> Any:
 def test_the_worst_casimirs_are_those_of_the_members_that_live_and_the_band_spans_all():
     rng = np.random.default_rng(1)
     sizes = np.array([3.0, 40.0, 2.0, 30.0, 1.0, 20.0, 10.0])
-    deviations = sizes[:, None, None] * 2.0 ** -10 * rng.integers(-64, 64, size=(7, 12, 2))
+    deviations = sizes[:, None, None] * 2.0**-10 * rng.integers(-64, 64, size=(7, 12, 2))
     deviations[:, 0] = 0.0
     deviations[:, 5, 0] = sizes[:, None].T * 2.0**-4
     deviations[:, 6:, 1] = np.nan
