@@ -129,6 +129,7 @@ def test_the_worst_casimirs_are_those_of_the_members_that_live_and_the_band_span
     deviations[:, 5, 0] = sizes[:, None].T * 2.0**-4
     deviations[:, 6:, 1] = np.nan
     deviations[2, 3] = 0.0
+    deviations[[1, 3, 5, 6], -1, 0] = 2.0**-30
     run = made(deviations, np.zeros((12, 2)), np.array([False, True]))
     axes = axes_of(run, "drift")
     labels = [text.get_text() for text in axes.get_legend().get_texts()]

@@ -21,7 +21,7 @@ from coadjoint.pictures.movie import frames_of
 from coadjoint.pictures.projections import PROJECTIONS
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.section import draw_crossings
-from coadjoint.pictures.spatial import _raised
+from coadjoint.pictures.spatial import _raised, axis_in_space
 from coadjoint.pictures.style import INK, colour
 from coadjoint.systems.telling import Picture
 
@@ -258,7 +258,7 @@ def rotations(axis: Any, angles: np.ndarray) -> np.ndarray:
 
 def test_axes_in_space_of_members_that_hang_down():
     """The vertical of each member is its own, and is up in the picture, whatever its direction in the attitude."""
-    A = np.stack([rotations((1, 2, 2), TURN), rotations((0, 1, 0), -TURN)], axis=1)
+    A = np.stack([rotations((1, 2, 2), 0.7 + TURN), rotations((0, 1, 0), 0.4 - TURN)], axis=1)
     down = np.array([0.0, 0.0, -2.0]), np.array([1.0, 1.0, 0.5])
     x = np.stack([np.einsum("kji,j->ki", A[:, m], down[m]) for m in range(2)], axis=1)
     run = made(x, attitude=A, carried="representation")
@@ -268,6 +268,8 @@ def test_axes_in_space_of_members_that_hang_down():
         pointing = A[:, m] @ given / 5.0
         wanted = np.degrees(np.arccos(pointing @ down[m] / np.linalg.norm(down[m])))
         np.testing.assert_allclose(axes.lines[2 * m].get_ydata(), wanted, rtol=0, atol=1e-6)
+    path, _ = axis_in_space(Drawn(run), given, None)
+    np.testing.assert_allclose(path, np.swapaxes(A @ given, 0, 1) / 5.0, rtol=0, atol=1e-15)
     assert given.tolist() == [0.0, 3.0, 4.0] and axes.get_title() == "nutation of the axis of the body"
     for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
         with pytest.raises(ValueError, match="the number of an axis, or a direction"):
@@ -275,12 +277,12 @@ def test_axes_in_space_of_members_that_hang_down():
 
 
 def test_a_nutation_ends_for_each_member_where_it_has_turned_enough():
-    fast, slow = rotations((0, 0, 1), 2.0 * TURN), rotations((0, 0, 1), -0.2 * TURN)
+    fast, slow = rotations((0, 0, 1), -2.0 * TURN), rotations((0, 0, 1), 0.2 * TURN)
     tilt = rotations((0, 1, 0), np.full(200, 0.3))
     A = np.stack([fast @ tilt, slow @ tilt], axis=1)
     run = made(np.ones((200, 2, 3)), attitude=A, carried="representation")
     axes = axes_of(run, "nutation", turns=0.5)
-    ends = [np.degrees(2.0 * TURN), np.degrees(-0.2 * TURN)]
+    ends = [np.degrees(-2.0 * TURN), np.degrees(0.2 * TURN)]
     for m, azimuth in enumerate(ends):
         kept = azimuth[np.abs(azimuth) <= 180.0 + 1e-9]
         np.testing.assert_allclose(axes.lines[2 * m].get_xdata()[: len(kept) - 1], kept[:-1], rtol=0, atol=1e-9)
@@ -350,6 +352,15 @@ def test_the_surface_is_that_of_the_first_member_drawn(members):
     assert axes.get_title().startswith(several if len(members) > 1 else "orbit on the level surface of $|x|^2$")
 
 
+def test_orbits_without_a_surface_are_framed_with_every_member():
+    bare = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.7]), casimirs={})
+    x = np.random.default_rng(7).normal(size=(30, 3, 3)) * np.array([1.0, 5.0, 2.0])[:, None] + 3.0
+    axes = axes_of(made(x, bare), "coadjoint orbit")
+    for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
+        assert low < x[..., i].min() and x[..., i].max() < high
+    assert "no Casimir is known" in axes.get_title() and not axes.collections
+
+
 def test_long_curves_keep_their_first_and_last_points():
     count = 45_000
     x = np.random.default_rng(4).normal(size=(count, 3))
@@ -375,23 +386,23 @@ def test_surfaces_in_a_box_with_unequal_edges():
 
 @pytest.mark.parametrize("given", ["modes", "values"])
 def test_a_field_stands_along_its_axes_in_one_scale(given):
-    """f = x1 X + x2 Y^2: its bands along Y = 0 and along X = 0 are known."""
+    """f = x1 X + x2 Y^2 - 3 x3 X: its bands along Y = 0 and along X = 0 are known."""
     s = np.linspace(0.0, 1.0, 11)
-    x = np.stack([1.0 - 3.0 * s, 0.25 * s, 0.0 * s], axis=-1)
+    x = np.stack([1.0 - 3.0 * s, 0.25 * s, 0.1 * s], axis=-1)
     edge = np.linspace(0.0, 2.0, 161)
     X, Y = np.meshgrid(edge, edge)
-    f = lambda x: x[0] * X + x[1] * Y**2  # noqa: E731
-    options: dict[str, Any] = {"modes": lambda body, X, Y: [X, Y**2, 0.0 * X]}
+    f = lambda x: (x[0] - 3.0 * x[2]) * X + x[1] * Y**2  # noqa: E731
+    options: dict[str, Any] = {"modes": lambda body, X, Y: [X, Y**2, -3.0 * X]}
     if given == "values":
         options = {"values": lambda body, x: f(x)}
     axes = axes_of(made(x), "field", width=lambda body: 2.0, at=0.5, label="w", **options)
     (bands,) = axes.collections
-    largest = 2.0 * 2.0 + 0.25 * 4.0 if given == "modes" else max(np.abs(f(x[k])).max() for k in (0, 5, 10))
+    largest = 2.0 * 2.0 + 0.25 * 4.0 + 0.1 * 6.0 if given == "modes" else max(np.abs(f(x[k])).max() for k in (0, 5, 10))
     np.testing.assert_allclose(bands.levels, np.linspace(-largest, largest, 21), rtol=0, atol=1e-12)
     for low, high, path in zip(bands.levels[:-1], bands.levels[1:], bands.get_paths(), strict=True):
         if len(path.vertices):
             right, up = path.vertices.T
-            own = x[5, 0] * right + x[5, 1] * up**2
+            own = (x[5, 0] - 3.0 * x[5, 2]) * right + x[5, 1] * up**2
             # Interpolation in cells of 2 / 160 is wrong by an eighth of the square times the second derivative.
             assert low - 1e-4 <= own.min() and own.max() <= high + 1e-4
     assert axes.get_title() == f"w at $t$ = {T0 + 0.05:.4g}" and axes.get_xlim() == axes.get_ylim() == (0.0, 2.0)
@@ -412,12 +423,25 @@ def test_spectra_of_matrices_over_the_part_of_the_eigenvalues_below():
 
 def test_the_six_scales_with_the_largest_share_at_any_time_are_drawn():
     fluid = co.systems.sphere_euler(12)
-    W = np.stack([fluid.random(1, degrees=(k, k + 1)) for k in (9, 4, 6)])
+    # Two scales have a share at all times, six others a larger one at one time, of another size each.
+    always = fluid.random(4, degrees=(2, 3))
+    parts = [fluid.random(1, degrees=(k, k + 1)) for k in (9, 4, 6)]
+    W = np.stack(
+        [
+            c * (part / fluid.energy(part) ** 0.5 + 0.6 * always / fluid.energy(always) ** 0.5)
+            for c, part in zip((0.1, 1.0, 3.0), parts, strict=True)
+        ]
+    )
     axes = axes_of(made(W, fluid, np.array([T0, T0 - 1.0, T0 - 5.0])), "energy by scale")
-    shares = np.array([fluid.energy_spectrum(w)[1] / fluid.energy_spectrum(w)[1].sum() for w in W])
-    assert [line.get_label() for line in axes.lines] == [f"$l = {l}$" for l in (4, 5, 6, 7, 9, 10)]
-    for line, l in zip(axes.lines, (4, 5, 6, 7, 9, 10), strict=True):
-        np.testing.assert_allclose(data(line), [[T0, T0 - 1.0, T0 - 5.0], shares[:, l - 1]], rtol=1e-12, atol=1e-15)
+    energies = np.array([fluid.energy_spectrum(w)[1] for w in W])
+    shares = energies / energies.sum(axis=1)[:, None]
+    largest, means, sizes = (
+        np.sort(np.argsort(-values)[:6]) for values in (shares.max(axis=0), shares.mean(axis=0), energies.max(axis=0))
+    )
+    assert largest.tolist() != means.tolist() and largest.tolist() != sizes.tolist()
+    assert [line.get_label() for line in axes.lines] == [f"$l = {i + 1}$" for i in largest]
+    for line, i in zip(axes.lines, largest, strict=True):
+        np.testing.assert_allclose(data(line), [[T0, T0 - 1.0, T0 - 5.0], shares[:, i]], rtol=1e-12, atol=1e-15)
     assert axes.get_ylim()[0] == 0.0
 
 
@@ -498,6 +522,8 @@ def test_the_fastest_attitude_of_a_batch_decides(sense):
     first = filled.rotation[1][:, :, 0]
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     assert 0.9 * 0.14 < turned.max() <= 0.14 * (1.0 + 1e-9)
+    chosen = Drawn(run, [1]).between
+    np.testing.assert_array_equal(chosen.rotation[0][np.isin(chosen.t, run.t)], run.attitude[:, 1, :3, :3])
 
 
 # Figures
@@ -533,7 +559,7 @@ def test_components_asked_for_are_those_of_the_figure():
 def test_crossings_are_drawn_for_the_coordinates_that_vary_most():
     rng = np.random.default_rng(6)
     top = co.systems.heavy_top()
-    x = rng.normal(size=(30, 6)) * [0.1, 3.0, 0.2, 0.0, 2.0, 0.3] + [0.0, 0.0, 50.0, 9.0, 0.0, 0.0]
+    x = rng.normal(size=(30, 6)) * [0.1, 2.0, 0.2, 0.0, 3.0, 0.3] + [0.0, 0.0, 50.0, 9.0, 0.0, 0.0]
     events = SectionOf(x, rng.integers(0, 11, 30), top)
     figure = draw_crossings(events)
     (axes,) = figure.axes
@@ -561,6 +587,11 @@ def test_what_the_page_says_of_a_run():
     text = _told(run)
     assert text.startswith("rigid_body(inertia=(1.0, 2.0, 3.0)), ") and "step 0.1, t from 7.3 to 5.3;" in text
     assert f"up to {np.abs(run.energy).max():.1e}, stays within {run.drift()['energy']:.1e}" in text
+
+
+def test_the_page_has_the_size_of_negative_energies():
+    run = co.integrate(SPIN, (1.0, 0.0, -0.5), (T0, T0 + 1.0), 0.1)
+    assert "the energy, up to 5.0e-01" in _told(run)
 
 
 def test_modified_energies_of_long_runs_are_thinned_in_step():

@@ -249,21 +249,21 @@ class Solid:
             yield memoryview(frame)
 
 
-SHADES = [(200, 30, 40), (20, 120, 210), (0, 0, 0), (90, 200, 10), (247, 247, 247), (252, 252, 252)]
+SHADES = [(200, 30, 40), (255, 120, 0), (20, 120, 210), (0, 0, 0), (90, 200, 10), (247, 247, 247), (252, 252, 252)]
 
 
 def test_a_gif_has_the_colours_of_its_frames_and_repeats(tmp_path):
     path = tmp_path / "run.gif"
     write_movie(Solid(SHADES), path, 12.5)
     with Image.open(path) as movie:
-        assert (movie.n_frames, movie.size, movie.info["loop"]) == (6, (30, 20), 0)
+        assert (movie.n_frames, movie.size, movie.info["loop"]) == (7, (30, 20), 0)
         for k, shade in enumerate(SHADES):
             movie.seek(k)
             assert movie.info["duration"] == 80
             seen = np.asarray(movie.convert("RGB"))
             wanted = (255, 255, 255) if min(shade) >= 248 else shade
             np.testing.assert_array_equal(seen[:10], np.broadcast_to(wanted, (10, 30, 3)))
-            assert (seen[10:, 6:] == 255).all()
+            assert (seen[10:, 7:] == 255).all()
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])

@@ -157,7 +157,7 @@ def test_series_of_members_in_the_order_in_which_they_are_chosen(sense, members)
 
 def test_of_many_observations_the_first_eight_are_drawn():
     t, values = uneven(5, 1.0), np.arange(5.0)
-    observed = {f"q{i}": values + i for i in range(10)}
+    observed = {"vector": np.ones((5, 2)), **{f"q{i}": values + i for i in range(10)}}
     axes = axes_of(made(t, np.ones((5, 3)), observed=observed), "observed")
     assert [line.get_ydata()[0] for line in axes.lines] == list(range(8)) and axes.get_title() == "observed (8 of 10)"
 
@@ -237,7 +237,10 @@ def test_envelopes_have_the_colour_of_their_line_and_leave_out_what_overflows():
     assert (heights.min(), heights.max()) == (small.min(), small.max()) and band.get_label() == "x"
 
 
-@pytest.mark.parametrize(("alone", "style"), [(slice(1, None, 2), "None"), (slice(30, 31), "-"), (slice(0, 0), "-")])
+@pytest.mark.parametrize(
+    ("alone", "style"),
+    [(slice(1, None, 2), "None"), (slice(2, None, 3), "-"), (slice(30, 31), "-"), (slice(0, 0), "-")],
+)
 def test_points_between_gaps_are_dots_since_lines_do_not_show_them(alone, style):
     t, values = uneven(100, 1.0), np.linspace(1.0, 2.0, 100)
     values[alone] = np.nan
