@@ -1,8 +1,13 @@
 """The figure of a certificate."""
 
+from itertools import pairwise
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 import coadjoint as co
+from coadjoint.pictures.certificate import BAD, GOOD, OPEN, draw_certificate
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 
@@ -24,3 +29,80 @@ def test_every_panel_is_drawn(tmp_path):
 def test_what_could_not_be_measured_is_said():
     figure = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), 0.1, steps=20).plot()
     assert [text.get_text() for text in figure.axes[0].texts] == ["every state rests"]
+
+
+def row(key, evidence=None, **given):
+    """Return a row of a certificate as data."""
+    told = {"what": key, "declared": "yes", "claimed": True, "verdict": "holds", "reason": "", "value": None}
+    return SimpleNamespace(key=key, evidence=evidence or {}, **{**told, **given})
+
+
+def certificate(rows, **given):
+    subject = {"system": {"name": "a $body"}, "scheme": {"shown": "of mine"}, "step": -0.25}
+    return SimpleNamespace(**{"rows": rows, "subject": subject, "passed": True, "declares": True, **given})
+
+
+def data(line):
+    return np.asarray(line.get_data(), dtype=np.float64)
+
+
+STEPS = np.array([0.4, 0.2, 0.1, 0.05])
+
+
+@pytest.mark.parametrize("of", ["of single steps", "of the run"])
+def test_errors_defects_and_deviations_are_the_evidence(of):
+    errors, rounding = 3.0 * STEPS**2, np.array([1e-15, 2e-15, 4e-15, 9e-15])
+    fitted = {"fitted steps": STEPS[1:], "fitted errors": 5.0 * STEPS[1:] ** 3, "fitted of": of}
+    times = -np.array([0.0, 0.5, 1.5, 4.0])
+    deviations = np.array([[0.0, 0.0], [3.0, -4.0], [0.0, 0.0], [1.0, 7.0]])
+    rows = [
+        row("order", {"steps": STEPS, "errors": errors, "round-off": rounding, **fitted}, value=2.0),
+        row("symmetry", {"steps": STEPS, "defects": STEPS**3, "slope": 3.0}, verdict="fails"),
+        row("reversibility"),
+        row("poisson", {"steps": STEPS, "defects": STEPS**5, "slope": 4.96}, verdict="not decided"),
+        row("energy", {"times": times, "deviations": deviations}, verdict="not decided", claimed=False),
+        row("casimir |x|^2", {"times": times, "deviations": 0.5 * deviations}),
+    ]
+    figure = draw_certificate(certificate(rows))
+    convergence, defects, invariants, verdicts = figure.axes
+    np.testing.assert_array_equal(data(convergence.lines[0]), [STEPS, errors])
+    np.testing.assert_array_equal(data(convergence.lines[1]), [STEPS, rounding])
+    alone = of == "of single steps"
+    slope = {line.get_label(): line for line in convergence.lines}[f"$h^{{{3.0 if alone else 2.0:.2f}}}$"]
+    wanted = 5.0 * STEPS[-1] ** 3 * (STEPS[1:] / STEPS[-1]) ** (3.0 if alone else 2.0)
+    np.testing.assert_allclose(data(slope), [STEPS[1:], wanted], rtol=1e-12)
+    singles = [line for line in convergence.lines if line.get_label() == "error of a step"]
+    assert len(singles) == alone and all(np.array_equal(line.get_ydata(), 5.0 * STEPS[1:] ** 3) for line in singles)
+    assert set(convergence.lines[-1].get_xdata()) == {0.25}
+    for axes in (convergence, defects, invariants):
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    for line, power, label in zip(
+        defects.lines, (3, 5), ("step back, $h^{3.0}$", "Poisson bracket, $h^{5.0}$"), strict=True
+    ):
+        np.testing.assert_array_equal(data(line), [STEPS, STEPS**power])
+        assert line.get_label() == label
+    sizes = np.array([12.5**0.5, np.nan, 5.0])
+    for line, part, label in zip(invariants.lines, (1.0, 0.5), ("$H$", "$|x|^2$"), strict=True):
+        np.testing.assert_allclose(data(line), [[0.5, 1.5, 4.0], part * sizes], rtol=1e-15)
+        assert line.get_label() == label
+    texts = {text.get_text(): text for text in verdicts.texts}
+    heights = [texts[each.key].get_position()[1] for each in rows]
+    assert all(high > low for high, low in pairwise(heights)) and 0.0 < heights[-1] < heights[0] < 1.0
+    shades = {(text.get_text(), text.get_position()[1]): text.get_color() for text in verdicts.texts}
+    found = [shades[each.verdict, height] for each, height in zip(rows, heights, strict=True)]
+    assert found == [GOOD, BAD, GOOD, BAD, OPEN, GOOD]
+    assert figure.get_suptitle() == r"a \$body,  of mine,  step -0.25:  passed"
+
+
+@pytest.mark.parametrize(
+    ("passed", "declares", "said"),
+    [(False, True, "not passed"), (True, True, "passed"), (True, False, "nothing declared")],
+)
+def test_certificates_without_measurements(passed, declares, said):
+    rows = [row("order", reason="every state rests"), row("symmetry"), row("reversibility"), row("poisson")]
+    still = {"times": [0.0, 1.0], "deviations": np.zeros((2, 3))}
+    for more, text in (([], "no invariant is followed"), ([row("energy", still)], "no deviation in any bit")):
+        figure = draw_certificate(certificate([*rows, *more], passed=passed, declares=declares))
+        texts = [[found.get_text() for found in axes.texts] for axes in figure.axes[:3]]
+        assert texts == [["every state rests"], ["no defect above round-off"], [text]]
+        assert figure.get_suptitle().endswith(f":  {said}")

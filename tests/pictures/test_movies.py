@@ -3,6 +3,7 @@
 import os
 import stat
 import sys
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 
 import coadjoint as co
 from coadjoint import cli
+from coadjoint.files.movie_file import check_speed, write_movie
 from coadjoint.files.output import OutputError
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.movie import frames_of
@@ -228,3 +230,87 @@ def test_a_crowd_shows_its_first_member(tmp_path):
     for name, each in (("crowd", run), ("one", single)):
         each.movie(tmp_path / f"{name}.gif", frames=2, **SMALL)
     assert (tmp_path / "crowd.gif").read_bytes() == (tmp_path / "one.gif").read_bytes()
+
+
+class Solid:
+    """Frames of one colour each, below a bar with all colours, (height, width) = (20, 30)."""
+
+    def __init__(self, shades, broken=None):
+        self.shades, self.broken = np.array(shades, dtype=np.uint8), broken
+        self.count, self.size = len(shades), (30, 20)
+
+    def __iter__(self):
+        for k, shade in enumerate(self.shades):
+            if k == self.broken:
+                raise ArithmeticError("a frame cannot be drawn")
+            frame = np.full((20, 30, 4), 255, dtype=np.uint8)
+            frame[:10, :, :3] = shade
+            frame[10:, : len(self.shades), :3] = self.shades
+            yield memoryview(frame)
+
+
+SHADES = [(200, 30, 40), (255, 120, 0), (20, 120, 210), (0, 0, 0), (90, 200, 10), (247, 247, 247), (252, 252, 252)]
+
+
+def test_a_gif_has_the_colours_of_its_frames_and_repeats(tmp_path):
+    path = tmp_path / "run.gif"
+    write_movie(Solid(SHADES), path, 12.5)
+    with Image.open(path) as movie:
+        assert (movie.n_frames, movie.size, movie.info["loop"]) == (7, (30, 20), 0)
+        for k, shade in enumerate(SHADES):
+            movie.seek(k)
+            assert movie.info["duration"] == 80
+            seen = np.asarray(movie.convert("RGB"))
+            wanted = (255, 255, 255) if min(shade) >= 248 else shade
+            np.testing.assert_array_equal(seen[:10], np.broadcast_to(wanted, (10, 30, 3)))
+            assert (seen[10:, 7:] == 255).all()
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+@pytest.mark.parametrize("broken", [0, 3])
+def test_a_frame_that_cannot_be_drawn_leaves_the_old_movie(tmp_path, ffmpeg, suffix, broken):
+    ffmpeg(KEEPER)
+    path = tmp_path / f"run{suffix}"
+    path.write_text("kept")
+    with pytest.raises(ArithmeticError, match="cannot be drawn"):
+        write_movie(Solid(SHADES, broken), path, 10.0)
+    assert path.read_text() == "kept" and sorted(file.name for file in tmp_path.iterdir()) == ["programs", path.name]
+
+
+SILENT = """#!{python}
+import sys
+sys.stdin.buffer.read()
+sys.exit(3)
+"""
+WORDY = """#!{python}
+import sys
+print("first of all\\nthe reason is the last line", file=sys.stderr)
+sys.stdin.buffer.read()
+sys.exit(1)
+"""
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        (SILENT, r"run\.mp4: .*\(it ended with status 3\)"),
+        (WORDY, r"could not write it \(the reason is the last line\)"),
+    ],
+)
+def test_a_program_that_reads_every_frame_and_fails_is_reported(tmp_path, ffmpeg, script, said):
+    ffmpeg(script)
+    with pytest.raises(OutputError, match=said):
+        write_movie(Solid(SHADES), tmp_path / "run.mp4", 10.0)
+    assert [file.name for file in tmp_path.iterdir()] == ["programs"]
+
+
+def test_speeds_and_sizes_of_movies(tmp_path):
+    assert check_speed(50, Path("run.gif")) == 50.0 and check_speed(120, Path("run.mp4")) == 120.0
+    for rate in (0.0, -1.0, np.nan, np.inf, 50.5):
+        with pytest.raises(ValueError, match="fps"):
+            check_speed(rate, Path("run.gif"))
+    huge = Solid(SHADES, broken=0)
+    huge.count, huge.size = 10**6, (4096, 4096)
+    with pytest.raises(ValueError, match="a GIF of so many frames needs about"):
+        write_movie(huge, tmp_path / "run.gif", 10.0)
+    assert not list(tmp_path.iterdir())

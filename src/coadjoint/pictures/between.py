@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.systems.points import QUIET
+
 if TYPE_CHECKING:
     from coadjoint.pictures.drawn import Drawn
     from coadjoint.runs.solution import Solution
@@ -101,6 +103,7 @@ def _turning(drawn: Drawn, m: int, x: Floats, t: float, size: float) -> float:
     return float(np.linalg.norm(drawn.slope(x + dt * field, t + dt, m) - field)) / dt
 
 
+@QUIET
 def fastest_turn(drawn: Drawn) -> float:
     """Return the largest angular speed of the attitude (radians per unit of time); positive also without attitude."""
     rho: Any = getattr(drawn.family, "representation", None)

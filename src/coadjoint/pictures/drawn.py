@@ -215,25 +215,27 @@ class Drawn:
         if self.random or len(kept) < 3:
             return not self.random
         finite = np.isfinite(self.x[:, kept]).all(axis=(1, 2))
-        x = self.x[int(np.argmax(finite))][kept]
+        m = int(np.argmax(finite))
+        x = self.x[m][kept]
         size = float(np.linalg.norm(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0)))
         if not size > 0.0:
             return True
         places = spread(len(kept) - 1, min(SAMPLED, max(FEWEST_SAMPLED, NUMBERS_SAMPLED // self.n)))
-        leaves = [self._bend(x, self.t[kept], int(p)) for p in places]
+        leaves = [self._bend(x, self.t[kept], int(p), m) for p in places]
         return bool(np.quantile(leaves, 0.9) <= part * size)
 
-    def _bend(self, x: Floats, t: Floats, p: int) -> float:
+    def _bend(self, x: Floats, t: Floats, p: int, m: int) -> float:
         dt = float(t[p + 1] - t[p])
-        before, after = (self.slope(x[q], float(t[q])) for q in (p, p + 1))
+        before, after = (self.slope(x[q], float(t[q]), m) for q in (p, p + 1))
         bend = float(np.linalg.norm(after - before)) * abs(dt) / 8.0
         missed = float(np.linalg.norm(0.5 * dt * (before + after) - (x[p + 1] - x[p])))
         found = max(bend, missed)
         return found if np.isfinite(found) else 0.0
 
     def at(self, part: Any) -> int:
-        """Return the index of the saved point at a fraction of the span: 0 is the start, 1 the end."""
-        return round(min(max(read_number(part, "at"), 0.0), 1.0) * (len(self.t) - 1))
+        """Return the index of the saved point nearest to a fraction of the span: 0 is the start, 1 the end."""
+        wanted = self.t[0] + min(max(read_number(part, "at"), 0.0), 1.0) * (self.t[-1] - self.t[0])
+        return int(np.argmin(np.abs(self.t - wanted)))
 
     def state(self, k: int) -> npt.NDArray[Any]:
         """Return a saved state of the first member, in its own shape."""
@@ -245,7 +247,7 @@ class Drawn:
         The latter is a common scale of pictures; `system` is without forces.
         """
         found = {j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}}
-        return found[k], max(float(np.nanmax(np.abs(values))) for values in found.values()) or 1.0
+        return found[k], max(float(np.nanmax(np.abs(values), initial=0.0)) for values in found.values()) or 1.0
 
     def _shaped(self, x: Floats) -> npt.NDArray[Any]:
         return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))

@@ -23,11 +23,16 @@ def flips(system: Any, t: Floats, x: Floats, i: int, most: int | None = None) ->
     places = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) * np.sign(values[1:]) <= 0.0))
     shape = shape_of(system)
     found = []
+
+    def slope(q: int) -> float:
+        # Complex matrices are given as interleaved real and imaginary parts.
+        state = x[q] if x.shape[1] == np.prod(shape) else np.ascontiguousarray(x[q]).view(np.complex128)
+        rate = np.ascontiguousarray(system.vector_field(state.reshape(shape), float(t[q])), dtype=state.dtype)
+        return float(rate.view(np.float64).ravel()[i])
+
     for p in places[:most]:
         dt = float(t[p + 1] - t[p])
-        before, after = (
-            dt * float(np.asarray(system.vector_field(x[q].reshape(shape), float(t[q]))).ravel()[i]) for q in (p, p + 1)
-        )
+        before, after = (dt * slope(q) for q in (p, p + 1))
         found.append(float(t[p]) + dt * _root(float(values[p]), float(values[p + 1]), before, after))
     return np.array(found)
 

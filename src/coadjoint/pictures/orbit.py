@@ -14,6 +14,7 @@ from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.style import COLOURS, GRID, INK, colour, dots, symbol
 
 SURFACE = "#B8CCE0"
+FARTHEST = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
 LIGHT = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
 
 
@@ -40,6 +41,7 @@ def draw_orbit(
     stays on the surface, unlike with forces.
     """
     name = surface_casimir(casimirs)
+    members = np.where(np.abs(members) < FARTHEST, members, np.nan)
     box = _box_of(members)
     what = "orbit" if joined else "points of the orbit"
     title = f"{what} (no Casimir is known)"

@@ -62,9 +62,9 @@ def turning_points(values: Floats) -> int:
 
 
 def envelope(t: Floats, values: Floats, columns: int) -> tuple[Floats, Floats, Floats]:
-    """Return the smallest and largest finite value in each of at most `columns` time intervals of equal length.
+    """Return the smallest and largest finite value in each of at most `columns` groups of successive points.
 
-    The times `middle` begin and end with those of the series; values are NaN in intervals without finite ones.
+    The times `middle` begin and end with those of the series; values are NaN in groups without finite ones.
     """
     starts = np.unique(np.linspace(0, len(t), min(columns, len(t)) + 1).astype(np.int64))[:-1]
     ends = np.append(starts[1:], len(t)) - 1

@@ -76,7 +76,11 @@ def draw_solution(
 def _components(drawn: Drawn, chosen: Any) -> Picture:
     """Return the picture of components: those requested, else those that the system declares."""
     if chosen is not None:
-        return Picture("components", chosen=read_list(chosen, "components", "give numbers or names of coordinates"))
+        rule = "give numbers or names of coordinates"
+        listed = read_list(chosen, "components", rule)
+        if not listed:
+            raise ValueError(f"components is empty; {rule}")
+        return Picture("components", chosen=listed)
     return Picture("components") if drawn.telling is None else drawn.telling.components
 
 

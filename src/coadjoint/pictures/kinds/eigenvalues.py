@@ -30,6 +30,8 @@ def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
     if not isinstance(drawn.family, MatrixSystem):
         raise CannotShow(f"the state of {drawn.family.name} is not a matrix, and has no eigenvalues")
     k = drawn.at(at)
+    if not np.isfinite(drawn.x[0, k]).all():
+        raise CannotShow(f"the first member has failed before t = {drawn.t[k]:g}, and has no eigenvalues there")
     first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size

@@ -28,8 +28,9 @@ def energy_by_scale(drawn: Drawn) -> Paint:
     scales = np.asarray(found[0][0])
     energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in found])
     total = energies.sum(axis=1, keepdims=True)
-    shares = np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
-    most = np.sort(np.argsort(-shares.max(axis=0), kind="stable")[:MOST_SCALES])
+    # Failed members leave gaps; a fluid at rest has no shares.
+    shares = np.divide(energies, total, out=0.0 * energies, where=total > 0.0)
+    most = np.sort(np.argsort(-np.nanmax(shares, axis=0), kind="stable")[:MOST_SCALES])
 
     def paint(axes: Any) -> None:
         for place, i in enumerate(most):

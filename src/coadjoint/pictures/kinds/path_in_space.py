@@ -35,7 +35,7 @@ def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
     positions, pointing = g[:, kept][..., :3, 3], g[:, kept][..., :3, number]
 
     def paint(axes: Any) -> None:
-        low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+        low, high = np.nanmin(positions, axis=(0, 1)), np.nanmax(positions, axis=(0, 1))
         reach = 0.09 * float(np.max(high - low)) or 1.0
         for m, (path, direction) in enumerate(zip(positions, pointing, strict=True)):
             style: dict[str, Any] = {"linewidth": 1.2} if drawn.turned_little else dots(len(path))

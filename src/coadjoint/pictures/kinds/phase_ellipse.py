@@ -50,8 +50,7 @@ def phase_ellipse(
         shown = lumps(x, drawn.family)
     else:
         raise TypeError("a phase ellipse needs `moments`, the coordinates of second moments, or a function `lumps`")
-    part = 1.0 if until is None else min(max(read_number(until, "until"), 0.0), 1.0)
-    end = round(part * (len(drawn.t) - 1)) + 1
+    end = drawn.at(1.0 if until is None else read_number(until, "until")) + 1
 
     def paint(axes: Any) -> None:
         from matplotlib import colormaps
