@@ -79,8 +79,10 @@ def test_a_run_is_interpolated_on_an_uneven_grid_and_ends_where_it_ends(several:
     starts = np.array([[1.0, 2.0, 0.5], [0.3, -1.0, 0.4]])
     saved = 3.0 + sense * np.sort(np.random.default_rng(4).permutation(200)[:120]) / 20.0
     run = co.integrate(body, starts if several else starts[1], (3.0, 3.0 + sense * 10.0), 0.05, t_eval=saved)
-    run.x[:] = np.stack([body.exact(x, run.t - 3.0) for x in starts], axis=1) if several else body.exact(
-        starts[1], run.t - 3.0
+    run.x[:] = (
+        np.stack([body.exact(x, run.t - 3.0) for x in starts], axis=1)
+        if several
+        else body.exact(starts[1], run.t - 3.0)
     )
     right = motion_of(body, run, starts[0], 1 if several else None)
     t = np.random.default_rng(5).uniform(min(saved), max(saved), 50)
