@@ -11,9 +11,7 @@ TENSOR = np.array([[3.0, 0.2, -0.1], [0.2, 1.0, 0.15], [-0.1, 0.15, 0.3]])  # of
 
 
 @pytest.mark.parametrize(("sign", "x0"), [(-1, (0.3, 0.4, -2.0)), (1, (-20.0, 4.0, 7.0))])
-def test_a_clock_and_a_turn_about_the_momentum(
-    monkeypatch: pytest.MonkeyPatch, sign: int, x0: tuple[float, ...]
-) -> None:
+def test_a_clock_and_a_turn_about_the_momentum(monkeypatch, sign, x0):
     """x' = s J(x) u, and g' = -s g D(u): the gradient u + c x moves x as before, and turns g by c |x| more.
 
     A clock that is fast by e takes the attitude along by e times its mean speed about the momentum, 2T/|x|.

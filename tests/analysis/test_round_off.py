@@ -10,7 +10,7 @@ STARTS = np.array([[1.0, 0.2, 0.5], [-0.1, 1.0, 0.2], [30.0, -10.0, 20.0], [0.01
 
 
 @pytest.mark.parametrize("shape", [(6, 1), (6, 5), (6, 5, 3), (6, 5, 2, 2), (1, 4)])
-def test_a_walk_has_the_numbers_of_its_definition(shape: tuple[int, ...]) -> None:
+def test_a_walk_has_the_numbers_of_its_definition(shape):
     rng = np.random.default_rng(len(shape))
     deviations = rng.normal(-0.3, 1.0, shape)
     deviations[-1].ravel()[-1] = -9.0  # the largest one is negative, and not the first
@@ -25,7 +25,7 @@ def test_a_walk_has_the_numbers_of_its_definition(shape: tuple[int, ...]) -> Non
         assert walk.bias == pytest.approx(wanted, rel=1e-12)
 
 
-def test_a_walk_from_nothing_grows_without_bound() -> None:
+def test_a_walk_from_nothing_grows_without_bound():
     assert random_walk(np.array([[0.0, 0.0], [1.0, 2.0]]), 0).growth == np.inf
     for early in (-1, 2):
         with pytest.raises(ValueError, match="early"):
@@ -37,7 +37,7 @@ def test_a_walk_from_nothing_grows_without_bound() -> None:
 
 @pytest.mark.parametrize("batch", [False, True])
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
-def test_round_off_of_members_of_all_sizes(batch: bool, order: slice) -> None:
+def test_round_off_of_members_of_all_sizes(batch, order):
     """By the definition, with the gradient and the system of each member, in whichever order they are."""
     bodies = [co.systems.rigid_body((1.0, 2.0, third)) for third in (2.5, 3.0, 2.2, 1.5, 2.9)][order]
     systems = bodies if batch else bodies[:1] * 5
@@ -57,7 +57,7 @@ def test_round_off_of_members_of_all_sizes(batch: bool, order: slice) -> None:
                 assert getattr(found[name], field) == pytest.approx(getattr(wanted, field), rel=1e-12), field
 
 
-def test_orthogonality_and_spatial_momentum_by_their_definitions() -> None:
+def test_orthogonality_and_spatial_momentum_by_their_definitions():
     top = co.systems.heavy_top()
     starts = np.random.default_rng(3).normal(size=(4, 6)) * [[1.0], [30.0], [0.1], [2.0]]
     sol = co.integrate(top, starts, (0, 3.0), 0.1, save_every=5, attitude=True)
@@ -79,7 +79,7 @@ def test_orthogonality_and_spatial_momentum_by_their_definitions() -> None:
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=1e-9)
 
 
-def test_what_is_no_ensemble_is_refused() -> None:
+def test_what_is_no_ensemble_is_refused():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     alone = co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude=True)
     crowd = co.integrate(body, STARTS, (0, 1.0), 0.1, attitude=True)

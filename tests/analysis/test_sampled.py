@@ -14,7 +14,7 @@ OPTIONS = {"save_every": 3, "attitude": True, "observe": {"x3": lambda x: x[...,
 
 
 @cache
-def run(several: bool, on_grid: bool, sense: float = 1.0) -> co.Solution:
+def run(several, on_grid, sense=1.0):
     """Return a run of 30 or 31 steps, of which every third is saved."""
     span = (2.0, 2.0 + sense * (3.0 if on_grid else 3.1))
     return co.integrate(BODY, STARTS if several else STARTS[1], span, 0.1, **OPTIONS)
@@ -35,7 +35,7 @@ KINDS = {
 @pytest.mark.parametrize(("on_grid", "sense"), [(True, -1.0), (False, 1.0)])
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_is_its_array(kind: str, several: bool, on_grid: bool, sense: float) -> None:
+def test_each_kind_is_its_array(kind, several, on_grid, sense):
     signal, array, channels = KINDS[kind]
     sol = run(several, on_grid, sense)
     wanted = np.asarray(array(sol))[:11]
@@ -47,7 +47,7 @@ def test_each_kind_is_its_array(kind: str, several: bool, on_grid: bool, sense: 
         np.testing.assert_array_equal(found.values, np.swapaxes(wide if several else wide[:, None], 0, 1))
 
 
-def test_samples_are_taken_by_their_axes() -> None:
+def test_samples_are_taken_by_their_axes():
     t = np.arange(5) * 0.25
     samples = np.arange(30.0).reshape(5, 2, 3)
     assert sampled(t, samples).values.shape == (2, 5, 3)
@@ -60,7 +60,7 @@ def test_samples_are_taken_by_their_axes() -> None:
 
 @pytest.mark.parametrize("start", [0.0, 5.0, -3.0])
 @pytest.mark.parametrize("step", [0.1, -0.1])
-def test_only_the_last_time_may_be_off_the_grid(start: float, step: float) -> None:
+def test_only_the_last_time_may_be_off_the_grid(start, step):
     t = start + step * np.arange(40)
     for place in (0, 1, 20, 38):
         moved = t.copy()
@@ -76,7 +76,7 @@ def test_only_the_last_time_may_be_off_the_grid(start: float, step: float) -> No
         sampled(t, t, least=41)
 
 
-def test_what_is_no_signal_is_refused() -> None:
+def test_what_is_no_signal_is_refused():
     t = np.arange(4.0)
     for bad in (np.inf, np.nan):
         with pytest.raises(ValueError, match=r"signal\[2, 1\]"):
