@@ -59,6 +59,23 @@ def test_members_are_told_apart_and_do_not_feel_each_other(monkeypatch):
     assert np.array_equal(error_at_end(sol), sol.error_estimate)
 
 
+def test_of_driven_systems_at_their_own_times():
+    spin = co.systems.spin_lattice("chain", 1, field=lambda t: (0.9 * np.cos(2.0 * t), 0.9 * np.sin(2.0 * t), -1.0))
+    span = (4.0, -2.0)
+    driven = co.integrate(spin, (0.6, 0.0, 0.8), span, accuracy=1e-5, method=co.Splitting(order=2), save_every=9)
+    better = co.integrate(spin, (0.6, 0.0, 0.8), span, 6.0 / 1024, co.GaussLegendre(4), save_every=64)
+    assert driven.error_estimate == pytest.approx(np.linalg.norm(driven.x[-1] - better.x[-1]), rel=0.1)
+
+
+def test_of_members_by_their_own_sizes_in_any_order():
+    states = np.array([[1.0, 0.2, 0.5], [0.002, 0.001, 0.003], [2.0, 1.0, -1.5], [0.3, -0.2, 0.6]])[::-1]
+    sol = co.integrate(BODY, states, (4.0, 14.0), accuracy=1e-4, method=co.Splitting(order=2))
+    exact = np.array([BODY.exact(x, 10.0) for x in states])
+    errors = np.linalg.norm(sol.x[-1] - exact, axis=1) / np.linalg.norm(states, axis=1)
+    assert errors.max() > 1e3 * errors.min()
+    assert sol.error_estimate == pytest.approx(errors, rel=0.1)
+
+
 def test_it_does_not_depend_on_how_one_looked():
     runs = [
         co.integrate(BODY, X0, (0, 60), accuracy=1e-9, **options)

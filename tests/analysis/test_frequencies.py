@@ -86,6 +86,71 @@ def test_members_are_what_they_are_alone() -> None:
     assert together(t[:7]) == pytest.approx(signals[:7], abs=1e-12)
 
 
+def test_members_have_their_own_means_orders_and_numbers_of_lines() -> None:
+    """One line, two lines in either order of frequency, none; with two channels of different means."""
+    t = np.arange(2000) * 0.3 - 100.0
+    slow, fast = np.exp(0.5j * t), np.exp(2.1j * t)
+    waves = [2.0 * slow, 0.1 * slow + 1.0 * fast, 3.0 * slow + 0.2 * fast, 0.0 * slow]
+    means = np.array([[1.0, -2.0], [0.0, 5.0], [-7.0, 0.5], [4.0, 3.0]])
+    signal = np.stack([np.stack([wave.real, -2.0 * wave.imag], axis=1) for wave in waves], axis=1) + means
+    found = co.frequencies(t, signal, count=2)
+    wanted = [[0.5, np.nan], [2.1, 0.5], [0.5, 2.1], [np.nan, np.nan]]
+    np.testing.assert_allclose(found.frequency, wanted, rtol=0, atol=1e-12)
+    sizes = [[2.0, np.nan], [1.0, 0.1], [3.0, 0.2], [np.nan, np.nan]]
+    expected = np.multiply.outer(sizes, [1.0, 2.0j])  # -2 Im z is Re(2i z)
+    np.testing.assert_allclose(found.amplitude, expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.mean, means, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found(t[::50]), signal[::50], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found(t[7]), signal[7], rtol=0, atol=1e-10)
+    alone = co.frequencies(t, signal[:, 0], count=2)
+    np.testing.assert_allclose(alone(t[7]), signal[7, 0], rtol=0, atol=1e-10)
+    assert co.frequencies(t, signal[:, 0, 0], count=2)(t[7]) == pytest.approx(signal[7, 0, 0], abs=1e-10)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("kind", ["real", "complex", "complex, negative"])
+def test_diffusion_is_the_later_frequency_minus_the_earlier_one(kind: str, sense: float) -> None:
+    """Of w + 2 c t the halves have mean frequencies that differ by c times the span; later is further along."""
+    t = sense * np.arange(1501) * 0.2
+    rate, c = (-1.5 if kind == "complex, negative" else 1.5), 2e-5
+    phase = rate * t + c * t * np.abs(t)
+    signal = np.cos(phase) if kind == "real" else np.exp(1j * phase)
+    found = co.frequencies(t, signal, count=1)
+    # The window weights a half symmetrically, and the chirp is slow: 0.05 radians off a line over the span.
+    assert found.diffusion[0] == pytest.approx(sense * c * abs(t[-1]) * sense, rel=1e-3)
+    assert found.uncertainty[0] > 0.0
+
+
+@pytest.mark.parametrize("complex_signal", [False, True])
+def test_the_residual_is_the_root_mean_square_of_what_is_left(complex_signal: bool) -> None:
+    t = np.arange(4000) * 0.2
+    weak = np.array([[0.03, 0.04], [0.0, 0.1]])  # members and channels
+    wave, left = np.exp(0.7j * t), np.exp(2.2j * t)
+    signal = wave[:, None, None] + left[:, None, None] * weak
+    found = co.frequencies(t, signal if complex_signal else signal.real, count=1)
+    size = np.sqrt(np.sum(weak**2, axis=1)) / (1.0 if complex_signal else np.sqrt(2.0))
+    assert found.residual == pytest.approx(size, rel=1e-3)
+
+
+def test_a_wider_window_suppresses_the_lines_that_are_left_out() -> None:
+    """By m^-(2p+1) at m bins, here 19.6: by some 380 for each power."""
+    t = np.arange(2001) * 0.1
+    # One more line than wanted is taken along, so that two are needed here.
+    weak = 0.1 * np.cos((1.0 + 19.6 * 2 * np.pi / 200.0) * t) + 0.2 * np.cos(17.0 * t)
+    errors = [abs(co.frequencies(t, np.cos(t) + weak, 1, p).frequency[0] - 1.0) for p in (1, 2, 3)]
+    assert errors[0] > 20.0 * errors[1] > 400.0 * errors[2] > 0.0
+
+
+def test_as_many_lines_as_the_samples_resolve() -> None:
+    t = np.arange(16 * 8) * 0.5
+    assert co.frequencies(t, np.cos(t), count=8, window=1).frequency.shape == (8,)
+    with pytest.raises(ValueError, match="count is 9; 128 samples resolve at most 8"):
+        co.frequencies(t, np.cos(t), count=9, window=1)
+    for window in (0, 13):
+        with pytest.raises(ValueError, match="window"):
+            co.frequencies(t, np.cos(t), window=window)
+
+
 def test_large_ensembles_are_analysed_in_groups(monkeypatch: pytest.MonkeyPatch) -> None:
     from coadjoint.analysis import frequencies as module
 
@@ -244,6 +309,37 @@ def test_integer_combinations() -> None:
     assert off.found.tolist() == [True, False, False, False, False]
     with pytest.raises(ValueError, match="too many combinations"):
         found.combinations([1.0, 1.1, 1.2, 1.3, 1.4], largest=20)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_combinations_are_the_smallest_within_the_uncertainty(seed: int) -> None:
+    """Drawn frequencies, of which some are combinations, some are off by more than is known, and some are missing."""
+    rng = np.random.default_rng(seed)
+    basis = np.array([1.0, np.sqrt(2.0)]) * rng.uniform(0.5, 2.0)
+    integers = rng.integers(-3, 4, (5, 2))
+    known = np.array([1e-9, 1e-9, 1e-9, 1e-9, 1e-9, np.nan])
+    off = np.array([0.0, 3e-9, -3e-9, 1e-6, -1e-6, np.nan])
+    w = np.append(integers @ basis, 0.0) + off
+    found = co.Frequencies(w, np.ones(6, complex), known, 0.0 * known, 0.0, 0.0, True)
+    lines = found.combinations(basis, largest=3)
+    assert np.array_equal(lines.integers, integers) and np.array_equal(lines.basis, basis)
+    assert lines.misfit == pytest.approx(off[:5], abs=1e-14)
+    assert lines.found.tolist() == [True, True, True, False, False]
+
+
+def test_combinations_stay_within_the_largest_integer() -> None:
+    found = co.Frequencies(np.array([5.0]), np.ones(1, complex), np.array([1e-9]), np.zeros(1), 0.0, 0.0, True)
+    assert found.combinations([1.0], largest=5).integers.tolist() == [[5]]
+    near = found.combinations([1.0], largest=4)
+    assert (near.integers.tolist(), near.misfit.tolist(), near.found.tolist()) == ([[4]], [1.0], [False])
+    # 5 is 5 + 0 and 1 + 2 * 2: the sum of the integers decides.
+    assert found.combinations([1.0, 2.0], largest=5).integers.tolist() == [[1, 2]]
+    # The uncertainty of a line that is chosen as basis counts as often as it occurs: 5 - 5 * 0.99 is 0.05.
+    pair = co.Frequencies(
+        np.array([0.99, 5.0]), np.ones(2, complex), np.array([3e-3, 0.0]), np.zeros(2), 0.0, 0.0, True
+    )
+    assert pair.combinations(largest=5).integers.tolist() == [[1], [5]]
+    assert pair.combinations([0.99], largest=5).found.tolist() == [True, False]
 
 
 def test_what_is_refused() -> None:

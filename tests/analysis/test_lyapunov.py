@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -190,6 +191,51 @@ def test_uncertainty_is_the_scatter_or_the_trend():
     parting = LyapunovExponents(t, np.log1p(t)[:, None], 1, "compiled")
     assert parting.uncertainty[0] >= parting.history[499, 0] - parting.exponents[0] > 0.004
     assert np.isnan(LyapunovExponents(t[[0, 1]], noise[[0, 1], None], 1, "compiled").uncertainty).all()
+
+
+@pytest.mark.parametrize("points", [1, 2, 3, 7, 10, 23, 200])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_statistics_of_members_by_their_definitions(points, sense):
+    """Of drawn stretches that are not in order, at times of which the last interval is a short one."""
+    from coadjoint.analysis.lyapunov import LyapunovExponents
+
+    rng = np.random.default_rng(points)
+    t = 5.0 + sense * np.append(3.0 * np.arange(points), 3.0 * points - 1.0)
+    stretches = np.cumsum(rng.normal([0.5, -0.2, 0.9, -2.0], 1.0, (points + 1, 3, 4)), axis=0)
+    stretches -= stretches[0]
+    found = LyapunovExponents(t, stretches, 4, "compiled")
+    elapsed = np.abs(t - t[0])
+    for m in range(3):
+        own = stretches[:, m]
+        history = own[1:] / elapsed[1:, None]
+        last = history[-1]
+        np.testing.assert_allclose(found.history[:, m], history, rtol=1e-14)
+        np.testing.assert_allclose(found.exponents[m], last, rtol=1e-14)
+        assert found.sum[m] == pytest.approx(own[-1].sum() / elapsed[-1], rel=1e-12)
+        low, second, third, high = sorted(last)
+        assert found.pairing[m] == pytest.approx(max(abs(low + high), abs(second + third)), rel=1e-12)
+        if points < 2:
+            assert np.isnan(found.uncertainty[m]).all()
+            continue
+        edges = sorted({round(points * k / 10) for k in range(11)})
+        rates = [(own[b] - own[a]) / (elapsed[b] - elapsed[a]) for a, b in pairwise(edges)]
+        scatter = np.std(rates, axis=0, ddof=1) / np.sqrt(len(rates))
+        later = [np.abs(history[k - 1] - last) for k in range(1, points + 1) if k >= points // 2]
+        np.testing.assert_allclose(found.uncertainty[m], np.maximum(scatter, np.max(later, axis=0)), rtol=1e-10)
+    first = np.max(found.exponents, axis=1)
+    assert f"until t = {t[-1]:g}: the largest of each from {first.min():.4g} to {first.max():.4g}>" in repr(found)
+    assert np.isnan(LyapunovExponents(t, stretches[..., :3], 4, "compiled").pairing).all()
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_saved_times_are_each_so_many_steps_and_the_last(sense):
+    given = {"step": 0.1, "renormalize_every": 4}
+    for steps, transient, every in ((30, 5, 7), (30, 0, 30), (30, 29, 1), (30, 0, 1000), (25, 4, 7), (450, 250, None)):
+        span = (2.0, 2.0 + sense * 0.1 * steps)
+        found = co.lyapunov(BODY, (0.4, 1.0, 0.3), span, transient=0.1 * transient, save_every=every, **given)
+        wanted = [*range(transient, steps, every or 1), steps]
+        np.testing.assert_allclose(found.t, 2.0 + sense * 0.1 * np.array(wanted), rtol=0, atol=1e-12)
+        assert np.all(found.stretches[0] == 0.0) and len(found.stretches) == len(wanted)
 
 
 def test_functions_need_their_second_derivatives():

@@ -49,6 +49,29 @@ def test_order_of_the_points_does_not_matter() -> None:
     assert fit_order(STEPS[shuffled], STEPS[shuffled] ** 3)[0] == fit_order(STEPS, STEPS**3)[0]
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_each_point_keeps_its_own_floor_in_any_order_and_unit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    steps = 0.5 * np.cumprod(rng.uniform(0.5, 0.8, 9))
+    errors = steps**3 * rng.uniform(0.95, 1.05, 9)
+    floor = np.where(np.arange(9) == 6, errors, 0.1 * errors)  # the seventh is at its floor, and no other one
+    fit = fit_order(steps, errors, floor)
+    assert fit.order == pytest.approx(np.polyfit(np.log(steps[:6]), np.log(errors[:6]), 1)[0], rel=1e-12)
+    assert fit.dropped == 3 and np.array_equal(fit.steps, steps[:6]) and np.array_equal(fit.errors, errors[:6])
+    mixed = rng.permutation(9)
+    again = fit_order(1e3 * steps[mixed], 1e-5 * errors[mixed], 1e-5 * floor[mixed])
+    assert again.order == pytest.approx(fit.order, rel=1e-12) and again.dropped == 3
+    assert again.steps == pytest.approx(1e3 * fit.steps) and again.errors == pytest.approx(1e-5 * fit.errors)
+
+
+@pytest.mark.parametrize("ratio", [1.1, 2.0, 9.0])
+def test_a_plateau_is_what_falls_more_slowly_than_the_root_of_the_step(ratio: float) -> None:
+    steps = ratio ** -np.arange(6.0)
+    assert fit_order(steps, steps**0.51).dropped == 0
+    with pytest.raises(ValueError, match="only 1 of 6"):
+        fit_order(steps, steps**0.49)
+
+
 def test_fewer_than_three_points_are_refused() -> None:
     with pytest.raises(ValueError, match=r"only 2 of 8 errors are above the round-off floor"):
         fit_order(STEPS, np.maximum(STEPS**6, 1e-5), floor=1e-5)
@@ -71,3 +94,8 @@ def test_fewer_than_three_points_are_refused() -> None:
 def test_wrong_input_is_refused(steps: list[float], errors: list[float], what: str) -> None:
     with pytest.raises(ValueError, match=what):
         fit_order(steps, errors)
+
+
+def test_a_floor_of_another_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match="floor has the shape"):
+        fit_order(STEPS, STEPS, floor=[1e-9] * 7)

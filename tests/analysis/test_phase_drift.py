@@ -146,6 +146,7 @@ def test_verdicts(series, growth) -> None:
     drift = drift_of_series(t, series(t))
     assert drift.growth == growth
     assert str(drift).startswith(growth)
+    assert drift_of_series(-t, series(t)).growth == growth
 
 
 def test_verdicts_on_random_walks() -> None:
@@ -168,6 +169,85 @@ def test_each_line_has_its_phase() -> None:
         ahead, true = (demodulated(t, s[:, None], frequency, weight, places)[:, 0] for s in (moved, right))
         phase = np.unwrap(np.angle(ahead * true.conj()))
         assert np.polyfit(t[places], phase, 1)[0] == pytest.approx(slope, rel=1e-4)
+
+
+def test_a_line_of_either_sign_is_as_early_as_its_motion(body: co.LiePoissonSystem) -> None:
+    """The saved states are those of a clock that is ahead by 1e-3 of the time: of each line by 1e-3 w t, w > 0.
+
+    The signal is real or complex, with the frequency of either sign; of one run, or of members.
+    """
+    sense = -1.0
+    run = co.integrate(body, np.array([X0, (1.2, 0.1, 0.4)]), (5.0, 5.0 + sense * 400.0), 0.1, save_every=4)
+    ahead = run.t - 5.0 + 1e-3 * sense * np.abs(run.t - 5.0)
+    right = [co.frequencies(run.t, np.asarray(body.exact(x, run.t - 5.0))[:, 1], 1).frequency[0] for x in run.x[0]]
+    for m, x in enumerate(run.x[0].copy()):
+        run.x[:, m] = body.exact(x, ahead)
+    for signal in (1, lambda x: x[..., 1], lambda x: x[..., 1] + 0.5j * x[..., 1]):
+        for w in (right[0], -right[0]):
+            drifts = line_drift(run, w, signal=signal)
+            assert drifts[0].slope == pytest.approx(1e-3 * right[0], rel=1e-4)
+            assert drifts[0].unit == "radians" and drifts[0].growth == "linear"
+    assert line_drift(run, right[1], signal=1)[1].slope == pytest.approx(1e-3 * right[1], rel=1e-4)
+
+    def of_both(t: np.ndarray) -> np.ndarray:
+        return np.asarray(body.exact(X0, t - 5.0))
+
+    # A function is asked for the times of the run themselves.
+    given = line_drift(run, right[0], of_both, signal=1)[0]
+    assert given.slope == pytest.approx(1e-3 * right[0], rel=1e-4)
+    assert given.lead == pytest.approx(line_drift(run, right[0], signal=1)[0].lead, abs=1e-9)
+    # Middles of the windows: an eighth of the span, from the first to the last.
+    assert given.t[[0, -1]] == pytest.approx(5.0 + sense * np.array([25.0, 375.0]), abs=0.5)
+    assert given.lead == pytest.approx(1e-3 * right[0] * (given.t - 5.0), abs=1e-4)
+
+
+def test_one_reference_serves_all_members(body: co.LiePoissonSystem) -> None:
+    span = (0.0, 200.0)
+    one, crowd = (co.integrate(body, x0, span, 0.1, COORDINATES, save_every=4) for x0 in (X0, [X0, X0]))
+    better = co.integrate(body, X0, span, 0.1, co.GaussLegendre(4), save_every=4)
+    w = co.frequencies(better, 1, count=1).frequency[0]
+    alone, both = line_drift(one, w, better, signal=1), line_drift(crowd, w, better, signal=1)
+    for drift in both:
+        assert drift.slope == pytest.approx(alone.slope, rel=1e-9)
+    leads = [co.phase_drift(crowd, better)[m].lead for m in (0, 1)]
+    assert np.array_equal(leads[0], leads[1]) and np.array_equal(leads[0], co.phase_drift(one, better).lead)
+    with pytest.raises(ValueError, match="other members"):
+        line_drift(crowd, w, co.integrate(body, [X0] * 3, span, 0.1, save_every=4), signal=1)
+    with pytest.raises(TypeError, match="give a component or a function"):
+        line_drift(one, w, signal="energy")
+    with pytest.raises(ValueError, match=r"takes 501 of 501"):
+        line_drift(one, w, width=200.0)
+
+
+@pytest.mark.parametrize("referenced", [False, True])
+def test_the_lead_of_an_attitude_does_not_depend_on_the_frame_in_space(body, referenced: bool) -> None:
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    found = []
+    for first in (np.eye(3), turn):
+        run, good = (
+            co.integrate(body, X0, (4.0, 104.0), 0.1, method, save_every=5, attitude=first)
+            for method in (COORDINATES, co.GaussLegendre(6))
+        )
+        found.append(co.phase_drift(run, good if referenced else None, of="attitude"))
+    assert found[1].lead == pytest.approx(found[0].lead, abs=1e-11) and np.ptp(found[0].lead) > 1e-4
+
+
+@pytest.mark.parametrize("unit", ["time", "radians"])
+def test_points_without_a_lead_are_left_out_with_their_times(unit: str) -> None:
+    rng = np.random.default_rng(3)
+    t = -7.0 - np.cumsum(rng.uniform(0.1, 2.0, 60))
+    lead = 3.0 + 0.02 * t
+    missing = rng.permutation(60)[:20]
+    lead[missing] = np.nan
+    drift = drift_of_series(t, lead, unit)
+    kept = np.setdiff1d(np.arange(60), missing)
+    assert np.array_equal(drift.t, t[kept]) and np.array_equal(drift.lead, lead[kept])
+    assert drift.slope == pytest.approx(0.02, rel=1e-10) and drift.intercept == pytest.approx(3.0, rel=1e-10)
+    assert drift.unit == unit and ("rad" in str(drift)) == (unit == "radians")
+    assert drift.growth == "linear" and "40 points" in repr(drift)
+    with pytest.raises(ValueError, match="15 points have a lead"):
+        drift_of_series(t[kept][:15], lead[kept][:15])
 
 
 def test_lines_of_a_top_against_a_better_run() -> None:

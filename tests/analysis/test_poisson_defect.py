@@ -59,3 +59,26 @@ def test_defect_of_the_midpoint_rule_is_of_third_order_in_the_step() -> None:
     defects = [poisson_defect(co.stepper(body, co.GaussLegendre(1), h), x).defect for h in steps]
     # A method of order 2 differs from the flow, which is Poisson, by h^3; the next terms are of relative size h.
     assert fit_order(steps, defects).order == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("h", [0.1, -0.07])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_defect_and_its_bound_are_those_of_their_definition(sign: int, h: float) -> None:
+    system = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.5), co.Quadratic([1.0, 2.0, 0.3]), sign=sign)
+    x = np.array([3.0, -1.0, 2.0])
+    step = co.stepper(system, co.GaussLegendre(1), h)
+    P, J, after = step.tangent(x), system.structure_matrix(x), system.structure_matrix(step(x))
+    entries = np.array([[P[i] @ J @ P[j] - after[i, j] for j in range(3)] for i in range(3)])
+    for operations in (0, 1, 50):
+        found = poisson_defect(step, x, operations)
+        assert found.defect == pytest.approx(np.sqrt(np.sum(entries**2)), rel=1e-10)
+        assert found.bound == pytest.approx(64 * 2.0**-53 * operations * np.sum(P**2) * np.sqrt(np.sum(J**2)))
+    assert not found.poisson and poisson_defect(step, x).bound > found.bound * 3 * 4 / 50
+    assert poisson_defect(co.stepper(system, co.Splitting(order=4), h), x).poisson
+    for wrong, what in ((np.ones((2, 3)), "give one state"), (np.ones(2), "shape")):
+        with pytest.raises(ValueError, match=what):
+            poisson_defect(step, wrong)
+    with pytest.raises(ValueError, match=r"must all be \(n, n\)"):
+        defect_of_tangent(np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), operations=1)
+    with pytest.raises(ValueError, match=r"must all be \(n, n\)"):
+        defect_of_tangent(np.eye(2), np.eye(2), np.eye(3), operations=1)

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 from coadjoint.analysis.phase import phase_error
-from coadjoint.analysis.rotations import attitude_angle, precession_error
+from coadjoint.analysis.reference_motion import motion_of
+from coadjoint.analysis.rotations import attitude_angle, precession_error, twist
 
 U = 2.0**-53
 
@@ -36,6 +37,61 @@ def test_precession_has_a_sign() -> None:
 def test_precession_ignores_a_turn_across_the_axis() -> None:
     across = Rotation.from_rotvec([0.4, 0.0, 0.0]).as_matrix()
     assert abs(precession_error(across, np.eye(3), [0.0, 0.0, 1.0])) <= 4 * U
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-200, 1e200])
+def test_twist_and_precession_against_vectors_and_quaternions(size: float) -> None:
+    """Of drawn pairs in two leading axes; the axis has any length, and is not changed."""
+    rng = np.random.default_rng(8)
+    A, B = Rotation.random(12, random_state=1), Rotation.random(3, random_state=2)
+    first, second = A.as_matrix().reshape(4, 3, 3, 3), B.as_matrix()
+    unit = rng.normal(size=3)
+    unit /= np.linalg.norm(unit)
+    axis = size * 3.0 * unit
+    given = axis.copy()
+    ahead, turned = precession_error(first, second, axis), twist(first, second, axis)
+    assert np.array_equal(axis, given) and ahead.shape == turned.shape == (4, 3)
+    for i, j in np.ndindex(4, 3):
+        between = A[3 * i + j] * B[j].inv()
+        assert ahead[i, j] == pytest.approx(between.as_rotvec() @ unit, abs=64 * U)
+        x, y, z, w = between.as_quat()
+        wanted = 2.0 * np.arctan2(unit @ (x, y, z), w)
+        assert np.remainder(turned[i, j] - wanted + 1.0, 2 * np.pi) == pytest.approx(1.0, abs=64 * U)
+        assert precession_error(second[j], first[i, j], axis) == pytest.approx(-ahead[i, j], abs=64 * U)
+        assert attitude_angle(first[i, j], second[j]) == pytest.approx(between.magnitude(), abs=64 * U)
+    assert type(twist(np.eye(3), second[0], axis)) is type(precession_error(np.eye(3), second[0], axis)) is float
+
+
+def test_leads_of_shuffled_times_are_shuffled() -> None:
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 2.0, 0.5)
+    t = np.linspace(-4.0, 20.0, 13)
+    x = body.exact(x0, t + 0.01 * t)
+    order = np.random.default_rng(1).permutation(13)
+    straight, shuffled = phase_error(body, x0, t, x), phase_error(body, x0, t[order], x[order])
+    assert straight == pytest.approx(0.01 * t, abs=1e-10) and shuffled == pytest.approx(straight[order], abs=1e-10)
+    assert phase_error(body, x0, t[:1], x[:1]) == pytest.approx(straight[:1], abs=1e-10)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("several", [False, True])
+def test_a_run_is_interpolated_on_an_uneven_grid_and_ends_where_it_ends(several: bool, sense: float) -> None:
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    starts = np.array([[1.0, 2.0, 0.5], [0.3, -1.0, 0.4]])
+    saved = 3.0 + sense * np.sort(np.random.default_rng(4).permutation(200)[:120]) / 20.0
+    run = co.integrate(body, starts if several else starts[1], (3.0, 3.0 + sense * 10.0), 0.05, t_eval=saved)
+    run.x[:] = (
+        np.stack([body.exact(x, run.t - 3.0) for x in starts], axis=1)
+        if several
+        else body.exact(starts[1], run.t - 3.0)
+    )
+    right = motion_of(body, run, starts[0], 1 if several else None)
+    t = np.random.default_rng(5).uniform(min(saved), max(saved), 50)
+    # The interpolation is right to its own bound, 2^-30 of the largest state.
+    assert np.max(np.abs(right(t) - body.exact(starts[1], t - 3.0))) < 2.0**-30 * 3.0
+    assert np.max(np.abs(right(run.t) - (run.x[:, 1] if several else run.x))) < 1e-12
+    beyond = np.array([min(saved) - 0.01, t[0], max(saved) + 0.01])
+    assert np.isnan(right(beyond)).all(axis=1).tolist() == [True, False, True]
+    assert np.isnan(right(beyond[::2])).all()
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -87,3 +87,51 @@ def test_few_blocks_have_a_wider_spread() -> None:
     sums = (d * rest).reshape(4, 4).sum(axis=1)
     assert line.uncertainty >= np.sqrt(2.0 * sums @ sums) / (d @ d) * (1 - 1e-12)
     assert line.exponent > 0.2 or line.uncertainty == pytest.approx(np.sqrt(2.0 * sums @ sums) / (d @ d))
+
+
+def uneven(samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return drawn times and a series about a line, with noise and an oscillation, far from the origin."""
+    rng = np.random.default_rng(samples)
+    t = 1000.0 + np.cumsum(rng.uniform(0.05, 1.0, samples))
+    return t, 40.0 - 0.3 * t + np.cos(0.2 * t) + rng.normal(0.0, 0.3, samples)
+
+
+@pytest.mark.parametrize("samples", [16, 61, 768])
+def test_the_line_is_that_of_least_squares_on_uneven_times(samples: int) -> None:
+    t, values = uneven(samples)
+    line = straight_line(t, values)
+    slope, intercept = np.polynomial.Polynomial.fit(t, values, 1).convert().coef[::-1]
+    assert line.slope == pytest.approx(slope, rel=1e-10) and line.intercept == pytest.approx(intercept, rel=1e-10)
+    assert line.deviation == pytest.approx(np.sqrt(np.mean((values - slope * t - intercept) ** 2)), rel=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["noise", "walk"])
+def test_scales_and_added_lines_change_only_what_they_must(kind: str) -> None:
+    t, values = uneven(768)
+    values = np.cumsum(values - values.mean()) if kind == "walk" else values
+    line = straight_line(t, values)
+    assert (line.exponent > 0.2) == (kind == "walk"), "with and without the spread of the pieces"
+    for unit, factor, slope, shift in ((1.0, -3.0, 0.0, 5.0), (-0.01, 1e4, 7.0, 0.0), (50.0, 0.5, -2.0, 1e3)):
+        other = straight_line(unit * t + shift, factor * values + slope * t - 8.0)
+        # Sums of 768 products of values up to 1e3 that lose three digits to the mean: some 1e-9 at the most.
+        assert other.slope == pytest.approx((factor * line.slope + slope) / unit, rel=1e-8)
+        assert other.uncertainty == pytest.approx(abs(factor / unit) * line.uncertainty, rel=1e-8)
+        assert other.deviation == pytest.approx(abs(factor) * line.deviation, rel=1e-8)
+        assert other.slow_deviation == pytest.approx(abs(factor) * line.slow_deviation, rel=1e-8)
+        assert other.exponent == pytest.approx(line.exponent, abs=1e-8)
+    # 768 samples are whole blocks of each number: from the end they are the same ones.
+    back = straight_line(-t[::-1], values[::-1])
+    assert back.slope == pytest.approx(-line.slope, rel=1e-8)
+    for name in ("uncertainty", "deviation", "slow_deviation", "exponent"):
+        assert getattr(back, name) == pytest.approx(getattr(line, name), rel=1e-8), name
+
+
+def test_slow_deviations_are_those_of_means_over_a_64th_of_the_span() -> None:
+    """The last block is as long as the others: a parabola without its line, averaged over 12 samples each."""
+    t = np.arange(768.0)
+    line = straight_line(t, t**2)
+    means_t, means = t.reshape(64, 12).mean(axis=1), (t**2).reshape(64, 12).mean(axis=1)
+    rest = means - np.polyval(np.polyfit(means_t, means, 1), means_t)
+    assert line.slow_deviation == pytest.approx(np.sqrt(np.sum(rest**2) / 62), rel=1e-10)
+    jump = straight_line(t, np.where(t >= 756, 1.0, 0.0)).slow_deviation
+    assert jump == pytest.approx(straight_line(t, np.where(t < 12, 1.0, 0.0)).slow_deviation, rel=1e-10)

@@ -62,3 +62,17 @@ def test_what_has_no_modified_hamiltonian_is_refused():
         co.suggest_step(body, co.Splitting(), (1, 2), energy=1e-6)
     with pytest.raises(ValueError, match="energy"):
         co.suggest_step(body, co.Splitting(), (1, 2, 3), energy=0.0)
+
+
+def test_of_a_body_the_step_goes_with_the_inverse_of_the_momentum():
+    """x(t) -> c x(c t): energies go with c^2; a bound that is never reached leaves the time of one radian."""
+    body, x0, factor = systems()["body"], np.array([0.3, -1.1, 0.7]), 30.0
+    for energy in (1e-6, 1e9):
+        plain = co.suggest_step(body, co.Splitting(), x0, energy=energy)
+        scaled = co.suggest_step(body, co.Splitting(), factor * x0, energy=factor**2 * energy)
+        assert factor * scaled == pytest.approx(plain, rel=1e-6)
+        assert co.suggest_step(body, co.Splitting(), [x0], energy=energy) == plain
+        assert co.suggest_step(body, co.Splitting(), [x0, x0 / 9.0], energy=energy) == plain
+    near = body.jacobian(x0)
+    rate = max(np.linalg.norm(near @ near) ** 0.5, np.linalg.norm(body.vector_field(x0)) / np.linalg.norm(x0))
+    assert plain == pytest.approx(1.0 / rate, rel=1e-12)

@@ -245,7 +245,11 @@ def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[
     amplitude = np.take_along_axis(a, order[..., None], axis=1)
     amplitude = np.where(present[..., None], amplitude, np.nan)
     amplitude = np.pad(amplitude, ((0, 0), (0, count - order.shape[1]), (0, 0)), constant_values=np.nan)
-    rest = np.sqrt(np.einsum("s,msc->m", hann(s, power), np.abs(lines.residual) ** 2))
+    left_out = lines.present.copy()
+    np.put_along_axis(left_out, order, False, axis=1)
+    weaker = np.exp(1j * s[:, None] * lines.frequency[:, None]) @ np.where(left_out[..., None], lines.amplitude, 0.0)
+    residual = lines.residual + (weaker if np.iscomplexobj(values) else weaker.real)
+    rest = np.sqrt(np.einsum("s,msc->m", hann(s, power), np.abs(residual) ** 2))
     return picked(w), amplitude, picked(uncertainty / abs(half)), picked(diffusion / half), lines.mean, rest
 
 

@@ -191,7 +191,8 @@ def _highest(s: Floats, found: Lines, weight: Floats) -> tuple[Floats, Floats]:
     top = math.pi * (len(s) - 1) / 2
     taken = np.abs(bins) > top - NEAREST * math.pi
     near = np.abs(bins - np.concatenate([found.frequency, np.zeros((len(power), 1))], axis=1)[..., None])
-    power = np.where(taken | np.any(near < NEAREST * math.pi, axis=1), 0.0, power)
+    # Below zero, so that without any residual the place is also away from the constant and the known lines.
+    power = np.where(taken | np.any(near < NEAREST * math.pi, axis=1), -1.0, power)
     place = np.argmax(power, axis=1)
     rows = np.arange(len(power))
     middle, left, right = (np.maximum(power[rows, (place + d) % power.shape[1]], 1e-300) for d in (0, -1, 1))
