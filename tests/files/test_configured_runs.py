@@ -97,7 +97,8 @@ def test_every_setting_reaches_the_run(read, monkeypatch):
 
 
 def test_an_archive_has_all_of_the_run(read, tmp_path, capsys):
-    found = read(FULL + '[sweep.over]\n"system.parameters.inertia[2]" = [2.5, 2.25]\n', (
+    over = '[sweep.over]\n"system.parameters.inertia[2]" = [2.5, 2.25]\n"initial.x[0]" = [1.0, 0.5]\n'
+    found = read(FULL + over, (
         "x = [[1.0, 0.1, 0.5], [0.2, 1.0, 0.3], [0.1, -0.2, 1.0], [0.3, 0.4, -1.0]]", "x = [1.0, 0.1, 0.5]"
     ))  # fmt: skip
     sol = found.integrate()
@@ -108,7 +109,8 @@ def test_an_archive_has_all_of_the_run(read, tmp_path, capsys):
     assert kept.t.tolist() == [2.0 - 0.375 * k for k in range(9)] and not kept.watched
     assert np.array_equal(kept.observed["x1 x2"], sol.x[..., 0] * sol.x[..., 1])
     again = co.open_archive(tmp_path / "run.zarr").to_xarray()
-    assert again["swept_inertia_2"].values.tolist() == [2.5, 2.25]
+    assert again["swept_inertia_2"].values.tolist() == [2.5, 2.5, 2.25, 2.25]
+    assert again["swept_x_0"].values.tolist() == sol.x[0, :, 0].tolist() == [1.0, 0.5] * 2
     assert again.attrs[CONFIGURATION] == found.text == (tmp_path / "run.toml").read_text()
 
 
