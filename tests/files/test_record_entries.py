@@ -10,8 +10,10 @@ import pytest
 import coadjoint as co
 from coadjoint.files.record_entries import DEEPEST, LARGEST_WHOLE, MOST_LETTERS, Entry, made_of, parsed
 from coadjoint.files.records import record_of, safe_name, system_of
+from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
+from served import state_of
 
 INFINITE, NAN = float("inf"), float("nan")
 STRANGE = (
@@ -205,7 +207,13 @@ def through_json(system):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_records_are_records_of_what_they_make(name):
     record = through_json(SYSTEMS[name])
-    assert "not_stored" not in record and json.loads(json.dumps(record_of(system_of(record)))) == record
+    again = system_of(record)
+    assert "not_stored" not in record and json.loads(json.dumps(record_of(again))) == record
+    several = name.startswith("batch")
+    for one, other in zip(SYSTEMS[name] if several else [SYSTEMS[name]], again if several else [again], strict=True):
+        x = state_of(one) if isinstance(one, co.MatrixSystem) else np.array([0.5, -1.25, 2.0])
+        assert one.energy(x) == other.energy(x)
+        assert np.array_equal(unforced(one).vector_field(x), unforced(other).vector_field(x))
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -304,6 +312,9 @@ def test_functions_beside_the_motion_are_named_and_left_out():
     assert record["not_stored"] == ["casimir: f", "integral: g", "exact solution: <lambda>"]
     again = system_of(record)
     assert list(again.casimirs) == ["C"] and list(again.integrals) == ["x3"] and again.closed_form is None
+    spiral = co.algebras.get("A3,7", a=0.5)
+    assert list(spiral.casimirs_known) == ["log C"], "a function of the algebra, beside none of the system"
+    assert through_json(co.LiePoissonSystem(spiral, Q, casimirs={}))["not_stored"] == ["casimir: log C"]
 
 
 def test_sums_and_monomials_are_checked():
