@@ -69,7 +69,8 @@ def test_the_nearest_name(name, found):
 
 
 def test_of_several_names_around_a_part_the_shortest_is_nearest():
-    assert nearest("spin", ["a_spin_lattice", "spin_of_many", "a_spin"]) == "a_spin"
+    assert nearest("spin", ["a_spin_lattice", "spin_of_many", "the_spin"]) == "the_spin"
+    assert nearest("spins", ["lattice_of_many_spin_vectors", "toda"]) == "lattice_of_many_spin_vectors", "a plural"
     assert nearest("splitting", ["Splitting", "splittings"]) == "Splitting", "letters apart from their case first"
 
 
