@@ -493,3 +493,11 @@ def test_labels_along_any_axis_are_not_lost():
             with pytest.raises(TypeError, match="labels other than 0, 1, 2"):
                 read_numbers(values, "M")
     assert read_numbers(pd.DataFrame(np.eye(2)), "M").tolist() == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.skipif(int(np.__version__.partition(".")[0]) < 2, reason="arrays have 32 dimensions at most")
+def test_objects_in_more_dimensions_than_can_be_looked_at():
+    for dimensions in (33, 64):
+        with pytest.raises(TypeError, match=r"^x is .*; it must be an array of real numbers"):
+            array_given(np.full((1,) * dimensions, Fraction(1, 3), dtype=object), "x")
+    assert read_numbers(np.full((1,) * 32, Fraction(1, 2), dtype=object), "x").ravel().tolist() == [0.5]
