@@ -135,7 +135,7 @@ def test_orbits_of_large_rotations():
 
 
 def test_whole_numbers_in_the_file_do_not_truncate_what_is_set(swept):
-    np.testing.assert_array_equal(swept('"initial.x[1]" = [0.5, 0.25]').x0, [[2.0, 0.5, 3.0], [2.0, 0.25, 3.0]])
+    np.testing.assert_array_equal(swept('"initial.x[1]" = [7, 0.25]').x0, [[2.0, 7.0, 3.0], [2.0, 0.25, 3.0]])
     found = swept('"system.parameters.inertia[2]" = [2, 2.75]')
     assert [body.parameters["inertia"] for body in found.system] == [(1.0, 2.0, 2.0), (1.0, 2.0, 2.75)]
 
@@ -228,7 +228,7 @@ FULL = [[2.0, 0.1, 0.0], [0.1, 3.0, 0.0], [0.0, 0.0, 4.0]]
     [
         ("sweeps", "", '"initial.x[0]" = [1, 2, 3]\n"initial.x[1]" = [1, 2]', 6 * 8),
         ("swept_members", "", '"initial.x[0]" = [1, 2, 3]\n"initial.x[1]" = [1, 2]', 6 * 3 * 8),
-        ("swept_members", "", '"system.parameters.inertia[2]" = [2.5, 3]\n"initial.x[1]" = [1, 2]', 4 * 1000),
+        ("swept_members", "", '"system.parameters.inertia[2]" = [2.5, 3]\n"initial.x[1]" = [1, 2, 3]', 6 * 1000),
         (
             "swept_settings",
             "samples = 5\nseed = 1",
