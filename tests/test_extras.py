@@ -1,11 +1,13 @@
 """Extras: what a missing one stops, and that exactly what is imported is declared."""
 
 import ast
+import contextlib
 import importlib.util
 import pickle
 import re
 import sys
 import tomllib
+import types
 from pathlib import Path
 
 import pytest
@@ -71,6 +73,43 @@ def test_the_error_is_an_import_error_and_survives_a_copy(monkeypatch):
         need("a compiled picture", "numba", "matplotlib")
     copy = pickle.loads(pickle.dumps(caught.value))
     assert isinstance(copy, MissingPackageError) and str(copy) == str(caught.value) and copy.name == caught.value.name
+
+
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        (["zarr"], 'a needs the package zarr, which is not installed; install it with: pip install "coadjoint[io]"'),
+        (
+            ["zarr", "h5py"],
+            "a needs the packages zarr and h5py, which are not installed; "
+            'install them with: pip install "coadjoint[io]"',
+        ),
+        (
+            ["zarr", "click", "h5py"],
+            "a needs the packages zarr, click and h5py, which are not installed; "
+            'install them with: pip install "coadjoint[io,cli]"',
+        ),
+    ],
+)
+def test_all_missing_packages_are_told_with_each_extra_once(monkeypatch, missing, said):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name in missing else find(name))
+    with pytest.raises(MissingPackageError) as caught:
+        need("a", missing[0], "numpy", *missing[1:])
+    assert str(caught.value) == said and caught.value.name == missing[0]
+
+
+@pytest.mark.parametrize(("value", "refused"), [("1", True), ("yes", True), ("0", False), ("", False)])
+def test_a_compiler_that_is_turned_off_is_missed_where_it_is_needed(monkeypatch, value, refused):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", value)
+    need("a", "zarr")
+    with pytest.raises(MissingPackageError, match="turns off; unset it") if refused else contextlib.nullcontext():
+        need("a", "numba")
+
+
+def test_modules_without_a_specification_are_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numcodecs", types.ModuleType("numcodecs"))
+    need("a", "numcodecs")
 
 
 def imported_packages():

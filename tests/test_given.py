@@ -11,15 +11,23 @@ import scipy.sparse
 import coadjoint as co
 from coadjoint.errors import unknown_name
 from coadjoint.given import (
+    are_finite,
     array_given,
+    check_finite,
+    check_parameters,
+    check_power,
     read_choice,
+    read_complex,
     read_finite,
     read_flag,
+    read_list,
     read_number,
     read_numbers,
     read_positive,
     read_title,
     read_whole,
+    size_of_range,
+    title,
 )
 
 BODY = co.systems.rigid_body()
@@ -362,3 +370,134 @@ def test_names_made_of_names_stay_short():
     for _ in range(10):
         g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
     assert len(g.name) <= 200
+
+
+@pytest.mark.parametrize("start", [-3, 0, 5])
+@pytest.mark.parametrize("stop", [-4, 0, 1, 7])
+@pytest.mark.parametrize("step", [-3, -1, 1, 2, 5])
+def test_ranges_have_the_length_of_their_numbers(start, stop, step):
+    values = range(start, stop, step)
+    assert size_of_range(values) == len(values) and size_of_range(range(0, 10**30, 3)) == (10**30 + 2) // 3
+    assert read_numbers(values, "x").tolist() == list(values)
+
+
+def test_arrays_beyond_memory_are_refused_before_they_are_made(monkeypatch):
+    with pytest.raises(ValueError, match=r"^x, range\(0, 1000000000000000\), needs about"):
+        read_numbers(range(10**15), "x")
+    broad = np.broadcast_to(np.float32(1.0), (10**8, 10**8))
+    with pytest.raises(ValueError, match=r"^a copy of x, of shape \(100000000, 100000000\), needs about"):
+        read_numbers(broad, "x")
+    with pytest.raises(ValueError, match=r"^events, of 10000000000000000 entries, needs about"):
+        read_list(broad.reshape(-1), "events", "give a list")
+
+
+def test_all_infinite_numbers_are_found():
+    """Near the size up to which plain Python sums, and beyond it; finite numbers whose sum overflows are finite."""
+    for size in (1, 2, 63, 64, 65, 200):
+        assert are_finite(np.zeros(size)) and are_finite(np.full(size, 1e308)) and are_finite(-np.full(size, 1e308))
+        for place in {0, size // 2, size - 1}:
+            for wrong in (np.nan, np.inf, -np.inf):
+                numbers = np.full(size, 1e308)
+                numbers[place] = wrong
+                assert not are_finite(numbers)
+                with pytest.raises(ValueError, match=rf"^x0\[{place}\] is -?(nan|inf); give finite numbers$"):
+                    check_finite(numbers, "x0")
+    assert not are_finite(np.array([np.inf, -np.inf])) and are_finite(np.zeros((0, 3)))
+    with pytest.raises(ValueError, match=r"^x0\[0, 1\] is inf"):
+        check_finite(np.array([[1.0, np.inf], [np.nan, 1.0]]), "x0")
+    with pytest.raises(ValueError, match=r"^step is nan"):
+        check_finite(np.array(np.nan), "step")
+
+
+def test_powers_stay_within_float64():
+    for number in (2.0, -2.0):
+        check_power(number, 1023, "x")
+        with pytest.raises(ValueError, match=r"^x is -?2.0, and its power 1024 leaves the range"):
+            check_power(number, 1024, "x")
+    check_power(1e-300, 10**6, "x")
+    check_power(-1.0, 10**6, "x")
+
+
+def test_what_is_returned_is_of_plain_types():
+    for value in (np.int8(5), 5, np.uint64(5)):
+        assert type(read_whole(value, "n")) is int
+    for value in (5.0, np.float16(5), np.float32(5)):
+        assert type(read_whole(value, "n", floats=True)) is int
+        with pytest.raises(ValueError, match="n must be a whole number from 1 up"):
+            read_whole(value, "n")
+    assert read_whole(np.float16(2048), "n", most=10**9, floats=True) == 2048
+    for value in (True, np.True_):
+        with pytest.raises(ValueError, match="n must be a whole number from 1 up"):
+            read_whole(value, "n")
+    assert type(read_flag(np.False_, "flag")) is bool
+    assert type(read_positive(np.float32(0.5), "h")) is float
+    with pytest.raises(ValueError, match="must be positive"):
+        read_positive(0, "h")
+    assert read_complex([1, 2j], "W").dtype == np.complex128
+    for wrong in ([True, 1j], np.array([True]), "1j", [[1j], [1, 2]]):
+        with pytest.raises(TypeError, match=r"^W is "):
+            read_complex(wrong, "W")
+    with pytest.raises(ValueError, match="too large for float64"):
+        read_complex([HUGE], "W")
+
+
+def test_titles_and_lists():
+    assert read_title("x" * 200, "name") == "x" * 200
+    for size in (199, 200, 201, 1000):
+        assert len(title("x" * size)) == min(size, 200)
+        assert read_title(title("x" * size), "name").startswith("x" * min(size, 197))
+    for name in ("a\tb", "a\u2028b", "a\0"):
+        with pytest.raises(ValueError, match="one line of at most 200 characters"):
+            read_title(name, "name")
+    with pytest.raises(TypeError, match="nonempty"):
+        read_title("", "name")
+    assert read_list((k for k in range(3)), "a", "rule") == (0, 1, 2) and read_list(np.arange(2), "a", "rule") == (0, 1)
+    for wrong in ("ab", b"ab", {"a": 1}, 3, None, np.array(3)):
+        with pytest.raises(TypeError, match=r"^a is .*; rule$"):
+            read_list(wrong, "a", "rule")
+
+
+def test_parameters_are_known_and_complete():
+    check_parameters("F", ["b", "a"], ["a", "b", "c"], ["a"])
+    for given, known, required, said in (
+        (["d"], ["delta"], [], "unknown parameter of F 'd'"),
+        (["a"], [], [], "unknown parameter of F 'a'; there are: (none)"),
+        (["b"], ["a", "b", "c"], ["b", "c", "a"], "F needs the parameter 'c'"),
+        ([], ["a"], ["a"], "F needs the parameter 'a'"),
+    ):
+        with pytest.raises(ValueError) as refused:
+            check_parameters("F", iter(given), iter(known), required)
+        assert str(refused.value).startswith(said)
+
+
+def test_what_is_in_lists_is_looked_at_to_the_depth_of_arrays():
+    deep = masked = 1.0
+    for _ in range(30):
+        deep, masked = [deep], [masked]
+    assert read_numbers(deep, "x").shape == (1,) * 30
+    inner = [True]
+    for _ in range(20):
+        inner = [inner]
+    with pytest.raises(TypeError, match=r"^x is "):
+        read_numbers(inner, "x")
+    for _ in range(1000):
+        inner = [inner]
+    with pytest.raises(TypeError, match=r"^x is "):
+        read_numbers(inner, "x")
+
+
+def test_labels_along_any_axis_are_not_lost():
+    pd = pytest.importorskip("pandas")
+    for labelled in (pd.DataFrame(np.eye(2), columns=["a", "b"]), pd.DataFrame(np.eye(2), columns=[1, 0])):
+        for values in (labelled, [labelled]):
+            with pytest.raises(TypeError, match="labels other than 0, 1, 2"):
+                read_numbers(values, "M")
+    assert read_numbers(pd.DataFrame(np.eye(2)), "M").tolist() == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.skipif(int(np.__version__.partition(".")[0]) < 2, reason="arrays have 32 dimensions at most")
+def test_objects_in_more_dimensions_than_can_be_looked_at():
+    for dimensions in (33, 64):
+        with pytest.raises(TypeError, match=r"^x is .*; it must be an array of real numbers"):
+            array_given(np.full((1,) * dimensions, Fraction(1, 3), dtype=object), "x")
+    assert read_numbers(np.full((1,) * 32, Fraction(1, 2), dtype=object), "x").ravel().tolist() == [0.5]

@@ -1,5 +1,7 @@
 """Nobody waits for long without a word: beforehand where the time is estimated, else after some seconds, once."""
 
+import contextlib
+import functools
 import os
 import subprocess
 import sys
@@ -187,3 +189,39 @@ def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
     }
     (found,) = said(calls[name])
     assert found.startswith(f"{name} has taken ") and found.endswith("; Ctrl-C ends it")
+
+
+@pytest.mark.parametrize("part", [None, 0.0, 0.25, 1.0])
+def test_the_time_that_is_left_follows_from_the_part(clock, part):
+    """Nothing is known of it at the start; times that are no longer than the limit are not told."""
+
+    def work():
+        with waiting.waiting("certify"):
+            for now in (0.0, waiting.LONG, 8.0):
+                clock[0] = now
+                at("the long run", part)
+
+    left = {0.25: ", and about 24 s are left", 1.0: ", and about 0 s are left"}.get(part, "")
+    assert said(work) == [f"certify has taken 8 s so far{left}; now it computes the long run; Ctrl-C ends it"]
+
+
+def test_the_caller_is_named_through_decorators_of_the_library_alone():
+    """A decorated function of the caller is the caller, and not what it is called by."""
+
+    @contextlib.contextmanager
+    def around():
+        yield
+
+    @functools.wraps(tell)
+    def wrapped(*given):
+        return tell(*given)
+
+    @around()
+    def decorated():
+        wrapped("a run", 42.0)
+
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        decorated()
+    (one,) = found
+    assert one.filename == __file__ and "return tell(*given)" in Path(__file__).read_text().splitlines()[one.lineno - 1]

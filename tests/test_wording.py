@@ -1,11 +1,13 @@
 """How values from outside are shown: short, in one line, in bounded time."""
 
+import dataclasses
+import functools
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from coadjoint.wording import short
+from coadjoint.wording import html_table, named_function, short, shown_fields
 from guards import bounded_work
 
 
@@ -100,3 +102,61 @@ def test_a_list_subclass_without_its_own_repr_is_cut_as_a_list():
         pass
 
     assert short(Own(range(10**6)), 12) == "[0, 1, 2,..."
+
+
+@pytest.mark.parametrize("limit", [4, 10, 80])
+def test_no_more_is_shown_than_the_limit_and_no_less(limit):
+    """Strings, lists and integers around the limit: all of what fits, and else its beginning up to the limit."""
+    for size in range(1, 2 * limit + 4):
+        for value in ("x" * size, [7] * size, (1.5,) * size, 10 ** (size - 1), b"x" * size, dict.fromkeys(range(size))):
+            text, whole = short(value, limit), repr(value)
+            if isinstance(value, int) and size > limit - 2:
+                assert text == whole or text.startswith("<int of about"[: limit - 3])
+            elif len(whole) <= limit:
+                assert text == whole
+            else:
+                assert text.endswith("...") and len(text) <= limit and whole.startswith(text[:-3])
+    assert short(10**60) == repr(10**60) and short(2**500) == "<int of about 151 digits>"
+
+
+def test_functions_have_no_addresses():
+    def own(x):
+        return x
+
+    for value, shown in (
+        (own, "the function own"),
+        (lambda x: x, "a lambda"),
+        (np.sin, "the function sin"),
+        ([own, own, own], "[the function own, the function own, the function own]"),
+        ([own] * 4, "4 functions"),
+        ([own, own, own, 1], "[the function own, the function own, the function own, 1]"),
+        ([(own, own)] * 4, "4 functions"),
+        ([(own, 1)] * 4, "[(the function own, 1), (the function own, 1), (the function own, 1), (the fu..."),
+        (dict.fromkeys(range(4), own), "4 functions"),
+        ({1: own}, "{1: the function own}"),
+        ([[], [], [], []], "[[], [], [], []]"),
+        ([[[[[[[1]]]]]]], "[[[[[[[...]]]]]]]"),
+        ([[[[[[[]]]]]]], "[[[[[[[]]]]]]]"),
+    ):
+        assert short(value) == shown
+
+
+def test_tables_show_text_as_text():
+    table = html_table("<b>&", {"<i>": "<td>", "two": ("<1>", 2), "none": ()})
+    assert table == (
+        "<table><caption><b>&lt;b&gt;&amp;</b></caption><tr><th>&lt;i&gt;</th><td>&lt;td&gt;</td></tr>"
+        "<tr><th>two</th><td>&lt;1&gt;</td><td>2</td></tr><tr><th>none</th></tr></table>"
+    )
+
+
+def test_fields_that_are_not_shown():
+    @dataclasses.dataclass(repr=False)
+    class Own:
+        first: object
+        second: object = dataclasses.field(default=1, repr=False)
+        third: object = "c"
+
+    assert shown_fields(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
+    assert named_function(functools.partial(functools.partial(max, 1), 2)) == "partial of max"
+    assert named_function(functools.partial(Own([]).__class__, 1)) == "partial of Own"
+    assert named_function(Own([])) == "a Own"

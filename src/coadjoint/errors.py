@@ -118,4 +118,4 @@ def in_one_line(message: str, limit: int = 400) -> str:
     ends = message if len(message) <= 8 * limit else f"{message[: 4 * limit]} ... {message[-4 * limit :]}"
     line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(ends.split()))
     head, tail = limit // 2 - 2, limit - limit // 2 - 3
-    return line if len(line) <= limit else f"{line[:head]} ... {line[-tail:]}"
+    return line if len(line) <= limit else f"{line[:head].rstrip()} ... {line[-tail:].lstrip()}"

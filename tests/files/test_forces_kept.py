@@ -109,3 +109,37 @@ def test_the_command_shows_change_and_balance(tmp_path, capsys):
 def test_pictures_say_change():
     figure = co.integrate(BODY.with_forces(FORCES[0]), X, (0, 2), 0.125).plot()
     assert figure.axes[0].get_title().startswith("change of the energy")
+
+
+FLUID = """
+system = {{name = "sphere_euler", parameters = {{N = 3}}}}
+initial = {{x = {x}}}
+run = {{t_span = [0.5, 1.5], step = 0.25}}
+
+[[forces]]
+name = "Viscosity"
+nu = 0.1
+"""
+
+
+def test_fluids_with_forces_are_read_as_fluids(tmp_path, capsys):
+    """The default scheme, complex states as pairs, and what a polynomial cannot be of are those of the fluid."""
+    sphere, place = co.systems.sphere_euler(N=3), tmp_path / "run.toml"
+    W = sphere.random(seed=1)
+    pairs = np.stack([W.real, W.imag], axis=-1).tolist()
+    forced = sphere.with_forces(co.forces.Viscosity(0.1))
+    wanted = co.integrate(forced, W, (0.5, 1.5), 0.25)
+    place.write_text(FLUID.format(x=pairs))
+    found = load(place)
+    assert found.method == wanted.method == co.IsospectralGauss()
+    assert np.array_equal(found.x0, W) and np.array_equal(found.integrate().x, wanted.x)
+    assert main(["check", str(place)]) == 0 and "IsospectralGauss" in capsys.readouterr().out
+    place.write_text(FLUID.format(x=[pairs, pairs]))
+    assert np.array_equal(load(place).integrate().x[:, 1], wanted.x)
+    place.write_text(FLUID.format(x=pairs) + f'[sweep.over]\n"initial.x" = {[pairs]}\n')
+    assert np.array_equal(load(place).integrate().x[:, 0], wanted.x)
+    for table, said in (('[observe]\na = "x1"\n', "observe.a: a polynomial needs coordinates"),
+                        ('[events.a]\ng = "x1"\n', "events.a: an event of a file needs coordinates")):  # fmt: skip
+        place.write_text(FLUID.format(x=pairs) + table)
+        with pytest.raises(ConfigurationError, match=said):
+            load(place)

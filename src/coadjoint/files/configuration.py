@@ -36,6 +36,7 @@ from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 CONFIGURATION = "configuration"
@@ -319,7 +320,8 @@ def _method(name: str, file: File, system: Any) -> Method:
     """Return the scheme of a file, or the default of `integrate`."""
     if file.method is not None:
         return method_of_file(name, file.method)
-    return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
+    moved = unforced(system)
+    return suggested_scheme(cast(Any, moved)) if isinstance(moved, MatrixSystem) else Splitting()
 
 
 def _check_times(name: str, file: File, system: Any, step: float) -> None:
@@ -390,7 +392,7 @@ def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, w
     observe, events = {}, []
     for key, written in file.observe.items() if system is not None else ():
         with wrong.caught(), section(name, f"observe.{key}"):
-            if isinstance(system, MatrixSystem):
+            if isinstance(unforced(system), MatrixSystem):
                 raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
             observe[key] = read_polynomial(written, system.dim)
     for key, table in file.events.items() if system is not None else ():

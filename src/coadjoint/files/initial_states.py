@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_room
+from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
@@ -28,10 +29,11 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
     """
     if isinstance(given, str):
         return array_of_file(folder / given, given)
-    if not (isinstance(system, MatrixSystem) and system.complex):
+    moved = unforced(system)
+    if not (isinstance(moved, MatrixSystem) and moved.complex):
         return given
     array = np.array(given, dtype=np.float64)
-    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == system.algebra.shape
+    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == moved.algebra.shape
     return array[..., 0] + 1j * array[..., 1] if pairs else array
 
 

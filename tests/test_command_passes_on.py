@@ -1,0 +1,341 @@
+"""Options of the command reach the library, what a run would refuse `check` refuses, and errors have their status."""
+
+import inspect
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint import cli, commands
+from coadjoint.files import output
+from coadjoint.files.archives import resume
+
+BODY = """
+[system]
+name = "rigid_body"
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.1
+"""
+ENSEMBLE = BODY.replace("[1.0, 0.1, 0.5]", "[[1.0, 0.1, 0.5], [0.1, 1.0, 0.5]]")
+FLUID = """
+system = {name = "torus_euler", parameters = {N = 3}}
+initial = {kind = "random", seed = 1}
+run = {t_span = [0, 1], step = 0.5}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "body.toml").write_text(BODY)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        (BODY, 'file = "a.csv"', "output.file: a.csv: the suffix sets the format; it must be .nc or .zarr"),
+        (BODY, 'file = "none/a.nc"', "output.file: none/a.nc: the folder none does not exist; make it first"),
+        (BODY, 'figure = "a.gif"', "output.figure: a.gif: the suffix sets the format"),
+        (BODY, 'figure = "none/a.png"', "output.figure: none/a.png: the folder none does not exist"),
+        (BODY, 'archive = "held.zarr"', "output.archive: held.zarr: exists"),
+        (BODY, 'archive = "none/a.zarr"', "output.archive: none/a.zarr: the folder none does not exist"),
+        (BODY, 'movie = "a.gif"', "output.movie: rigid_body declares no picture that a movie can show"),
+        (FLUID, 'movie = "a.png"', "output.movie: a.png: the suffix sets the format"),
+        (FLUID, 'movie = "none/a.gif"', "output.movie: none/a.gif: the folder none does not exist"),
+    ],
+)
+def test_check_refuses_what_run_refuses(folder, capsys, monkeypatch, text, line, said):
+    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
+    (folder / "held.zarr").mkdir()
+    (folder / "run.toml").write_text(f"{text}[output]\n{line}\n")
+    for command in ("run", "check"):
+        assert cli.main([command, "run.toml"]) == 2
+        found = capsys.readouterr()
+        assert (found.out, found.err.count("\n")) == ("", 1) and found.err.startswith(f"run.toml: {said}"), found.err
+
+
+def test_an_option_is_checked_before_the_run_and_goes_before_the_file(folder, capsys, monkeypatch):
+    (folder / "held").mkdir()
+    (folder / "run.toml").write_text(BODY + '[output]\nfile = "a.csv"\narchive = "none/a"\nfigure = "a.txt"\n')
+    given = ["run", "run.toml", "--out", "b.nc", "--figure", "b.svg", "--archive"]
+    with monkeypatch.context() as patched:
+        patched.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
+        assert cli.main([*given, "held"]) == 2
+    assert "held: exists" in capsys.readouterr().err
+    monkeypatch.setattr(co.Solution, "plot", lambda run: None)
+    monkeypatch.setattr(output, "write_figure", lambda figure, target: None)
+    assert cli.main([*given, "b.zarr"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-3:] == ["written: b.zarr", "written: b.nc", "written: b.svg"]
+
+
+def test_movies_of_systems_with_forces(folder, monkeypatch, capsys):
+    """The picture is that of the system without forces."""
+    made = []
+    monkeypatch.setattr(co.Solution, "movie", lambda run, path: made.append(path.name))
+    forces = '[[forces]]\nname = "Viscosity"\nnu = 0.1\n'
+    (folder / "fluid.toml").write_text(FLUID + forces)
+    assert cli.main(["run", "fluid.toml", "--movie", "a.gif"]) == 0
+    assert made == ["a.gif"] and capsys.readouterr().out.endswith("written: a.gif\n")
+
+
+@pytest.mark.parametrize("times", [["--t-end", "2.0"], []])
+def test_options_of_resume_reach_it(folder, capsys, monkeypatch, times):
+    (folder / "many.toml").write_text(ENSEMBLE)
+    assert cli.main(["run", "many.toml", "--archive", "a.zarr", "--quiet"]) == 0
+    calls, own = [], resume
+
+    def spy(*given, **named):
+        bound = inspect.signature(own).bind(*given, **named)
+        bound.apply_defaults()
+        calls.append(bound.arguments)
+        return own(given[0], *given[1:], **{**named, "workers": None})
+
+    monkeypatch.setattr("coadjoint.files.archives.resume", spy)
+    assert cli.main(["resume", "a.zarr", *times, "--threads", "3", "--workers", "2", "--progress"]) == 0
+    end = 2.0 if times else None
+    assert {key: calls[0][key] for key in ("t_end", "threads", "workers", "progress")} == {
+        "t_end": end, "threads": 3, "workers": 2, "progress": True
+    }  # fmt: skip
+    assert calls[0]["system"] is None, "rebuilt from its record"
+    assert capsys.readouterr().out.endswith("written: a.zarr\n")
+    assert co.open_archive("a.zarr").t[-1] == (end or 1.0)
+    assert cli.main(["resume", "a.zarr", "--quiet"]) == 0
+    assert {key: calls[1][key] for key in ("t_end", "threads", "workers", "progress")} == {
+        "t_end": None, "threads": None, "workers": None, "progress": False
+    }  # fmt: skip
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("span", [(0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (3.0, 2.0), (-1.0, -2.0)])
+def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
+    text = BODY.replace("[0.0, 1.0]", str(list(span))) + '[method]\nname = "Splitting"\norder = 4\n'
+    (folder / "run.toml").write_text(text)
+    given = {}
+
+    def spy(system, method, x0, step, **named):
+        given.update(named, system=system.name, method=method, x0=x0, step=step)
+        return SimpleNamespace(passed=True, to_json=lambda: "{}", __str__=lambda self: "")
+
+    monkeypatch.setattr("coadjoint.analysis.certify.certify", spy)
+    assert cli.main(["certify", "run.toml", "--steps", "7"]) == 0
+    assert given == {
+        "system": "rigid_body",
+        "method": co.Splitting(order=4),
+        "x0": [1.0, 0.1, 0.5],
+        "step": math.copysign(0.1, span[1] - span[0]),
+        "steps": 7,
+    }
+
+
+def test_targets_of_certify_are_checked_first(folder, monkeypatch, capsys):
+    monkeypatch.setattr("coadjoint.analysis.certify.certify", lambda *given, **more: pytest.fail("it ran"))
+    for option, name in (
+        ("--json", "none/a.json"),
+        ("--plot", "none/a.png"),
+        ("--json", "a.png"),
+        ("--plot", "a.json"),
+    ):
+        assert cli.main(["certify", "body.toml", option, name]) == 2
+        assert capsys.readouterr().err.startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize("reason", [OSError(28, "No space left on device"), MemoryError(), output.OutputError("full")])
+@pytest.mark.parametrize(
+    ("writer", "arguments"),
+    [
+        ("write_dataset", ["run", "body.toml", "--out", "a.nc"]),
+        ("write_figure", ["run", "body.toml", "--figure", "a.png"]),
+        ("write_text", ["certify", "body.toml", "--steps", "8", "--json", "a.json"]),
+        ("write_figure", ["certify", "body.toml", "--steps", "8", "--plot", "a.png"]),
+        ("movie", ["run", "fluid.toml", "--movie", "a.gif"]),
+    ],
+)
+def test_results_that_cannot_be_written_are_one_line(folder, monkeypatch, capsys, writer, arguments, reason):
+    def fail(*given):
+        raise reason
+
+    monkeypatch.setattr(co.Solution, "plot", lambda run: None)
+    found = SimpleNamespace(passed=True, to_json=lambda: "{}", plot=lambda: None)
+    monkeypatch.setattr("coadjoint.analysis.certify.certify", lambda *given, **more: found)
+    (folder / "fluid.toml").write_text(FLUID)
+    monkeypatch.setattr(*((co.Solution, "movie") if writer == "movie" else (output, writer)), fail)
+    assert cli.main(arguments) == 1
+    said = {OSError: "No space left on device", MemoryError: "it does not fit into memory"}.get(type(reason), "full")
+    line = f"{arguments[1]}: {arguments[-1]} could not be written ({said}); nothing was replaced\n"
+    assert capsys.readouterr().err == line
+
+
+def finding(name, passed, skipped=""):
+    class Found(SimpleNamespace):
+        def __str__(self):
+            return f"{self.name}: {self.skipped or self.passed}"
+
+    return Found(name=name, passed=passed, skipped=skipped)
+
+
+def test_selftest_counts_and_prints(monkeypatch, capsys):
+    found = [finding("a", True), finding("b", True, "no zarr"), finding("c", False), finding("d", True, "no numba")]
+    monkeypatch.setattr("coadjoint.experiments.selftest.run.selftest", lambda: iter(found))
+    assert cli.main(["selftest"]) == 1
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert lines == ["a: True", "b: no zarr", "c: False", "d: no numba"]
+    assert last.startswith(f"coadjoint {co.__version__}: 4 checks, 1 failed, 2 skipped, ")
+    assert cli.main(["selftest", "--quiet"]) == 1
+    assert capsys.readouterr().out == "c: False\n"
+    found.pop(2)
+    assert cli.main(["selftest", "--quiet"]) == 0 and capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (ValueError("a is\nwrong"), 2, "coadjoint: ValueError: a is wrong"),
+        (TypeError("a"), 2, "coadjoint: TypeError: a"),
+        (ZeroDivisionError("a"), 2, "coadjoint: ZeroDivisionError: a"),
+        (OverflowError("a"), 2, "coadjoint: OverflowError: a"),
+        (RecursionError("a"), 2, "coadjoint: RecursionError: a"),
+        (MemoryError("a"), 2, "coadjoint: MemoryError: a"),
+        (ImportError("a"), 2, "coadjoint: a"),
+        (BrokenPipeError(32, "a"), 141, ""),
+        (OSError(28, "No space left"), 1, "coadjoint: the standard output cannot be written (No space left)"),
+        (OSError(28, "No space left", "a.nc"), 1, "coadjoint: [Errno 28] No space left: 'a.nc'"),
+        (PermissionError(13, "Denied", "a.nc"), 1, "coadjoint: [Errno 13] Denied: 'a.nc'"),
+        (output.OutputError("a.nc: is a folder"), 2, "a.nc: is a folder"),
+    ],
+)
+def test_errors_have_their_status(monkeypatch, error, status, said):
+    def fail(*given):
+        raise error
+
+    monkeypatch.setattr(commands, "_describe", fail)
+    assert commands.perform(["methods"]) == (status, said)
+
+
+def test_warnings_follow_only_a_success(monkeypatch):
+    import warnings
+
+    def warned(*given):
+        for text in ("b", "a", "b"):
+            warnings.warn(text, UserWarning, stacklevel=1)
+        if failing:
+            raise ValueError("wrong")
+
+    monkeypatch.setattr(commands, "_describe", warned)
+    failing = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert commands.perform(["methods"]) == (0, "coadjoint: warning: b\ncoadjoint: warning: a")
+        failing.append(True)
+        assert commands.perform(["methods"]) == (2, "coadjoint: ValueError: wrong")
+
+
+def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
+    from coadjoint.waiting import tell
+
+    class Closed:
+        def write(self, text):
+            raise OSError("closed")
+
+        def flush(self):
+            raise OSError("closed")
+
+    monkeypatch.setattr(commands, "_describe", lambda *given: tell("a run", 60.0))
+    for stream in (Closed(), None):
+        monkeypatch.setattr("sys.stderr", stream)
+        assert commands.perform(["methods"]) == (0, "")
+
+
+def test_interrupts_and_missing_packages_have_their_status(monkeypatch, capsys):
+    for error, status, said in (
+        (KeyboardInterrupt(), 130, "coadjoint: interrupted\n"),
+        (ImportError("a is missing"), 2, "coadjoint: a is missing\n"),
+    ):
+        with monkeypatch.context() as patched:
+            patched.setattr(commands, "perform", lambda arguments, error=error: (_ for _ in ()).throw(error))
+            assert cli.main(["methods"]) == status
+        assert capsys.readouterr() == ("", said)
+
+
+def test_the_summary_of_what_is_shown(folder, capsys):
+    forced = '[[forces]]\nname = "LinearDamping"\nrate = 0.1\n'
+    for text, heading in (
+        (BODY, "largest deviation from the start, over every step:"),
+        (
+            BODY.replace("step = 0.1", "step = 0.1\nwatch = false"),
+            "largest deviation from the start, over the saved po",
+        ),
+        (BODY + forced, "change, and change minus the work of the forces (balance), over every step:"),
+    ):
+        (folder / "run.toml").write_text(text)
+        assert cli.main(["run", "run.toml"]) == 0
+        _, second, *rows = capsys.readouterr().out.splitlines()
+        assert second.startswith(heading) and [row.split()[0] for row in rows] == ["energy", "|x|^2"]
+        found = co.integrate(
+            co.systems.rigid_body().with_forces(co.forces.LinearDamping(0.1)) if "forces" in text else
+            co.systems.rigid_body(), (1.0, 0.1, 0.5), (0, 1), 0.1, watch="watch" not in text,
+        )  # fmt: skip
+        for row in rows:
+            name, *numbers = row.split()
+            wanted = [found.change()[name], *([found.balance()[name]] if "forces" in text else [])]
+            assert numbers == [f"{number:.3g}" for number in wanted]
+
+
+def test_a_name_without_a_balance_has_no_number(capsys):
+    stats = SimpleNamespace(steps=1, seconds=0.5)
+    sol = SimpleNamespace(
+        system=co.systems.rigid_body(), method="Splitting", stats=stats, step=0.1, watched=True, work={"a": {}},
+        change=lambda: {"energy": 0.25, "own": 0.5}, balance=lambda: {"energy": 0.125},
+    )  # fmt: skip
+    commands._summarize(sol, [])
+    assert [line.split() for line in capsys.readouterr().out.splitlines()[2:]] == [
+        ["energy", "0.25", "0.125"], ["own", "0.5", "nan"]
+    ]  # fmt: skip
+
+
+def test_a_driven_energy_is_marked(capsys):
+    H = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
+    driven = co.LiePoissonSystem(co.algebras.so(3), H, name="a" * 199)
+    stats = SimpleNamespace(steps=1, seconds=0.5)
+    for system, shown in ((driven, "energy (driven, so that it changes)"), (co.systems.rigid_body(), "energy")):
+        sol = SimpleNamespace(
+            system=system, method="Splitting", stats=stats, step=0.1, watched=False, work=None,
+            change=lambda: {"energy": 0.25, "C" * 500: 0.5},
+        )  # fmt: skip
+        commands._summarize(sol, [])
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[2].split("  ")[1].strip() == shown and max(map(len, lines[2:])) < 80
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("b=0.5", 0.5), ("b=1/4", 0.25), ("b=5e-1", 0.5), ("b=25E-2", 0.25), ("b=-1/2", -0.5)]
+)
+def test_numbers_of_parameters(text, value):
+    assert commands._parameter(text) == ("b", value)
+
+
+@pytest.mark.parametrize("text", ["b", "b=", "b=x", "b=1/0", "b=1e400", "b=nan", f"b={'1' * 60}", "b=0x10", "b=1e-x"])
+def test_parameters_that_are_none(text):
+    with pytest.raises(ValueError, match="is not a parameter; give name and number"):
+        commands._parameter(text)
+
+
+def test_the_schema_is_readable_text(capsys):
+    assert cli.main(["schema"]) == 0
+    shown = capsys.readouterr().out
+    assert "\\u" not in shown.replace("\\u0000", "") and json.loads(shown)
+
+
+def test_options_of_each_command_are_suggested(capsys):
+    for arguments, near in ((["certify", "--stepps", "3"], "--steps"), (["resume", "--tend", "3"], "--t-end"),
+                            (["gallery", "--uot", "a"], "--out"), (["systems", "--jsn", "a"], "--json")):  # fmt: skip
+        assert cli.main(arguments) == 2
+        line = f"coadjoint: unknown option '{arguments[1]}'; did you mean '{near}'?\n"
+        assert capsys.readouterr().err == line

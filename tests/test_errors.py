@@ -1,0 +1,181 @@
+"""Errors and the messages made of foreign names: copies, the nearest name, one line of bounded length."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.errors import (
+    LONGEST_SENTENCE,
+    MOST_LISTED,
+    OneLineError,
+    in_one_line,
+    nearest,
+    no_attribute,
+    unknown_name,
+)
+from coadjoint.files.configuration_parts import ConfigurationError
+from coadjoint.keywords import ATTRIBUTES, KEYWORDS, told, unknown_keyword
+from guards import bounded_work
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda error: pickle.loads(pickle.dumps(error))])
+def test_an_error_of_a_run_keeps_all_its_parts(again):
+    """Worker processes send it back."""
+    H = co.Polynomial({(4, 0, 0): 1.0, (0, 4, 0): 2.0, (0, 0, 4): 3.0})
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+    with pytest.raises(co.IntegrationError) as failure:
+        co.integrate(system, np.array([[1e160, 1e160, 1e160], [0.1, 0.2, 0.3]]), (0.5, 1.5), 0.125, co.GaussLegendre(2))
+    error = failure.value
+    found = again(error)
+    assert type(found) is co.IntegrationError and str(found) == str(error)
+    assert (found.step, found.time) == (error.step, error.time) and error.time >= 0.5
+    np.testing.assert_array_equal(found.residual, error.residual)
+    np.testing.assert_array_equal(found.partial.x, error.partial.x)
+    np.testing.assert_array_equal(found.partial.t, error.partial.t)
+    error = co.IntegrationError("no", step=3, time=-0.2, residual=1e-3, partial=("part", 2))
+    assert vars(again(error)) == vars(error) == {"step": 3, "time": -0.2, "residual": 1e-3, "partial": ("part", 2)}
+
+
+NAMES = ["rigid_body", "heavy_top", "lagrange_top", "so(3)", "GaussLegendre", "Splitting", "toda", "spin_lattice"]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("rigid_bodi", "rigid_body"),
+        ("SO(3)", "so(3)"),
+        ("RIGID_BODY", "rigid_body"),
+        ("gausslegendre", "GaussLegendre"),
+        ("Gauss", "GaussLegendre"),
+        ("tops", "toda"),
+        ("body", "rigid_body"),
+        ("lattices", "spin_lattice"),
+        ("agrange", "lagrange_top"),
+        ("qqq", None),
+        ("", None),
+        ("s", None),
+        ("rigid_body" * 10**5, "rigid_body"),
+        ("x" * 10**6, None),
+    ],
+)
+def test_the_nearest_name(name, found):
+    with bounded_work():
+        for known in (NAMES, NAMES[::-1]):
+            assert nearest(name, known) == found
+    assert nearest(name, []) is None
+
+
+def test_of_several_names_around_a_part_the_shortest_is_nearest():
+    assert nearest("spin", ["a_spin_lattice", "spin_of_many", "the_spin"]) == "the_spin"
+    assert nearest("spins", ["lattice_of_many_spin_vectors", "toda"]) == "lattice_of_many_spin_vectors", "a plural"
+    assert nearest("splitting", ["Splitting", "splittings"]) == "Splitting", "letters apart from their case first"
+
+
+def test_unknown_names_list_few_and_suggest_one_of_many():
+    few, many = [f"name{k}" for k in range(MOST_LISTED)], [f"name{k:03}" for k in range(MOST_LISTED + 1)]
+    assert str(unknown_name("kind", "zzz", few)) == f"unknown kind 'zzz'; there are: {', '.join(sorted(few))}"
+    suggested = str(unknown_name("kind", "zzz", many)).removeprefix("unknown kind 'zzz'; did you mean '")
+    assert suggested.removesuffix("'?") in many
+    assert str(unknown_name("kind", "nme017", many)) == "unknown kind 'nme017'; did you mean 'name017'?"
+    assert str(unknown_name("kind", 3, ["b", "a"])) == "unknown kind 3; give a name, such as 'a'"
+
+
+def test_missing_attributes_of_modules():
+    few, many = ["heavy_top", "toda"], [f"name{k:03}" for k in range(MOST_LISTED + 1)]
+    for module, name, known, said in (
+        ("co.systems", "zzz", few, "co.systems has no attribute 'zzz'. It has: heavy_top, toda"),
+        ("co.systems", "__path__", few, "co.systems has no attribute '__path__'"),
+        ("co.systems", "Splitting", few, "co.systems has no attribute 'Splitting'; it is co.Splitting"),
+        ("coadjoint", "Splitting", few, "coadjoint has no attribute 'Splitting'. It has: heavy_top, toda"),
+        (
+            "co.a",
+            "NAME001",
+            many,
+            "co.a has no attribute 'NAME001'; did you mean 'name001'? dir(co.a) lists what it has",
+        ),
+    ):
+        error = no_attribute(module, name, known)
+        assert type(error) is AttributeError and str(error) == said
+
+
+@pytest.mark.parametrize("limit", [20, 21, 60, 400, 401])
+def test_one_line_has_both_ends_of_a_message(limit):
+    for size in (0, 1, limit - 1, limit, limit + 1, 2 * limit, 10 * limit, 10**5):
+        text = "".join(chr(ord("a") + k % 26) for k in range(size))
+        line = in_one_line(text, limit)
+        assert len(line) <= limit
+        if size <= limit:
+            assert line == text
+        else:
+            head, tail = line.split(" ... ")
+            assert text.startswith(head) and text.endswith(tail) and limit - 1 <= len(line)
+            assert abs(len(head) - len(tail)) <= 1 and head and tail
+    words = in_one_line("a bc def " * limit, limit)
+    assert in_one_line(words, limit) == words and "  " not in words, "blanks beside what is left out too"
+    assert in_one_line(" a\n  b\t\rc\x1b[31m\0d\u2028e ", limit) == "a b c?[31m?d e"[:limit]
+    with bounded_work():
+        assert in_one_line("\x00" * 10**7 + "end", limit).endswith("?end")
+
+
+@pytest.mark.parametrize("kind", [OneLineError, ConfigurationError])
+def test_errors_of_one_line(kind):
+    error = kind("a\nb " * 1000)
+    assert len(str(error)) <= LONGEST_SENTENCE and "\n" not in str(error) and isinstance(error, ValueError)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def test_keywords_of_others_are_answered_by_arguments_that_exist():
+    import inspect
+
+    known = {
+        *inspect.signature(co.integrate).parameters, *inspect.signature(co.systems.rigid_body).parameters
+    }  # fmt: skip
+    for keyword, answer in KEYWORDS.items():
+        name, equals, _ = answer.partition("=")
+        assert keyword not in inspect.signature(co.integrate).parameters
+        assert not equals or " " in name or name in known, keyword
+    run = co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.2), (0, 0.5), 0.25)
+    for name, answer in ATTRIBUTES.items():
+        first = answer.partition(",")[0].partition("(")[0].partition(" ")[0]
+        assert hasattr(type(run), first) or hasattr(run, first), answer
+        assert not hasattr(run, name), name
+
+
+def test_a_keyword_is_answered_by_what_the_function_takes():
+    assert str(unknown_keyword("run", "dt", ["x0", "dta"])) == "run has no dt; did you mean dta=?"
+    assert str(unknown_keyword("run", "dt", ["x0", "step"])).startswith("run has no dt; give step=, the size of a step")
+    assert str(unknown_keyword("run", "jac", ["x0"])).startswith("run has no jac; it needs none")
+    assert str(unknown_keyword("run", "zzz", ["x0", "step"])) == "run has no zzz; it takes x0, step"
+
+
+def test_too_many_arguments_by_place():
+    calls = []
+
+    @told
+    def run(x0, step=None, *, threads=None):
+        calls.append((x0, step, threads))
+
+    @told
+    def one(inertia=None, *, name=None):
+        calls.append(inertia)
+
+    @told
+    def any_number(*members):
+        calls.append(members)
+
+    run(1, 2, threads=3)
+    any_number(1, 2, 3)
+    assert calls == [(1, 2, 3), (1, 2, 3)]
+    for call, said in (
+        (lambda: run(1, 2, 3), "run was given 3 arguments, and takes x0, step, threads, those after step by name"),
+        (lambda: one(1, 2), "one was given 2 arguments, and takes inertia, name, those after inertia by name"),
+        (lambda: run(1, thread=3), "run has no thread; did you mean threads=?"),
+        (lambda: any_number(1, members=2), None),
+    ):
+        with pytest.raises(TypeError) as refused:
+            call()
+        assert said is None or str(refused.value) == said
+    assert len(calls) == 2 and run.__name__ == "run"
