@@ -286,8 +286,22 @@ def test_the_noise_of_a_step_is_that_of_the_rougher_state(digits, rough):
     else:
         # Neighbours are 1e-12 apart: all of them may be rounded to one number, or some up and some down.
         assert noise <= 4.0 * math.sqrt(3.0) * 10.0**-digits
-    uneven = subject_of(BODY, lambda x, h: step(x, h) * (1.0 + 1e-9 * np.cos(1e14 * x[0])), states, 0.1).noise
-    assert 1e-10 < uneven
+
+
+@pytest.mark.parametrize("rough", [0, 1])
+def test_a_single_jump_between_neighbours_is_noise(rough):
+    """Neighbours are 2^-40 of the state apart; the second differences at a jump are the jump, and zero elsewhere."""
+    states = np.array([[0.3, 1.0, 0.2], [0.5, -0.4, 3.0], [0.1, 0.2, 0.3], [0.7, 0.1, 0.2]])
+    jump = np.array([3e-8, -4e-8, 0.0])
+    first = states[rough, 0]
+    middle = first + 4.5 * 2.0**-40 * math.cos(1.0) * np.linalg.norm(states[rough]) / math.sqrt(3.0)
+
+    def step(x, h):
+        after = x + h * BODY.vector_field(x)
+        return after + jump if middle < x[0] < first + 1e-6 else after
+
+    # The roundings of the others are 1e-15.
+    assert subject_of(BODY, step, states, 0.1).noise == pytest.approx(5e-8 / math.sqrt(6.0), rel=1e-6)
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(1)], ids=repr)
