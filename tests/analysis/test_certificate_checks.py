@@ -327,11 +327,19 @@ def test_a_run_with_an_element_does_not_change_one_without():
         plain = subject.run(X0[None], 0.1, 4)
         assert plain.attitude is None
         for kind in (True, "coadjoint"):
-            np.testing.assert_array_equal(subject.run(X0[None], 0.1, 4, attitude=kind).x, plain.x)
+            turned = subject.run(X0[None], 0.1, 4, attitude=kind)
+            np.testing.assert_array_equal(turned.x, plain.x)
+            once = co.integrate(BODY, X0[None], (0.0, 0.4), 0.1, co.Splitting(), save_every=4, attitude=kind)
+            np.testing.assert_allclose(turned.attitude, once.attitude, atol=1e-14)
         back = subject.run(X0[None], -0.1, 4, t=0.4)
         assert back.t[0] == 0.4 and back.t[-1] == pytest.approx(0.0)
         watched = subject.run(X0[None], 0.1, 4, save_every=2, watch=True)
         assert len(watched.t) == 3 and len(plain.t) == 2
+        # Watched runs know the drift at all steps, others at the saved points.
+        every = subject.run(X0[None], 0.1, 40, save_every=1)
+        for watch, energies in ((True, every.energy), (False, every.energy[::40])):
+            found = subject.run(X0[None], 0.1, 40, watch=watch).drift()["energy"]
+            assert found == pytest.approx(np.max(np.abs(energies - energies[0])), abs=1e-15)
 
 
 # The long run
