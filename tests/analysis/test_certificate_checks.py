@@ -336,9 +336,9 @@ def test_a_run_with_an_element_does_not_change_one_without():
         watched = subject.run(X0[None], 0.1, 4, save_every=2, watch=True)
         assert len(watched.t) == 3 and len(plain.t) == 2
         # Watched runs know the drift at all steps, others at the saved points.
-        every = subject.run(X0[None], 0.1, 40, save_every=1)
-        for watch, energies in ((True, every.energy), (False, every.energy[::40])):
-            found = subject.run(X0[None], 0.1, 40, watch=watch).drift()["energy"]
+        every = subject.run(X0[None], 0.1, 150, save_every=1)
+        for watch, energies in ((True, every.energy), (False, every.energy[::150])):
+            found = subject.run(X0[None], 0.1, 150, watch=watch).drift()["energy"]
             assert found == pytest.approx(np.max(np.abs(energies - energies[0])), abs=1e-15)
 
 
