@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import pytest
 
 import coadjoint as co
@@ -53,3 +55,13 @@ def test_skew_factors_are_refused_where_there_are_none() -> None:
         -x1 * x3,
         x1 * x2,
     ]
+
+
+@pytest.mark.parametrize("rates", [*permutations((1, 1, 0)), *permutations((1, 2, 8))])
+def test_the_change_of_the_bracket_is_the_largest_of_all_entries(rates) -> None:
+    """A field (a x1, b x2, c x3) changes the entry x3 of the bracket of so(3) by (c - a - b) x3, and so on."""
+    ring = ExactPolynomials(co.algebras.so(3))
+    J = [[ring.bracket(a, b) for b in ring.coordinates] for a in ring.coordinates]
+    field = [rate * x for rate, x in zip(rates, ring.coordinates, strict=True)]
+    total = sum(rates)
+    assert bracket_change(ring, J, field) == max(abs(2 * rate - total) for rate in rates)

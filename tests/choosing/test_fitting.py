@@ -67,6 +67,22 @@ def test_what_is_looked_at_is_no_finer_than_what_is_run():
     assert found.steps / 10.0 >= max(found.pilot.tried)
 
 
+@pytest.mark.parametrize("windows", [1.0, 4.0])
+def test_a_run_that_fails_or_misses_the_bound_is_given_more_steps(windows):
+    """It ends below the bound, with the error of a trial with as many steps as the run, and not with many too many."""
+    for error in (lambda steps: None if steps < 130 else 1e-12, lambda steps: 1e-4 * (100 / steps) ** 16):
+        found = confirmed(found_of(error, int(100 * windows), windows), 1e-6, 2e-6)
+        per_window = found.steps / windows
+        assert found.pilot.tried[0] == 100 and found.pilot.tried == sorted(found.pilot.tried)
+        assert error(per_window) * windows <= 2e-6
+        assert (
+            per_window <= 1.25 * 130
+            if found.error < 1e-11 * windows
+            else per_window <= 1.1 * 100 * 1e2 ** (1 / 16) * windows
+        )
+        assert found.error == pytest.approx(error(per_window) * windows, rel=0.25)
+
+
 @pytest.mark.parametrize("windows", [1.0, 3.0])
 def test_the_error_that_is_expected_is_that_of_the_steps_that_are_run(windows):
     found = confirmed(found_of(lambda steps: 1e-7 * (100 / steps) ** 16, 302, windows=windows), 1e-6, 2e-6)
@@ -74,36 +90,59 @@ def test_the_error_that_is_expected_is_that_of_the_steps_that_are_run(windows):
     assert found.steps == 302 and found.error == pytest.approx(1e-7 * (100 / per_window) ** 16 * windows)
 
 
-def fitted(error, order, goal, limit=math.inf):
-    found = found_of(error, 1)
-    candidate = SimpleNamespace(**{**vars(found.candidate), "method": co.Taylor(order)})
-    return fit(found.pilot, candidate, goal, limit, 40.0)
+def fitted(error, order, goal, limit=math.inf, windows=1.0, share=1.0):
+    """Fit from 40 steps in each window; errors at the end are those of a window times the number of windows."""
+    found = found_of(error, 1, windows)
+    candidate = SimpleNamespace(**{**vars(found.candidate), "method": co.Taylor(order), "share": share})
+    return fit(found.pilot, candidate, goal, limit, 40.0 * windows)
 
 
-def test_steps_keep_away_from_those_that_fail():
+@pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
+def test_steps_keep_away_from_those_that_fail(windows):
     """Up to 60 steps fail, and from there on nothing is left of the motion: the border of what is stable."""
-    found = fitted(lambda steps: None if steps <= 60 else 1e-40, 6, 1e-10)
+    found = fitted(lambda steps: None if steps <= 60 else 1e-40, 6, 1e-10, windows=windows)
     tried = found.pilot.tried
+    assert tried[0] == 40
     failed = max(steps for steps in tried if steps <= 60)
-    assert 1.5 * failed <= found.steps <= 2.0 * 60
+    assert 1.5 * failed <= found.steps / windows <= 2.0 * 60
     assert len(tried) <= 10
+    # Noise of a 256th part is assumed where nothing is seen, and more steps have smaller errors.
+    assert 0.0 < found.error <= 16.0 * NOISE * windows
 
 
-def test_where_errors_follow_the_order_it_says_how_many_steps():
+@pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
+@pytest.mark.parametrize("order", [6, 24])
+def test_where_errors_follow_the_order_it_says_how_many_steps(order, windows):
     """An order of 24 needs few more than the steps with which it begins to be right."""
-    found = fitted(lambda steps: (60 / steps) ** 24, 24, 1e-6)
-    needed = 60 * 1e-6 ** (-1.0 / 24)
-    assert needed <= found.steps <= 1.02 * needed + 1
-    assert found.error <= 1e-6
+    found = fitted(lambda steps: (60 / steps) ** order, order, 1e-6, windows=windows)
+    needed = 60 * (1e-6 / windows) ** (-1.0 / order) * windows
+    assert needed * (1.0 - 1e-9) <= found.steps <= 1.02 * needed + 1
+    per_window = found.steps / windows
+    assert found.error <= 1e-6 * (1.0 + 1e-9) and found.error == pytest.approx(
+        (60 / per_window) ** order * windows, rel=1e-9
+    )
+    ratio = per_window / found.trial.steps
+    assert found.extrapolated == pytest.approx(max(ratio, 1.0 / ratio)) and found.extrapolated >= 1.0
+    assert found.end == pytest.approx((60 / found.trial.steps) ** order * windows)
 
 
-def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up():
-    """Its cost is that of its steps; more of them cost more."""
-    tried = []
-    assert fitted(lambda steps: tried.append(steps) or 0.9, 16, 1e-6, limit=20.0) is None
+@pytest.mark.parametrize("windows", [1.0, 3.0])
+@pytest.mark.parametrize("share", [1.0, 0.125])
+def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up(windows, share):
+    """Its cost is that of its steps, or its share of it in an ensemble; more of them cost more."""
+    tried, limit = [], 20.0 * windows * share
+    given = {"windows": windows, "share": share}
+    assert fitted(lambda steps: tried.append(steps) or 0.9, 16, 1e-6, limit=limit, **given) is None
     assert tried == [40]
-    found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=100.0)
-    assert found.given_up
+    # The limit is exceeded by 1 + 6/16 at most: there 40 steps are still worth another trial.
+    assert fitted(lambda steps: tried.append(steps) or 0.9, 16, 1e-6, limit=2.0 * limit, **given) is None
+    assert tried[:3] == [40, 40, 80]
+    found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=5.0 * limit, **given)
+    needed = 60 * (1e-6 / windows) ** (-1.0 / 16)
+    assert found.given_up == (needed > 1.375 * 100.0) and found.cost == found.steps * share
+    found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=4.0 * limit, **given)
+    assert found.given_up and found.cost == found.steps * share
+    assert not fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=10.0 * limit, **given).given_up
 
 
 def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():

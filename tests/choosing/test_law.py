@@ -85,6 +85,34 @@ def test_what_is_foretold_by_kin(backward):
     assert foresight.cheapest_first(waiting) == turn
 
 
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_costs_that_are_foretold_are_those_of_a_member(share):
+    """In an ensemble a member has its share: of each scheme its own, not that of its kin."""
+    foresight = Foresight(lambda candidate: 1e-6, None)
+    kin = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
+    for fit in [*exact_fits(1e-6), kin]:
+        foresight.learn(fit)
+    for method in (co.Taylor(12), co.Splitting(order=8), co.GaussLegendre(6)):
+        alone, among = Told(method=method), Told(method=method, share=share)
+        assert foresight.least_cost(among) == pytest.approx(share * foresight.least_cost(alone))
+        assert foresight.guess(among) == foresight.guess(alone)
+
+
+def test_goals_are_those_of_each_scheme():
+    """The errors that orders aim at differ; a law, and what is foretold by kin, has that of the scheme in question."""
+    foresight = Foresight(lambda candidate: 1e-6 / candidate.method.order**2, None)
+    for fit in exact_fits(1e-6):
+        foresight.learn(fit)
+
+    def law(p):
+        return 50.0 * (3.0 * p**2 / 1e-6) ** (1.0 / p)
+
+    foresight.learn(fit_of(16, 2.0 * law(16), 1e-6 / 256, co.GaussLegendre(8)))
+    assert foresight.guess(Told(method=co.GaussLegendre(4))) == pytest.approx(2.0 * law(8))
+    assert foresight.least_cost(Told(method=co.GaussLegendre(4))) == pytest.approx(2.0 * law(8) * 4 / KIN)
+    assert foresight.least_cost(Told(method=co.Splitting(order=4))) == pytest.approx(law(4) / AHEAD * 4 * 2)
+
+
 def test_errors_as_large_as_the_motion_tell_nothing():
     foresight = Foresight(lambda candidate: 1e-6, None)
     for fit in exact_fits(1e-6):

@@ -1,5 +1,7 @@
 """Runs that are prepared for an accuracy: chosen once for a sample, checked by the first step of each."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -118,6 +120,47 @@ def test_an_attitude_comes_along():
     run = ready.run(SAMPLE[0], SPAN, attitude=np.diag([1.0, -1.0, -1.0]))
     once = co.integrate(BODY, SAMPLE[0], SPAN, ready.step, ready.method, attitude=np.diag([1.0, -1.0, -1.0]))
     assert np.array_equal(run.attitude, once.attitude)
+
+
+@pytest.mark.parametrize("method", [None, co.Splitting(order=6), co.Taylor(tolerance=1e-9)], ids=str)
+@pytest.mark.parametrize("span", [(3.0, 43.0), (40.0, 0.0)])
+def test_a_choice_of_its_own_is_run_with_everything_that_was_given(method, span):
+    """The settings of the prepared run and the arguments of the call, for a state that is nine times as fast."""
+    settings = {"attitude": True, "watch": False, "observe": {"height": lambda x: x[2]}, "threads": 1}
+    ready = co.prepare(BODY, method, accuracy=1e-7, x0=SAMPLE[:4], t_span=span, **settings)
+    x0, attitude = 9.0 * SAMPLE[5], np.diag([1.0, -1.0, -1.0])
+    times = span[0] + math.copysign(1.0, span[1] - span[0]) * np.array([2.0, 17.5])
+    for options in ({"save_every": 3}, {"t_eval": times}):
+        found = ready.run(x0, span, attitude=attitude, **options)
+        step, own = found.choice.step, found.choice.method
+        once = co.integrate(BODY, x0, span, step, own, **{**settings, "attitude": attitude}, **options)
+        assert found.choice != ready.choice and own == found.method
+        for name in ("t", "x", "attitude"):
+            assert np.array_equal(getattr(found, name), getattr(once, name)), name
+        assert np.array_equal(found.observed["height"], once.observed["height"])
+        direct = co.choose(BODY, x0, span, 1e-7, attitude=True, methods=method)
+        assert (found.choice.method, found.choice.step, found.choice.cost) == (own, step, direct.cost)
+    ending = co.Event(lambda x: x[1], terminal=True)
+    stopped = ready.run(x0, span, attitude=attitude, events=ending)
+    same = co.integrate(BODY, x0, span, step, own, **{**settings, "attitude": attitude}, events=ending)
+    assert np.array_equal(stopped.t, same.t) and len(stopped.t) < round(40.0 / step)
+
+
+@pytest.mark.parametrize("span", [(0.0, 40.0), (7.0, -33.0)])
+def test_the_worst_of_the_sample_is_what_is_allowed(span):
+    """Whatever its place, also where others are at rest or slow; and along its motion, not only at its start."""
+    # Near the middle axis the motion is slow at first, and then it flips over.
+    flipping = np.array([1e-4, 1.0, 1e-4])
+    slow, rest = 0.05 * SAMPLE[0], np.array([0.0, 0.0, 0.0])
+    method = co.Splitting(order=4)
+    for sample in ([flipping, slow, rest], [rest, slow, flipping], [slow, flipping], [flipping]):
+        ready = co.prepare(BODY, method, accuracy=1e-6, x0=np.array(sample), t_span=span)
+        along = co.integrate(BODY, flipping, span, ready.step, method).x
+        assert all(ready.serves(x) for x in along[:: len(along) // 50])
+        assert ready.serves(along) and ready.serves(rest)
+        # The errors of a step of order four are 1.5^5 times as large at 1.5 times the speed.
+        assert not ready.serves(1.5 * along)
+        assert not ready.serves(1.5 * along[np.argmin(np.abs(along[:, 1]))])
 
 
 @pytest.mark.parametrize(
