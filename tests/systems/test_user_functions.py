@@ -36,7 +36,7 @@ SIGNATURES = [  # a function, whether it takes the time
 ]
 
 
-@pytest.mark.parametrize(("function", "timed"), SIGNATURES, ids=str)
+@pytest.mark.parametrize(("function", "timed"), SIGNATURES)
 def test_which_functions_take_the_time(function, timed):
     assert takes_time(function, "f") is timed
 

@@ -91,7 +91,8 @@ class Plan:
         yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
         yield "memory", f"{in_bytes(self.memory)}, {in_words(available())} are free"
         if self.written is None:
-            yield "output", "xarray is not installed, so that nothing can be written"
+            without = "xarray is not installed, so that nothing can be written"
+            yield "output", "not known: the trial failed" if self.failed else without
         else:
             yield "output", f"{in_bytes(self.written)} before compression{self._places()}"
         if self.seconds is None:

@@ -21,6 +21,7 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     const bool narrow = fits(tables) && !iterated && !side_by_side && !loop.schedule.lengths;
     int64_t place = first;
     for (; place < last && stride && loop.schedule.lengths; ++place) {
+        if (loop.arrays.status[members[place]] != DONE) continue;
         const Own own{stride, place};
         follow_alone<double>(loop, *single_of(tables, own), members[place], own);
     }
