@@ -144,3 +144,4 @@ def test_a_trial_that_fails_is_told(folder, capsys):
     assert cli.main(["check", "run.toml"]) == 1
     said = capsys.readouterr()
     assert "time          not known: the trial failed (in step 710, " in said.out and said.err == ""
+    assert "output        not known: the trial failed" in said.out and "xarray" not in said.out

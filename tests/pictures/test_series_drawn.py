@@ -100,7 +100,7 @@ def test_flips_backward_and_forward():
 def test_states_that_are_complex_matrices(stretch, joined, members):
     """W' = [P, W] turns what is off the diagonal: real and imaginary parts are coordinates."""
     P = np.diag([1j, -1j])
-    t = stretch * np.arange(40)
+    t = stretch * np.arange(41)
     W = np.array([[1j, 1.0], [-1.0, -1j]])
     turned = np.stack([np.diag(np.exp(time * np.diag(P))) @ W @ np.diag(np.exp(-time * np.diag(P))) for time in t])
     x = turned if members is None else np.repeat(turned[:, None], members, axis=1)
@@ -109,7 +109,7 @@ def test_states_that_are_complex_matrices(stretch, joined, members):
     )
     run = SimpleNamespace(t=t, x=x, system=system, failed=None if members is None else np.zeros(members, dtype=bool))
     drawn = Drawn(run)
-    assert drawn.x.shape == (members or 1, 40, 8) and drawn.names == tuple(f"x{i + 1}" for i in range(8))
+    assert drawn.x.shape == (members or 1, 41, 8) and drawn.names == tuple(f"x{i + 1}" for i in range(8))
     np.testing.assert_array_equal(drawn.x[0, :, 2], turned[:, 0, 1].real)
     np.testing.assert_array_equal(drawn.x[0, :, 3], turned[:, 0, 1].imag)
     assert drawn.close is joined
