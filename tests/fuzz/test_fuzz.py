@@ -14,7 +14,7 @@ from .configurations import draw
 from .judging import wrong_error
 from .run import in_processes
 
-FEW, LONG = 200, 20_000
+FEW, LONG = 100, 20_000
 COUNTS = [("configurations", FEW), ("calls", FEW), ("configurations", 1200), ("calls", 800)]
 
 
