@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from coadjoint import systems
 from coadjoint.algebra.polynomial import Polynomial
@@ -27,8 +27,7 @@ from coadjoint.given import read_path
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_direction, check_serves, serving
-from coadjoint.methods.splitting import Splitting
-from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.methods.suggested import default_scheme
 from coadjoint.runs.any_time import moments_of
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for, integrate
@@ -318,10 +317,7 @@ def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
 
 def _method(name: str, file: File, system: Any) -> Method:
     """Return the scheme of a file, or the default of `integrate`."""
-    if file.method is not None:
-        return method_of_file(name, file.method)
-    moved = unforced(system)
-    return suggested_scheme(cast(Any, moved)) if isinstance(moved, MatrixSystem) else Splitting()
+    return default_scheme(system) if file.method is None else method_of_file(name, file.method)
 
 
 def _check_times(name: str, file: File, system: Any, step: float) -> None:

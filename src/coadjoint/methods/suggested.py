@@ -1,4 +1,4 @@
-"""The suggested scheme for a system, if no accuracy is given."""
+"""The default scheme of runs, and the suggested scheme for a system, if no accuracy is given."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_one_system, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 RULE: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """The first scheme that supports the system is suggested."""
+
+
+def default_scheme(system: Any) -> Method:
+    """Return the scheme of a run that names none, with or without forces."""
+    moved = unforced(system)
+    return suggested_scheme(cast(System, moved)) if isinstance(moved, MatrixSystem) else Splitting()
 
 
 def suggested_scheme(system: System) -> Method:

@@ -17,8 +17,7 @@ from coadjoint.keywords import told
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
 from coadjoint.methods.registry import read_method
-from coadjoint.methods.splitting import Splitting
-from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.methods.suggested import default_scheme
 from coadjoint.runs.any_time import Moments, check_parts, look, moments_of
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.crossings import WatchedEvents
@@ -71,10 +70,7 @@ class PreparedRun:
         threads: int | None = None,
         inputs: Any = None,
     ) -> None:
-        scheme = None if method is None else read_method(method)
-        if scheme is None:
-            moved: Any = system.system if isinstance(system, ForcedSystem) else system
-            scheme = suggested_scheme(cast(System, moved)) if isinstance(moved, MatrixSystem) else Splitting()
+        scheme = default_scheme(system) if method is None else read_method(method)
         watching = read_flag(watch, "watch")
         workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
         check_system(system)
