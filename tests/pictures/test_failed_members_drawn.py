@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from drawn_runs import axes_of
 
 import coadjoint as co
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.register import CannotShow, kinds
+from coadjoint.pictures.register import CannotShow
 from coadjoint.systems.telling import Picture
 
 T0 = 7.3
@@ -34,12 +34,6 @@ def bodies(bad: int) -> co.Solution:
     run = partial(BODY, starts, (T0, T0 + 2.0), 0.1, co.ExplicitRungeKutta("rk4"), attitude=True)
     assert run.failed.tolist() == [m == bad for m in range(3)]
     return run
-
-
-def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:
-    axes = Figure().add_subplot(projection=kinds()[name].projection)
-    kinds()[name].prepare(Drawn(run, members), **options)(axes)
-    return axes
 
 
 @pytest.mark.parametrize("bad", [0, 1, 2])

@@ -5,8 +5,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import drawn_runs
 import numpy as np
 import pytest
+from drawn_runs import axes_of
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
@@ -19,7 +21,7 @@ from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.movie import frames_of
 from coadjoint.pictures.projections import PROJECTIONS
-from coadjoint.pictures.register import CannotShow, kinds
+from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.section import draw_crossings
 from coadjoint.pictures.spatial import _raised, axis_in_space
 from coadjoint.pictures.style import INK, colour
@@ -33,17 +35,7 @@ TURN = 2.0 * np.pi * np.arange(200) / 200
 
 
 def made(x: np.ndarray, system: Any = BODY, t: Any = None, **series: Any) -> Any:
-    """Return the data of a run, of members if x is (k, members, n)."""
-    failed = np.zeros(x.shape[1], dtype=bool) if x.ndim > 2 else None
-    t = T0 + 0.01 * np.arange(len(x)) if t is None else t
-    empty = {"casimirs": {}, "work": {}, "observed": {}, "events": None, "carried": None, "attitude": None}
-    return SimpleNamespace(t=t, x=x, system=system, failed=failed, **{**empty, **series})
-
-
-def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:
-    axes = Figure().add_subplot(projection=kinds()[name].projection)
-    kinds()[name].prepare(Drawn(run, members), **options)(axes)
-    return axes
+    return drawn_runs.made(T0 + 0.01 * np.arange(len(x)) if t is None else t, x, system, **series)
 
 
 def spinning(phase: np.ndarray, t: np.ndarray, sense: float = 1.0) -> Any:

@@ -88,7 +88,7 @@ def test_flips_backward_and_forward():
     x0 = (0.02, 1.0, 0.02)
     forward = co.integrate(BODY, x0, (0.0, 60.0), 0.05, co.GaussLegendre(4))
     backward = co.integrate(BODY, x0, (0.0, -60.0), 0.05, co.GaussLegendre(4))
-    there, back = (flips(BODY, run.t, run.x, 1) for run in (forward, backward))
+    there, back = (flips(BODY.vector_field, run.t, run.x, 1) for run in (forward, backward))
     assert len(there) > 1 and len(back) > 1
     # x2 at a flip is as small as the cubic is wrong: h^4 x2'''' / 384, with rates below 1
     for times in (there, back):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
+import drawn_runs
 import numpy as np
 import pytest
+from drawn_runs import axes_of
 from matplotlib import colormaps
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import to_rgba
@@ -16,7 +17,6 @@ import coadjoint as co
 from coadjoint.pictures.between import _divided
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.flips import flips
-from coadjoint.pictures.register import kinds
 from coadjoint.pictures.series import draw_series, envelope
 
 T0 = 7.3
@@ -32,16 +32,7 @@ def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
 
 
 def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any:
-    """Return the data of a run, of members if x is (k, members, n)."""
-    failed = np.zeros(x.shape[1], dtype=bool) if x.ndim > 2 else None
-    empty = {"casimirs": {}, "work": {}, "observed": {}, "events": None, "carried": None, "attitude": None}
-    return SimpleNamespace(t=t, x=x, system=system, failed=failed, **{**empty, **series})
-
-
-def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:
-    axes = Figure().add_subplot(projection=kinds()[name].projection)
-    kinds()[name].prepare(Drawn(run, members), **options)(axes)
-    return axes
+    return drawn_runs.made(t, x, system, **series)
 
 
 @pytest.mark.parametrize("sense", SENSES)
@@ -181,26 +172,27 @@ def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense
     x = np.stack([np.cos(t - T0), -np.sin(t - T0), 0.0 * t + 0.5], axis=-1)
     if np.sign(spin.vector_field(x[0])[1]) > 0:
         x[:, 1] *= -1.0
-    wanted = T0 + sense * np.pi * (0.5 + np.arange(3))
+    field, wanted = spin.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
     error = np.abs(np.diff(t)).max() ** 4 / 384.0
-    np.testing.assert_allclose(flips(spin, t, x, 0), wanted, rtol=0, atol=error)
-    np.testing.assert_allclose(flips(spin, t, x, 0, most=2), wanted[:2], rtol=0, atol=error)
+    np.testing.assert_allclose(flips(field, t, x, 0), wanted, rtol=0, atol=error)
+    np.testing.assert_allclose(flips(field, t, x, 0, most=2), wanted[:2], rtol=0, atol=error)
     # A saved point exactly at the second one, and a start and an end at which the coordinate is zero.
     k = int(np.argmin(np.abs(t - wanted[1])))
     t[k], x[k] = wanted[1], [0.0, x[k, 1], 0.5]
-    found = flips(spin, t, x, 0)
+    found = flips(field, t, x, 0)
     assert len(found) == 3 and found[1] == pytest.approx(wanted[1], abs=1e-12)
-    np.testing.assert_allclose(flips(spin, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
+    np.testing.assert_allclose(flips(field, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
     x[k] = np.nan
-    assert len(flips(spin, t, x, 0)) == 2
+    assert len(flips(field, t, x, 0)) == 2
 
 
 def test_changes_of_sign_of_complex_matrices():
     fluid = co.systems.torus_euler(3)
     run = co.integrate(fluid, fluid.random(1, degrees=(1, 1)), (T0, T0 + 20.0), 0.125, co.IsospectralGauss())
-    real = Drawn(run).x[0]
+    drawn = Drawn(run)
+    real = drawn.x[0]
     i = int(np.argmax([np.count_nonzero(np.diff(np.sign(column))) for column in real.T]))
-    found = flips(fluid, run.t, real, i)
+    found = flips(drawn.slope, run.t, real, i)
     crossed = np.flatnonzero(np.diff(np.sign(real[:, i])))
     assert len(found) == len(crossed) > 0
     part = real[crossed, i] / (real[crossed, i] - real[crossed + 1, i])

@@ -84,7 +84,7 @@ def components(
 def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
     if len(drawn.x) > 1 or not drawn.close:
         return
-    times = flips_of(drawn.system, drawn.t, drawn.x[0], i, most=2)
+    times = flips_of(drawn.slope, drawn.t, drawn.x[0], i, most=2)
     # Too close for a visible arrow between them.
     if len(times) < 2 or abs(times[1] - times[0]) < 0.05 * abs(drawn.t[-1] - drawn.t[0]):
         return
