@@ -2,6 +2,10 @@
 
 namespace coadjoint {
 
+// In `series_with_gradient.cpp`, since each of the two takes minutes to compile.
+extern template void Series<4>::expand_written<false>(int64_t, double);
+extern template void Series<8>::expand_written<false>(int64_t, double);
+
 template <int W>
 void Series<W>::expand(double h) {
     const int64_t blocks = field.extended == field.blocks && (W == 8 || field.blocks == 1) ? field.blocks : 0;
