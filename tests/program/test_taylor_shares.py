@@ -132,7 +132,7 @@ def test_derivatives_that_contradict_each_other_are_refused(y):
         change = np.zeros((2, 2))
         change[i, j] = 1.0
         wrong = altered(term, hessian=lambda y, change=change: term.hessian(y) + change)
-        with pytest.raises(ValueError, match="derivatives of order 3 .* it is not analytic on circles"):
+        with pytest.raises(ValueError, match=r"derivatives of order 3 .* it is not analytic on circles"):
             taylor_polynomial(wrong, y, 3)
     for i in range(2):
         # Different on the real axis and off it, as of abs.
