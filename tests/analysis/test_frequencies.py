@@ -410,7 +410,7 @@ def test_basic_frequencies_are_chosen_wherever_they_stand() -> None:
     assert lines.combinations([1.0, 5.25], largest=4).found.tolist() == [True, True, True, False]
     assert lines.combinations(largest=4).basis.tolist() == [1.0, 5.25, w[3]]
     for basis in ([[1.0, 5.25]], [1e308]):
-        with pytest.raises(ValueError, match="give a few frequencies, .* whose sums fit float64"):
+        with pytest.raises(ValueError, match=r"give a few frequencies, .* whose sums fit float64"):
             lines.combinations(basis)
 
 
