@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from coadjoint.algebra import catalogue
+from coadjoint.algebra import catalogue, joins
+from coadjoint.algebra import representation as module
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import intertwiner, invariant_form
 
@@ -149,3 +150,74 @@ def test_intertwiner_from_a_larger_representation(g):
 def test_intertwiner_refuses_different_lengths():
     with pytest.raises(ValueError, match=r"shape \(3, d, d\)"):
         intertwiner(catalogue.so(3).representation, coadjoint_matrices(catalogue.so(4)))
+
+
+def in_drawn_bases(g, seed):
+    """Return the representation of an algebra with its elements in another order and vectors in another basis."""
+    rng = np.random.default_rng(seed)
+    rho = g.representation[rng.permutation(g.dim)]
+    d = rho.shape[1]
+    basis = np.linalg.qr(rng.standard_normal((d, d)))[0] * rng.uniform(0.5, 2.0, d)
+    return np.linalg.inv(basis) @ rho @ basis
+
+
+@pytest.mark.parametrize("per_fold", [1, 2, 4, 100])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("g", [catalogue.so(4), catalogue.so(5), catalogue.sl(2)], ids=str)
+def test_every_matrix_counts_however_many_are_looked_at_together(monkeypatch, g, seed, per_fold):
+    rho = in_drawn_bases(g, seed)
+    whole = invariant_form(rho)
+    n, d = rho.shape[:2]
+    monkeypatch.setattr(module, "FOLDED_ROWS", per_fold * d * d)
+    form = invariant_form(rho)
+    # The matrices are conditioned below 16; a form of an irreducible representation is unique up to its factor.
+    assert residual(rho, form) < 1e-12 and np.abs(form).max() == form.max() == 1.0
+    # The larger of two opposite entries of a skew form is decided by round-off.
+    np.testing.assert_allclose(form, np.sign(np.vdot(form, whole)) * whole, rtol=0, atol=1e-12)
+    t = intertwiner(rho, -rho.transpose(0, 2, 1))
+    assert np.linalg.matrix_rank(t) == d and np.abs(t @ rho + rho.transpose(0, 2, 1) @ t).max() < 1e-12
+    for k in range(n):
+        wrong = rho.copy()
+        wrong[k] += 0.5 * np.eye(d)
+        assert invariant_form(wrong) is None
+        assert intertwiner(rho, wrong) is None and intertwiner(wrong, rho) is None
+
+
+def test_a_form_of_a_large_representation():
+    """45 matrices of 10 x 10: more equations than are looked at together."""
+    metric = np.diag([1.0] * 5 + [-1.0] * 5)
+    rho = catalogue.so(10).representation @ metric
+    assert len(rho) * 100 > module.FOLDED_ROWS
+    form = invariant_form(rho)
+    assert residual(rho, form) < 1e-13
+    np.testing.assert_allclose(np.abs(form), np.eye(10), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("chunk", [1, 5, 40])
+@pytest.mark.parametrize("g", [catalogue.so(4), catalogue.e(3), catalogue.A3_7(0.3)], ids=str)
+def test_a_wrong_entry_is_found_in_whichever_chunk_it_is(monkeypatch, g, chunk):
+    """The commutators are checked a few elements at a time; the entry may be anywhere."""
+    monkeypatch.setattr(joins, "CHUNK", chunk)
+    check = module.check_representation
+    assert np.array_equal(check(g.representation, g.triples, g.dim, g.basis), g.representation)
+    assert not check(g.representation, g.triples, g.dim, g.basis).flags.writeable
+    for flat in range(0, g.representation.size, 5):
+        rho = g.representation.copy()
+        rho.flat[flat] += 1e-3 * (1 + abs(rho.flat[flat]))
+        if dense_defect(g, rho) > 1e-6:
+            with pytest.raises(ValueError, match="representation violates the commutator"):
+                check(rho, g.triples, g.dim, g.basis)
+        else:
+            check(rho, g.triples, g.dim, g.basis)
+
+
+def test_forms_of_reducible_representations_have_full_rank():
+    """Of two copies each carries a form of its own; beside an element that scales one copy, none is left."""
+    rho = catalogue.so(3).representation @ np.diag([1.0, 2.0, 3.0])
+    n, d = rho.shape[:2]
+    double = np.zeros((n, 2 * d, 2 * d))
+    double[:, :d, :d] = double[:, d:, d:] = rho
+    form = invariant_form(double)
+    assert np.linalg.cond(form) < 1e3 and residual(double, form) < 1e-14
+    scaled = np.concatenate([double, np.diag([0.0] * d + [1.0] * d)[None]])
+    assert invariant_form(scaled) is None

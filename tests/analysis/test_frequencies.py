@@ -342,6 +342,100 @@ def test_combinations_stay_within_the_largest_integer() -> None:
     assert pair.combinations([0.99], largest=5).found.tolist() == [True, False]
 
 
+def drawn_combinations(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray, np.ndarray]:
+    """Return basic frequencies, their uncertainties, and integers of either sign, no row twice."""
+    rng = np.random.default_rng(seed)
+    d = int(rng.integers(1, 4))
+    basis = rng.choice([-1.0, 1.0], d) * np.sqrt([2.0, 3.0, 5.0])[:d] * rng.uniform(0.5, 2.0, d)
+    integers = np.array([row for row in rng.integers(-3, 4, (40, d)) if np.sum(np.abs(row)) > 1])
+    return rng, basis, 10.0 ** rng.uniform(-11.0, -9.0, d), np.unique(integers, axis=0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int) -> None:
+    """Whatever the signs of the integers: off by 0.9 of the sum it is found, by 1.1 it is not."""
+    rng, basis, known, integers = drawn_combinations(seed)
+    own = 10.0 ** rng.uniform(-11.0, -9.0, len(integers))
+    slack = 4.0 * own + np.abs(integers) @ (4.0 * known)
+    side = rng.choice([-1.0, 1.0], len(integers))
+    for factor, found in ((0.9, True), (1.1, False)):
+        w = np.concatenate([basis, integers @ basis + factor * side * slack])
+        # A line of which nothing is known stands among the others, and is left out.
+        w, uncertainty = (np.insert(row, len(basis), np.nan) for row in (w, np.concatenate([known, own])))
+        lines = co.Frequencies(w, np.ones(len(w), complex), uncertainty, 0.0 * w, 0.0, 0.0, True)
+        combined = lines.combinations(basis=None if found else basis, largest=3)
+        assert np.array_equal(combined.basis, basis)
+        # 343 combinations of numbers up to 20 are farther apart than 1e-7, except by a coincidence.
+        assert np.array_equal(combined.integers, np.concatenate([np.eye(len(basis)), integers]))
+        if found:
+            assert combined.found.all()
+            np.testing.assert_allclose(combined.misfit[len(basis) :], 0.9 * side * slack, rtol=1e-3)
+    # Without a combination within the uncertainty, a line is a basic frequency of its own.
+    extra = integers[:1] @ basis + 1.1 * side[:1] * slack[:1]
+    w, uncertainty = np.concatenate([basis, extra]), np.concatenate([known, own[:1]])
+    lines = co.Frequencies(w, np.ones(len(w), complex), uncertainty, 0.0 * w, 0.0, 0.0, True)
+    assert np.array_equal(lines.combinations(largest=3).basis, w)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_given_basic_frequencies_are_exact(seed: int) -> None:
+    _, basis, _, integers = drawn_combinations(seed)
+    own = np.full(len(integers), 1e-9)
+    for factor in (0.9, 1.1):
+        w = integers @ basis + factor * 4.0 * own
+        lines = co.Frequencies(w, np.ones(len(w), complex), own, 0.0 * w, 0.0, 0.0, True)
+        combined = lines.combinations(basis, largest=3)
+        assert np.array_equal(combined.integers, integers) and np.all(combined.found == (factor < 1.0))
+
+
+def test_round_off_of_a_line_is_within_its_uncertainty() -> None:
+    w = 4.5 + np.array([0, 2, -2, 3, -3]) * 8.0 * U  # neighbours; the uncertainty of 4 u w is 18 u
+    for sign in (1, -1):
+        lines = co.Frequencies(sign * w, np.ones(5, complex), np.zeros(5), np.zeros(5), 0.0, 0.0, False)
+        combined = lines.combinations([1.5])
+        assert combined.integers.tolist() == [[3 * sign]] * 5 and combined.found.tolist() == [True] * 3 + [False] * 2
+    t = np.arange(2000) * 0.3
+    assert np.all(co.frequencies(t, np.cos(1.7 * t), count=1).uncertainty >= U * 1.7)
+
+
+def test_basic_frequencies_are_chosen_wherever_they_stand() -> None:
+    """3 is 3 times 1 within its large uncertainty, 5.25 is not within integers up to 4; the last is 2 * 5.25 - 1."""
+    w, known = np.array([1.0, 3.01, 5.25, 9.5 + 3e-5]), np.array([1e-6, 3e-3, 4e-6, 0.0])
+    lines = co.Frequencies(w, np.ones(4, complex), known, 0.0 * w, 0.0, 0.0, True)
+    combined = lines.combinations(largest=4)
+    assert combined.basis.tolist() == [1.0, 5.25] and combined.found.all()
+    assert combined.integers.tolist() == [[1, 0], [3, 0], [0, 1], [-1, 2]]
+    # 4 (2 * 4e-6 + 1e-6) is 3.6e-5.
+    w[3] = 9.5 + 4e-5
+    assert lines.combinations([1.0, 5.25], largest=4).found.tolist() == [True, True, True, False]
+    assert lines.combinations(largest=4).basis.tolist() == [1.0, 5.25, w[3]]
+    for basis in ([[1.0, 5.25]], [1e308]):
+        with pytest.raises(ValueError, match=r"give a few frequencies, .* whose sums fit float64"):
+            lines.combinations(basis)
+
+
+def test_the_table_of_lines_has_a_row_for_each() -> None:
+    amplitude = np.array([[3.0, 4.0j], [0.0, -0.25]])
+    found = co.Frequencies(
+        np.array([1.5, -0.75]), amplitude, np.array([2e-5, 3e-6]), np.array([-4e-7, 5e-8]), np.zeros(2), 0.0, False
+    )
+    rows = [line.split() for line in str(found).splitlines()]
+    assert rows[0] == ["frequency", "uncertainty", "diffusion", "amplitude"]
+    assert [[float(entry) for entry in row] for row in rows[1:]] == [
+        [1.5, 2e-5, -4e-7, 5.0], [-0.75, 3e-6, 5e-8, 0.25]
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("samples", [100, 101])
+def test_diffusion_of_a_few_samples_is_over_the_distance_of_the_halves(samples: int) -> None:
+    """Of an even number of samples the halves share none, and of an odd number one: n/2 or (n - 1)/2 steps apart."""
+    t = 3.0 + 0.2 * np.arange(samples)
+    c = 1e-4
+    found = co.frequencies(t, np.exp(1j * (4.0 * t + c * t**2)), count=1)
+    # The chirp is 0.04 radians off a line over the span; its effect on the frequency is of second order.
+    assert found.diffusion[0] == pytest.approx(2.0 * c * 0.2 * (samples // 2), rel=1e-3)
+
+
 def test_what_is_refused() -> None:
     t = np.arange(200) * 0.1
     with pytest.raises(ValueError, match="equidistant times"):

@@ -511,6 +511,53 @@ def test_an_interrupt_brings_the_ensemble_so_far(tmp_path, monkeypatch):
     np.testing.assert_array_equal(partial.x[:, :8], co.integrate(BODY, X[:8], (0, 1), 0.125).x)
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, MemoryError, SystemExit])
+@pytest.mark.parametrize("blocks", [0, 1, 2])
+def test_a_temporary_archive_stays_only_for_a_partial_result(tmp_path, monkeypatch, error, blocks):
+    """After an interrupt it can be read and continued as long as its result lives; after other errors it is removed."""
+    ran, run_block = [], ensembles.run_block
+
+    def stopped_after_some(*given):
+        ran.append(given)
+        if len(ran) == blocks + 1:
+            raise error
+        return run_block(*given)
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with monkeypatch.context() as stopping:
+        stopping.setattr(ensembles, "run_block", stopped_after_some)
+        with pytest.raises(error) as stopped:
+            co.ensemble(BODY, X, (0, 1), 0.125, members_per_block=4)
+    partial = getattr(stopped.value, "partial", None)
+    assert (partial is None) == (error is not KeyboardInterrupt)
+    if partial is not None:
+        assert partial.status.tolist() == [1] * (4 * blocks) + [0] * (11 - 4 * blocks)
+        np.testing.assert_array_equal(partial.x0, X)
+        whole = co.integrate(BODY, X, (0, 1), 0.125)
+        np.testing.assert_array_equal(partial.x[:, : 4 * blocks], whole.x[:, : 4 * blocks])
+        assert_same(co.resume(partial.path), whole)
+    del stopped, partial
+    ran.clear()
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_partial_result_of_an_ensemble_without_archive_can_be_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    x0 = np.array([[1.0, 2.0], [1.0, 1e300], [2.0, 1.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        with pytest.raises(co.IntegrationError) as expected:
+            co.integrate(GROWING, x0, (0, 100), 0.5)
+        with pytest.raises(co.IntegrationError) as found:
+            co.ensemble(GROWING, x0, (0, 100), 0.5, members_per_block=2)
+    mine, theirs = found.value, expected.value
+    for name in ("step", "time", "residual"):
+        np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name), err_msg=name)
+    np.testing.assert_array_equal(mine.partial.x, theirs.partial.x)
+    assert mine.partial.failed.tolist() == [False, True, False]
+
+
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="open descriptors are not listed")
 def test_nothing_stays_open(tmp_path, monkeypatch):
     """After a run, one that is lost, one that is continued, one that is refused, and one that finds itself locked."""

@@ -105,6 +105,25 @@ def test_names_that_differ_only_in_signs_have_variables_of_their_own():
     assert names == {"casimir_z": "z+", "casimir_z_2": "z-", "casimir_unnamed": "*"}
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_any_number_of_names_that_differ_only_in_signs_keep_their_values(seed, tmp_path):
+    """Drawn names of few letters, among them those that would be made for others, in a dataset and in an archive."""
+    rng = np.random.default_rng(seed)
+    drawn = {"".join(rng.choice(["z", "_2", "+", " ", "_3"], rng.integers(1, 4))) for _ in range(40)}
+    names = ["z", "z+", "z_2", "z*", "z ", *sorted(drawn - {"z", "z+", "z_2", "z*", "z "})]
+    rng.shuffle(names)
+    observe = {name: co.Polynomial({(1, 0, 0): k + 1}) for k, name in enumerate(names)}
+    casimirs = {name: co.Polynomial({(0, 0, 1): k + 1}) for k, name in enumerate(names)}
+    system = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 2, 1.0)], dim=3), co.Quadratic(1.0), casimirs=casimirs)
+    sol = co.integrate(system, X, (0.0, 0.5), 0.1, observe=observe, archive=tmp_path / "run.zarr")
+    for dataset in (sol.to_xarray(), co.open_archive(tmp_path / "run.zarr").to_xarray()):
+        for kind, coordinate in (("observed", 0), ("casimir", 2)):
+            found = {values.attrs["long_name"]: values for key, values in dataset.items() if key.startswith(kind + "_")}
+            assert list(found) == names
+            for k, name in enumerate(names):
+                np.testing.assert_allclose(found[name], (k + 1) * sol.x[:, coordinate], rtol=1e-15)
+
+
 def test_functions_are_named_and_not_stored():
     def height(x):
         return x[0] * x[0]

@@ -1,5 +1,8 @@
 """Functions that are alike are compiled once; those that differ in anything are not; many are told of beforehand."""
 
+import collections
+import decimal
+import functools
 import math
 import types
 import warnings
@@ -75,6 +78,184 @@ def test_what_is_alike():
 )
 def test_what_is_not_alike(one, other):
     assert key_of(one) != key_of(other)
+
+
+class Holder:
+    """An object that functions may read, with everything that it could differ in."""
+
+    factor = 1.0
+
+    def __init__(self, own):
+        self.own = own
+
+    def times(self, y):
+        return self.own * y
+
+    def plus(self, y):
+        return self.own + y
+
+
+class Slotted:
+    __slots__ = ("first", "second")
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+
+
+class LongerSlotted(Slotted):
+    __slots__ = "third"
+
+    def __init__(self, first, second, third):
+        super().__init__(first, second)
+        self.third = third
+
+
+class Number(float):
+    """A number with an attribute."""
+
+
+def numbered(value, label):
+    found = Number(value)
+    found.label = label
+    return found
+
+
+def kind_with(**names):
+    return type("Kind", (Holder,), names)
+
+
+def product_of(a, b, c=0.0):
+    return a * b + c
+
+
+def cached(a):
+    return functools.lru_cache(maxsize=None)(lambda y: a * y)
+
+
+def own_dataclass(value):
+    return co.Splitting(order=value)
+
+
+# Ways to make one object, each followed by calls whose results all differ.
+VARIED = {
+    "partial": (
+        functools.partial,
+        [(product_of,), (max,), (product_of, 1), (product_of, 2), (product_of, 1, 2), (product_of, 2, 1)],
+    ),
+    "keywords of partial": (
+        lambda **given: functools.partial(product_of, **given),
+        [{}, {"a": 1}, {"a": 2}, {"b": 1}, {"a": 1.0}, {"a": 1, "b": 2}, {"a": 2, "b": 1}],
+    ),
+    "keywords beside arguments": (
+        lambda a, c: functools.partial(product_of, a, c=c),
+        [(1, 1), (1, 2), (2, 1), (2, 2), (inner, 1), (times(1.0)[0], 1), (times(2.0)[0], 1)],
+    ),
+    "method": (lambda name, own: getattr(Holder(own), name), [("times", 1.0), ("times", 2.0), ("plus", 1.0)]),
+    "method of a class": (
+        lambda function: kind_with(f=classmethod(function)).f,
+        [(inner,), (times(1.0)[0],), (times(2.0)[0],)],
+    ),
+    "static or class method": (
+        lambda kind, a: kind_with(f=kind(times(a)[0])),
+        [(staticmethod, 1.0), (staticmethod, 2.0), (classmethod, 1.0), (classmethod, 2.0)],
+    ),
+    "property": (
+        lambda *functions: kind_with(f=property(*functions)),
+        [(inner,), (product_of,), (inner, inner), (inner, product_of), (inner, None, inner), (inner, inner, inner)],
+    ),
+    "cached property": (lambda a: kind_with(f=functools.cached_property(times(a)[0])), [(1.0,), (2.0,)]),
+    "bound method of a builtin": (
+        lambda value, name: getattr(value, name),
+        [({1: 2}, "get"), ({1: 3}, "get"), ({1: 2}, "pop"), ([1], "pop"), ((1.0, 2.0), "index"), ((1.0,), "index")],
+    ),
+    "cached function": (cached, [(1.0,), (2.0,)]),
+    "object": (Holder, [(1.0,), (2.0,), (1,), ("1",), (None,)]),
+    "class": (kind_with, [{}, {"factor": 2.0}, {"factor": 3.0}, {"other": 2.0}, {"times": inner}, {"plus": inner}]),
+    "class of an object": (lambda **names: kind_with(**names)(1.0), [{}, {"factor": 2.0}, {"times": inner}]),
+    "slots": (Slotted, [(1, 2), (2, 1), (1, 1), (2, 2)]),
+    "slots of a base": (LongerSlotted, [(1, 2, 3), (2, 1, 3), (1, 2, 4), (3, 2, 1)]),
+    "number with an attribute": (numbered, [(1.0, "a"), (2.0, "a"), (1.0, "b")]),
+    "dataclass of the library": (own_dataclass, [(2,), (4,), (6,)]),
+    "C type": (collections.deque, [((1, 2),), ((2, 1),), ((1, 2), 5), ((1, 2), 6), ((),)]),
+    "decimal": (decimal.Decimal, [("1.0",), ("1.00",), ("2",)]),
+    "range": (range, [(3,), (1, 3), (1, 3, 2), (4,)]),
+    "polynomial": (
+        lambda *terms: co.Polynomial(dict(terms)),
+        [(((1, 0), 2.0),), (((0, 1), 2.0),), (((1, 0), 3.0),), (((1, 0), 2.0), ((0, 1), 2.0))],
+    ),
+    "defaults": (
+        lambda defaults, keywords: with_defaults(defaults, keywords),
+        [(None, None), ((1.0,), None), ((2.0,), None), (None, {"c": 1.0}), (None, {"c": 2.0}), ((1.0,), {"c": 1.0})],
+    ),
+    "attributes of a function": (
+        lambda **names: with_attributes(names),
+        [{}, {"a": 1}, {"a": 2}, {"b": 1}, {"a": 1, "b": 2}],
+    ),
+}
+
+
+def with_defaults(defaults, keywords):
+    def function(a, b=0.0, *, c=0.0):
+        return a + b + c
+
+    function.__defaults__, function.__kwdefaults__ = defaults, keywords
+    return function
+
+
+def with_attributes(names):
+    def function(y):
+        return y
+
+    vars(function).update(names)
+    return function
+
+
+@pytest.mark.parametrize("name", VARIED)
+def test_whatever_an_object_holds_is_in_its_key(name):
+    """As itself, closed over, and inside of another object; made again it has the same key."""
+    make, calls = VARIED[name]
+
+    def made(call):
+        return make(**call) if isinstance(call, dict) else make(*call)
+
+    for around in (lambda value: value, lambda value: times(value)[0], lambda value: [Holder((value, 0.0))]):
+        keys = [key_of(around(made(call))) for call in calls]
+        assert all(isinstance(key, str) for key in keys)
+        assert len(set(keys)) == len(calls)
+        assert keys == [key_of(around(made(call))) for call in calls]
+
+
+def with_local(y):
+    z = inner(y)
+    return y * z
+
+
+DISPATCHERS = [{}, {"fastmath": True}, {"error_model": "numpy"}, {"locals": {"z": numba.float32}}]
+CALLBACKS = [("f8(f8)", given) for given in DISPATCHERS] + [("f4(f4)", {})]
+
+
+def test_options_of_compilation_are_in_the_key():
+    """Fast arithmetic, division by zero, types of local variables and signatures, of dispatchers and callbacks."""
+    inlined = types.FunctionType(with_local.__code__, {"inner": numba.njit(inner)})
+
+    def keys():
+        made = [inlined, *(numba.njit(**given)(inlined) for given in DISPATCHERS)]
+        made += [numba.njit(signature)(inlined) for signature in ("f8(f8)", "f4(f4)")]
+        made += [numba.njit(**DISPATCHERS[1])(inner), numba.cfunc("f8(f8)")(inner)]
+        return [
+            key_of(one)
+            for one in (*made, *(numba.cfunc(signature, **given)(inlined) for signature, given in CALLBACKS))
+        ]
+
+    found = keys()
+    assert len(set(found)) == len(found) and keys() == found
+
+
+def test_a_value_that_is_met_again_is_another_than_an_equal_one():
+    """[a, b] with a is b, and with a equal to b, can differ in what a function does to them."""
+    one, other = Holder(1.0), Holder(1.0)
+    assert key_of([one, one]) != key_of([one, other]) == key_of([other, one])
+    assert key_of([one, other, one]) != key_of([one, other, other])
 
 
 def test_functions_that_call_themselves():

@@ -141,6 +141,69 @@ def test_when_the_energy_is_kept():
     assert not keeps(full(6, 2), np.zeros(6))
 
 
+def drawn_pieces(rng):
+    """Return drawn terms of one coordinate each on two spins and one commuting coordinate: (coordinate, m, linear)."""
+    terms = []
+    for spin in (0, 1):
+        kind = rng.choice(["linear", "quadratic", "both"])
+        if kind != "quadratic":
+            terms += [(3 * spin + int(i), 0.0, rng.uniform(0.3, 1.0)) for i in rng.choice(3, 2, replace=False)]
+        if kind != "linear":
+            terms += [(3 * spin + i, rng.uniform(0.5, 2.0), 0.0) for i in range(3)]
+    if rng.integers(2):
+        terms.append((6, 1.0, 0.5))
+    return [terms[k] for k in rng.permutation(len(terms))]
+
+
+@pytest.mark.parametrize("seed", range(9))
+def test_the_energy_is_declared_alike_however_it_is_divided(seed):
+    """As one quadratic form, and as pieces in any order, the declaration is what a run keeps."""
+    terms = drawn_pieces(np.random.default_rng(seed))
+    algebra = arranged((0, 1, 2, 3, 4, 5), extra=1)
+    linear, M = np.zeros(7), np.zeros(7)
+    for i, m, b in terms:
+        M[i] += m
+        linear[i] += b
+    pieces = [((i,), co.Quadratic([m], linear=[b])) for i, m, b in terms]
+    spins = [range(3), range(3, 6)]
+    kept = not any(np.any(M[list(spin)]) and np.any(linear[list(spin)]) for spin in spins)
+    for H in (
+        co.Quadratic(M, linear=linear),
+        *(co.SplitHamiltonian(pieces[k:] + pieces[:k]) for k in range(len(pieces))),
+    ):
+        system = co.LiePoissonSystem(algebra, H)
+        assert co.SphericalMidpoint().properties(system).energy == kept
+    sol = co.integrate(system, start_of(system), (0, 20), 0.1, co.SphericalMidpoint())
+    assert kept == (sol.drift()["energy"] < 1e-13)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_functions_and_couplings_in_any_piece_are_no_sums_of_such_functions(first):
+    """Nor are polynomials of higher degree."""
+    plain = [((0,), co.Quadratic([1.0])), ((3,), co.Quadratic([2.0]))]
+    wave = co.Separable({0: (np.cos, lambda y: -np.sin(y), lambda y: -np.cos(y))})
+    for other in (((4,), wave), ((0, 3), co.Quadratic([[0.0, 1.0], [1.0, 0.0]])), ((5,), co.Polynomial({(3,): 1.0}))):
+        pieces = [other, *plain] if first else [*plain, other]
+        system = co.LiePoissonSystem(co.algebras.copies(SO3, 2), co.SplitHamiltonian(pieces))
+        assert not co.SphericalMidpoint().properties(system).energy
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_step_in_numpy_and_its_derivative(name):
+    """Against the compiled step, and central differences of it, at a time that is not zero, forward and backward."""
+    system, method, t = SYSTEMS[name], co.SphericalMidpoint(), 0.7
+    x = start_of(system)
+    for h in (0.1, -0.15):
+        step = co.stepper(system, method, h)
+        new, P = method.tangent(system, x, t, h)
+        np.testing.assert_allclose(method.step(system, x, t, h), step(x, t), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(new, step(x, t), rtol=0, atol=1e-14)
+        # Central differences: 1e-4 squared times third derivatives of at most some 10^2, times h.
+        d = 1e-4
+        columns = [(step(x + d * e, t) - step(x - d * e, t)) / (2 * d) for e in np.eye(len(x))]
+        np.testing.assert_allclose(P, np.transpose(columns), rtol=0, atol=1e-7)
+
+
 def test_a_spin_without_length_stays():
     system = SYSTEMS["two"]
     x0 = np.array([0.3, 0.4, 0.5, 0, 0, 0])

@@ -220,6 +220,140 @@ def test_what_numba_cannot_compile_runs_in_python_and_says_so_once(monkeypatch):
     assert np.array_equal(sol.x[-1], x) and again.x.shape == (11, 5, 3)
 
 
+class Scaled(co.methods.StepMethod):
+    """Parameters of every kind that a compiled step reads, as attributes of the class."""
+
+    order, explicit, symmetric = 1, True, False
+    factor, shifts, kind, power, turned = 0.5, (0.25, -0.5, 0.125), "plain", 2, False
+    _hidden = 3.0
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        f = system.vector_field(x, t)
+        if self.kind == "plain":
+            f = f**self.power
+        if self.turned:
+            f = -f
+        return x + self.factor * h * (f + np.array(self.shifts))
+
+
+class Faster(Scaled):
+    factor = 2.0
+
+
+class FasterAgain(Faster):
+    power, kind = 3, "plain"
+
+
+class Turned(Scaled):
+    turned, shifts = True, (1.0, 2.0, 3.0)
+
+
+class Both(FasterAgain, Turned):
+    factor = 0.75
+
+
+class Back(Both):
+    """An attribute of the first class again, under those that were redefined."""
+
+    factor, turned = Scaled.factor, Scaled.turned
+
+
+@dataclasses.dataclass(frozen=True)
+class Adjusted(Turned):
+    """Fields, one of which was an attribute of a base class."""
+
+    factor: float = 1.5
+    other: str = "none"
+    shifts: tuple[float, ...] = (0.0, 0.0, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class AdjustedAgain(Adjusted):
+    factor: float = 4.0
+
+
+INHERITED = [Scaled(), Faster(), FasterAgain(), Turned(), Both(), Back(), Adjusted(), Adjusted(0.25), AdjustedAgain()]
+INHERITED += [Adjusted(2.0, shifts=(1.0, 0.0, 0.0)), AdjustedAgain(other="plain")]
+
+
+@pytest.mark.parametrize("scheme", INHERITED, ids=lambda scheme: repr(scheme).partition(" object")[0])
+def test_parameters_that_are_inherited_redefined_or_fields_are_those_of_the_scheme(scheme):
+    names, values = step_functions._parameters(scheme)
+    assert {"factor", "shifts", "kind", "power", "turned", "order", "explicit"} <= set(names)
+    assert len(set(names)) == len(names) and not any(name.startswith("_") for name in names)
+    for name, value in zip(names, values, strict=True):
+        assert value == getattr(scheme, name) and type(value) is type(getattr(scheme, name)), name
+
+
+@pytest.mark.parametrize("scheme", [Back(), AdjustedAgain()], ids=lambda scheme: type(scheme).__name__)
+def test_a_compiled_step_has_the_parameters_of_a_derived_scheme(scheme):
+    system = SYSTEMS["so(3)"]
+    assert StepFunction(scheme, system).compiled
+    x = start_of(system)
+    found = co.integrate(system, x, (0.3, 0.6), 0.1, scheme).x[-1]
+    for k in range(3):
+        x = scheme.step(system, x, 0.3 + 0.1 * k, 0.1)
+    assert np.max(np.abs(found - x)) < 1e-14
+
+
+@dataclasses.dataclass(frozen=True)
+class InPlace(co.methods.StepMethod):
+    """A step in Python that changes the state that it was given, and keeps it."""
+
+    given: list = dataclasses.field(default_factory=list)
+    result: str = "same"
+    compiles = False
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        before = x.copy()
+        self.given.append(x)
+        x *= 0.5
+        return {"same": x, "list": list(x), "float32": x.astype(np.float32), "whole": np.rint(before).astype(int)}[
+            self.result
+        ]
+
+
+@pytest.mark.parametrize("result", ["same", "list", "float32", "whole"])
+def test_a_step_in_python_owns_the_state_that_it_is_given(result):
+    """It may be changed and kept; what is returned is converted, and a step from the same state is the same."""
+    system, x0 = SYSTEMS["so(3)"], np.array([4.0, -2.0, 8.0])
+    scheme = InPlace(result=result)
+    sol = co.integrate(system, x0, (0, 0.3), 0.1, scheme, threads=1)
+    factor = 1.0 if result == "whole" else 0.5
+    np.testing.assert_array_equal(sol.x, np.outer(factor ** np.arange(4.0), x0))
+    assert x0.tolist() == [4.0, -2.0, 8.0]
+    # A trial step may come first; the last three are those of the run, each in memory of its own.
+    np.testing.assert_array_equal(scheme.given[-3:], 0.5 * sol.x[:3])
+
+
+def test_steps_that_do_not_compile_are_reported_once_for_each_scheme(monkeypatch):
+    class Another(Interpreted):
+        pass
+
+    monkeypatch.setattr(step_functions, "_said", set())
+    system = SYSTEMS["so(3)"]
+    with pytest.warns(RuntimeWarning, match="the steps of") as said:
+        for scheme in (Interpreted(), Another(), Interpreted(), Another()):
+            StepFunction(scheme, system)
+    assert [str(one.message).split()[3] for one in said] == ["Interpreted", "Another"]
+
+
+@pytest.mark.filterwarnings("ignore:the steps of")
+def test_an_exception_of_a_step_is_returned_once():
+    function = StepFunction(Failing(), SYSTEMS["so(3)"])
+    state, new = np.ones(3), np.full(3, 7.0)
+    call = lambda t: function._callback(None, state.ctypes.data, t, 0.1, new.ctypes.data)  # noqa: E731
+    assert call(0.0) == 0 and function.raised() is None and not np.any(new == 7.0)
+    assert call(1.0) == 1 and isinstance(function.raised(), LookupError) and function.raised() is None
+
+
 @pytest.mark.filterwarnings("ignore:the steps of")
 @pytest.mark.parametrize("members", [1, 5])
 def test_what_a_step_in_python_raises_comes_out_of_the_run(members):

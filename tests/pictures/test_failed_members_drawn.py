@@ -6,6 +6,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import drawn_runs
 import numpy as np
 import pytest
 from drawn_runs import axes_of
@@ -53,6 +54,50 @@ def test_bodies_are_drawn_with_the_gaps_of_those_that_fail(bad):
         assert np.array_equal(path[:2], run.x[:2, m])
     for limits in (orbit.get_xlim(), orbit.get_ylim(), orbit.get_zlim()):
         assert np.isfinite(limits).all()
+
+
+BARE = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.7]), casimirs={})
+HYPERBOLIC = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7]))
+
+
+def limits_of(axes: Any) -> np.ndarray:
+    return np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+
+
+@pytest.mark.parametrize("lost", [np.nan, 1e80, -1e80, np.inf])
+@pytest.mark.parametrize("bad", [0, 1, 2])
+@pytest.mark.parametrize("system", [BODY, BARE, HYPERBOLIC], ids=["sphere", "no surface", "surface without bounds"])
+def test_orbits_are_framed_with_every_point_that_is_left(system, bad, lost):
+    """The states of the member that fails are lost from its fourth point on, all of them or one component."""
+    rng = np.random.default_rng(bad)
+    x = rng.normal(size=(20, 3, 3)) * [1.0, 5.0, 2.0] + [3.0, 0.0, -4.0]
+    x[4:, bad, 1] = lost
+    if np.isnan(lost):
+        x[5:, bad] = lost
+    axes = axes_of(drawn_runs.made(T0 + 0.1 * np.arange(20), x, system), "coadjoint orbit")
+    left = np.where(np.abs(x) < 1e75, x, np.nan)
+    limits = limits_of(axes)
+    if system is BODY:  # a cube about the whole sphere
+        size = np.sqrt(np.nanmax(np.sum(left**2, axis=-1)))
+        np.testing.assert_allclose(limits, 1.1 * size * np.array([[-1.0, 1.0]] * 3), rtol=1e-12)
+    else:
+        low, high = np.nanmin(left, axis=(0, 1)), np.nanmax(left, axis=(0, 1))
+        np.testing.assert_allclose(limits.mean(axis=1), (low + high) / 2, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.diff(limits)[:, 0], 1.4 * (high - low), rtol=1e-12)
+    assert len(axes.collections) == (system is not BARE)
+    for m, line in enumerate(axes.lines[::2]):
+        np.testing.assert_array_equal(np.array(line.get_data_3d()).T, left[:, m])
+
+
+@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (2.0, -3.0, 1.0)])
+def test_a_motion_that_stays_in_a_plane_or_at_a_point_has_a_box(x):
+    """A twentieth of the widest extent is left on both sides, or of 1 around a point."""
+    still = np.tile(x, (10, 1))
+    axes = axes_of(drawn_runs.made(0.1 * np.arange(10), still, BARE), "coadjoint orbit")
+    np.testing.assert_allclose(limits_of(axes), np.transpose([still[0] - 0.05, still[0] + 0.05]), atol=1e-15)
+    flat = still + np.outer(np.linspace(-1.0, 1.0, 10), [4.0, 0.0, -1.0])
+    limits = limits_of(axes_of(drawn_runs.made(0.1 * np.arange(10), flat, BARE), "coadjoint orbit"))
+    np.testing.assert_allclose(limits, np.add.outer(x, [-1.0, 1.0]) * 1.0 + np.outer([4.6, -0.6, 0.4], [-1, 1]))
 
 
 def test_a_path_in_space_has_the_limits_of_the_members_that_go_on():

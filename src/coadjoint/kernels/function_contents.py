@@ -153,11 +153,16 @@ class _Walk:
         elif numba and isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher
             self._say("compiled")
             options = getattr(value, "targetoptions", {})
-            self.add([value.py_func, dict(sorted(options.items())), getattr(value, "_can_compile", True)])
+            more = _types_of_locals(value)
+            self.add([value.py_func, dict(sorted(options.items())), getattr(value, "_can_compile", True), *more])
             if not getattr(value, "_can_compile", True):
                 self._say(*map(str, value.nopython_signatures))
         elif numba and isinstance(getattr(value, "_pyfunc", None), types.FunctionType):  # a callback
-            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", ""))])
+            compiler = getattr(value, "_compiler", None)
+            options = dict(sorted(getattr(compiler, "targetoptions", {}).items()))
+            if options:
+                self.add(options)
+            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *_types_of_locals(compiler)])
         elif isinstance(value, functools.partial):
             self.add(["partial", value.func, value.args, value.keywords])
         elif isinstance(value, types.MethodType):
@@ -319,6 +324,11 @@ def _inside(cell: types.CellType) -> list[Any]:
         return [cell.cell_contents]
     except ValueError:  # an empty cell
         return []
+
+
+def _types_of_locals(compiler: Any) -> list[tuple[str, str]]:
+    """Return the types that were given to local variables of a function that Numba compiles."""
+    return sorted((name, str(kind)) for name, kind in (getattr(compiler, "locals", None) or {}).items())
 
 
 def _slots(kind: type) -> tuple[str, ...]:
