@@ -185,3 +185,24 @@ def test_slow_iterations_come_to_their_end(kind: str, n: int, stages: int) -> No
             values, power = np.array([trace(x) for x in run.x]), int(name.partition("^")[2] or 1)
             assert np.abs(values - values[0]).max() < 1e-13 * max(1.0, largest) ** power, (share, name)
     assert seen > 4
+
+
+@pytest.mark.parametrize("kind", [co.systems.sphere_euler, co.systems.reduced_mhd], ids=["one layer", "two layers"])
+def test_a_plain_step_that_fails_names_its_time(kind) -> None:
+    system, rng = kind(N=5), np.random.default_rng(2)
+    W = 100 * rng.standard_normal(system.dim)
+    for state in (W, system.matrices(W)):
+        for run in (co.IsospectralGauss().step, co.IsospectralGauss().tangent):
+            with pytest.raises(co.IntegrationError) as failed:
+                run(system, state, -3.0, 1.0)
+            assert failed.value.time == -3.0 and failed.value.step == 1
+
+
+@pytest.mark.parametrize("stages", [1, 2])
+def test_the_tangent_of_two_layers_takes_matrices_and_coordinates(stages) -> None:
+    system, rng = co.systems.reduced_mhd(N=3), np.random.default_rng(2)
+    W, scheme = 0.1 * rng.standard_normal(system.dim), co.IsospectralGauss(stages)
+    after, by_numbers = scheme.tangent(system, W, 0.5, 0.25)
+    moved, by_matrices = scheme.tangent(system, system.matrices(W), 0.5, 0.25)
+    assert np.array_equal(after, moved) and np.array_equal(by_numbers, by_matrices)
+    assert np.array_equal(after, scheme.step(system, W, 0.5, 0.25))

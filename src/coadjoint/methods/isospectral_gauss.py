@@ -129,7 +129,7 @@ class IsospectralGauss(SteppedMethod):
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
         if isinstance(matrices, TwoLayerSystem):
-            found = W + two_layer_increment(matrices, W, h, a, b)
+            found = W + two_layer_increment(matrices, W, t, h, a, b)
         else:
             found = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
         return np.asarray(matrices.to_vector(found) if matrices.is_in_numbers(x) else found)
@@ -148,11 +148,11 @@ class IsospectralGauss(SteppedMethod):
         """
         matrices, (a, b) = matrices_of(system), _coefficients(self.stages)
         if isinstance(matrices, TwoLayerSystem):
-            return super().tangent(matrices, x, t, h)  # type: ignore[arg-type]
+            return super().tangent(matrices, matrices.to_vector(matrices.matrices(x)), t, h)  # type: ignore[arg-type]
         W = matrices.matrices(x)
         stages = stages_of(matrices, W, t, h, a, str(self))
         found = W + increment_of(stages, h, b)
-        return matrices.to_vector(found), derivative_of(matrices, W, stages, h, a, b)
+        return matrices.to_vector(found), derivative_of(matrices, W, stages, t, h, a, b)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         matrices = matrices_of(system)

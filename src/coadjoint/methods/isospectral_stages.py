@@ -25,6 +25,7 @@ SLOW = 12  # from this iteration on, a single correction that does not fall is n
 QUIET = 3  # consecutive corrections that do not fall count as stagnation
 SMALL = 2.0**17 * UNIT_ROUNDOFF  # relative to the entries: a correction can be round-off only below this
 ROUND_OFF = 64 * UNIT_ROUNDOFF  # times sqrt(N), relative to the entries: a stagnant correction below it is round-off
+DIVERGED = 1 / UNIT_ROUNDOFF  # corrections of matrices that begin near 1; later iterations would overflow
 DIFFERENCE = 2.0**-17
 
 
@@ -58,6 +59,8 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, wh
         V, U = V_new, U_new
         if rest.after(change, 1.0):
             return Stages(V, U, M, P, times)
+        if not change < DIVERGED:
+            break
     raise IntegrationError(
         f"the stages of {who} do not converge with a step of {float(h):g}; take a smaller one",
         step=1,
@@ -71,7 +74,9 @@ def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
     return np.asarray(h * np.tensordot(b, stages.P @ stages.M - stages.M @ stages.P, 1))
 
 
-def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, h: float, a: Floats, b: Floats) -> Floats:
+def derivative_of(
+    system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: float, a: Floats, b: Floats
+) -> Floats:
     """Return the derivative (n, n) of a step in coordinates, for the projection on the algebra.
 
     The linear equations of the stages are iterated for all directions at once, as the stages themselves. Raise
@@ -94,8 +99,13 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, h: float, a: 
         if rest.after(change, _largest(dV)):
             rows = moves + h * np.tensordot(b, dP @ M1 + P1 @ dM - dM @ P1 - M1 @ dP, 1)
             return system.to_vector(rows).T
+        if not change < DIVERGED:
+            break
     raise IntegrationError(
-        "the linear equations of the stages do not converge; take a smaller step", step=1, time=0.0, residual=change
+        "the linear equations of the stages do not converge; take a smaller step",
+        step=1,
+        time=float(t),
+        residual=change,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.methods.isospectral_stages import DIVERGED
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
@@ -36,7 +37,7 @@ def of_blocks(A: Matrix) -> Matrix:
 
 
 def two_layer_increment(
-    system: TwoLayerSystem, X: Matrix, h: Any, a: NDArray[np.float64], b: NDArray[np.float64]
+    system: TwoLayerSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> Matrix:
     """Return the change (2, N, N) of a state in a step; raise IntegrationError if the stages do not converge."""
     W, one = as_blocks(X), np.eye(2 * len(X[0]))
@@ -55,11 +56,13 @@ def two_layer_increment(
         if change == 0.0 or (change <= ROUNDED * float(np.abs(W).max()) and not change < last):
             moved = sum(weight * (y @ m - m @ y) for weight, y, m in zip(b, Y, M, strict=True))
             return of_blocks(np.asarray(h * moved))
+        if not change < DIVERGED * float(np.abs(W).max()):
+            break
         last = change
     raise IntegrationError(
         f"the stages do not converge with a step of {float(h):g}; take a smaller one",
         step=1,
-        time=0.0,
+        time=float(t),
         residual=change,
     )
 
