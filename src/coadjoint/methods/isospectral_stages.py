@@ -74,9 +74,7 @@ def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
     return np.asarray(h * np.tensordot(b, stages.P @ stages.M - stages.M @ stages.P, 1))
 
 
-def derivative_of(
-    system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: float, a: Floats, b: Floats
-) -> Floats:
+def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: float, a: Floats, b: Floats) -> Floats:
     """Return the derivative (n, n) of a step in coordinates, for the projection on the algebra.
 
     The linear equations of the stages are iterated for all directions at once, as the stages themselves. Raise
