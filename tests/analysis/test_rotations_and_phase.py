@@ -62,6 +62,23 @@ def test_twist_and_precession_against_vectors_and_quaternions(size: float) -> No
     assert type(twist(np.eye(3), second[0], axis)) is type(precession_error(np.eye(3), second[0], axis)) is float
 
 
+@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.6, -0.8, 0.0), (1.0, -2.0, 2.0)])
+def test_half_turns_about_the_axis_and_across_it(direction: tuple[float, float, float]) -> None:
+    """At pi the sign is arbitrary; nearby it is that of the angle, to the round-off of the matrices."""
+    axis = np.array(direction) / np.linalg.norm(direction)
+    across = np.cross(axis, (0.0, 1.0, 0.0) if abs(axis[1]) < 0.5 else (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    half, over = (2.0 * np.outer(n, n) - np.eye(3) for n in (axis, across))
+    near = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in (np.pi - 1e-7, 1e-7 - np.pi)]
+    assert abs(precession_error(over, np.eye(3), axis)) < 32 * U
+    for angle in (precession_error, twist):
+        assert abs(angle(half, np.eye(3), axis)) == pytest.approx(np.pi, abs=32 * U)
+        both = angle(np.stack([half, *near]), np.eye(3), axis)
+        assert both[1:] == pytest.approx([np.pi - 1e-7, 1e-7 - np.pi], abs=32 * U)
+        turned = Rotation.from_rotvec([0.3, -0.4, 1.1]).as_matrix()
+        assert abs(angle(half @ turned, turned, axis)) == pytest.approx(np.pi, abs=64 * U)
+
+
 def test_leads_of_shuffled_times_are_shuffled() -> None:
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 2.0, 0.5)
     t = np.linspace(-4.0, 20.0, 13)

@@ -61,7 +61,7 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
     Returns
     -------
     float or ndarray, shape (...)
-        Component along the axis of the rotation vector of A B^T, in radians.
+        Component along the axis of the rotation vector of A B^T, in radians; of either sign for half turns.
 
     Raises
     ------
@@ -93,7 +93,8 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     Returns
     -------
     float or ndarray, shape (...)
-        Angle from -pi to pi of the factor of A B^T that rotates about the axis.
+        Angle from -pi to pi of the factor of A B^T that rotates about the axis; of either sign for half turns about it,
+        and arbitrary for half turns across it.
 
     Raises
     ------
@@ -143,9 +144,15 @@ def _checked(given: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
 
 
 def _axis_and_angle(R: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the axis (zero for the identity and half turns) and the angle, 0 to pi, of rotations."""
+    """Return the axis (zero for the identity, of either sign for half turns) and the angle, 0 to pi, of rotations."""
     axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    sine = 0.5 * np.linalg.norm(axial, axis=-1)
-    angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
-    length = np.where(sine > 0.0, 2.0 * sine, 1.0)
-    return axial / length[..., None], angle
+    sine, cosine = 0.5 * np.linalg.norm(axial, axis=-1), 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    axis = axial / np.where(sine > 0.0, 2.0 * sine, 1.0)[..., None]
+    # The axial vector vanishes at half turns. The symmetric part, (1 - cos) n n^T + cos, determines n up to its sign.
+    outer = 0.5 * (R + np.swapaxes(R, -1, -2)) - cosine[..., None, None] * np.eye(3)
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(outer, largest[..., None, None], axis=-1)[..., 0]
+    column = np.where(np.sum(column * axial, axis=-1, keepdims=True) < 0.0, -column, column)
+    beyond = cosine < 0.0
+    length = np.where(beyond, np.linalg.norm(column, axis=-1), 1.0)
+    return np.where(beyond[..., None], column / length[..., None], axis), np.arctan2(sine, cosine)
