@@ -147,6 +147,84 @@ def test_what_is_stored_of_what_is_observed_need_not_be_given(tmp_path):
     assert_same(co.resume(tmp_path / "run.zarr"), whole)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"b": co.Polynomial({(0, 2, 0): 1.0})},
+        {"b": co.Polynomial({(2, 0, 0): 1.0 + 2.0**-50})},
+        {"b": far},
+        {"a": co.Quadratic([1.0, 2.0, 3.0])},
+        {"a": co.Polynomial({(2, 0, 0): 0.5})},
+    ],
+)
+@pytest.mark.parametrize("several", [False, True])
+def test_another_quantity_of_the_same_name_is_refused(tmp_path, other, several):
+    """Its series would begin with one quantity and end with another."""
+    observe = {"b": co.Polynomial({(2, 0, 0): 1.0}), "a": co.Quadratic([1.0, 2.0, 3.0], linear=[0.5, 0.0, 0.0])}
+    if several:
+        co.ensemble(BODY, [X, X], SPAN, STEP, co.GaussLegendre(2), archive=tmp_path / "run.zarr", observe=observe)
+    else:
+        cut(tmp_path / "run.zarr", observe=observe)
+    (name,) = other
+    with pytest.raises(ArchiveError, match=rf"observe\['{name}'\] is .*, which is not the quantity that the run"):
+        co.resume(tmp_path / "run.zarr", observe={**observe, **other})
+    same = {name: 1 * given for name, given in observe.items()}
+    assert co.resume(tmp_path / "run.zarr", observe=same).finished
+
+
+def test_a_quantity_beside_a_function_is_compared(tmp_path):
+    observe = {"far": far, "q": co.Polynomial({(2, 0, 0): 1.0})}
+    cut(tmp_path / "run.zarr", observe=observe)
+    with pytest.raises(ArchiveError, match="observe is .*, which is not what the run was begun with"):
+        co.resume(tmp_path / "run.zarr", observe={**observe, "q": co.Polynomial({(0, 2, 0): 1.0})})
+
+
+@pytest.mark.parametrize("events", [co.Event("x1"), [co.Event(co.Polynomial({(2, 0, 0): 1.0}))]])
+def test_events_are_refused_because_an_archive_has_none(tmp_path, events):
+    cut(tmp_path / "run.zarr")
+    with pytest.raises(ArchiveError, match="the run has no events; omit events"):
+        co.resume(tmp_path / "run.zarr", events=events)
+    assert co.resume(tmp_path / "run.zarr", events=[]).finished
+
+
+SQUARE, TWICE = (
+    co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1}),
+    co.Polynomial({(2, 0, 0): 2, (0, 2, 0): 2, (0, 0, 2): 2}),
+)
+
+
+def with_casimir(casimir):
+    return co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), sign=-1, casimirs={"C": casimir})
+
+
+def turning(x):
+    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+
+
+def without_algebra(casimir, weight=0.5):
+    energy = co.Quadratic([1.0, weight, 0.25])
+    return co.PoissonSystem(turning, energy, dim=3, casimirs={"C": casimir})
+
+
+@pytest.mark.parametrize(
+    ("begun", "other"),
+    [
+        (lambda: with_casimir(SQUARE), lambda: with_casimir(TWICE)),
+        (lambda: with_casimir(lambda x: x @ x), lambda: with_casimir(lambda x: 2.0 * (x @ x))),
+        (lambda: without_algebra(SQUARE), lambda: without_algebra(TWICE)),
+        (lambda: without_algebra(SQUARE), lambda: without_algebra(SQUARE, 0.75)),
+        (
+            lambda: BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x * (1.0 - 0.1 * tau))),
+            lambda: BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x * (1.0 - 0.2 * tau))),
+        ),
+    ],
+)
+def test_a_system_with_another_invariant_or_force_of_the_same_name_is_refused(tmp_path, begun, other):
+    cut(tmp_path / "run.zarr", begun())
+    with pytest.raises(ArchiveError, match="system is .*, (and the run is one of|which is not what the run was begun)"):
+        co.resume(tmp_path / "run.zarr", system=other())
+
+
 def test_another_system_is_refused_also_without_functions(tmp_path):
     cut(tmp_path / "run.zarr")
     with pytest.raises(ArchiveError, match=r"system is .*, and the run is one of <rigid_body"):

@@ -65,6 +65,8 @@ def asked_again(
     wanted = json.loads(attributes[GIVEN])
     observed = json.loads(attributes[OBSERVED])
     looked_for = None if events is None else read_events(events)
+    if looked_for and "events" not in wanted:
+        raise ArchiveError(f"{path}: the run has no events; omit events")
     if system is not None:
         _check(path, "system", made_of_system(system), wanted, system)
         if json.loads(json.dumps(record_of(system))) != json.loads(attributes["system"]):
@@ -76,6 +78,12 @@ def asked_again(
         if list(observe) != observed["names"]:
             raise ArchiveError(f"{path}: the run observes {observed['names']}, and observe has {list(observe)}")
         _check(path, "observe", observe, wanted, observe)
+        changed = [name for name in observe if not _is_stored_as(observed["stored"].get(name), observe, name)]
+        if changed:
+            raise ArchiveError(
+                f"{path}: observe[{short(changed[0])}] is {short(observe[changed[0]])}, which is not the quantity that "
+                "the run was begun with; omit observe, or give the same"
+            )
     elif "observe" in wanted:
         raise _missing(path, "observe", wanted)
     else:
@@ -103,6 +111,12 @@ def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: A
             UserWarning,
             stacklevel=4,
         )
+
+
+def _is_stored_as(record: Any, observe: Mapping[str, Any], name: str) -> bool:
+    """Whether an observed quantity has this stored record; functions have none."""
+    found = json.loads(json.dumps(invariants_record({name: observe[name]})))
+    return bool(found.get(name) == record)
 
 
 def _missing(path: Path, what: str, wanted: Mapping[str, Any]) -> ArchiveError:
