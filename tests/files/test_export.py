@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import scipy.linalg
 import xarray
 
 import coadjoint as co
@@ -153,6 +154,43 @@ def test_casimir_that_is_a_function_is_left_out_when_run_again():
 def test_attitude_in_matrices_of_the_same_size(attitude):
     sol = co.integrate(co.systems.paper_a37(), X, (0.0, 1.0), 0.1, attitude=attitude)
     np.testing.assert_array_equal(rebuild(sol.to_xarray()).attitude, sol.attitude)
+
+
+def element_of(system):
+    """A coadjoint matrix that is not the unit matrix."""
+    return scipy.linalg.expm(system.algebra.coadjoint([0.1, 0.25, 0.4]))
+
+
+TURNED, A37 = co.batch([co.systems.rigid_body((1, 2, c)) for c in (2.5, 3.0)]), co.systems.paper_a37()
+PAIR = np.stack([element_of(BODY), np.eye(3)])
+OWN_ELEMENTS = {
+    "one": (BODY, co.Splitting(order=4), X, (0.0, 1.0), element_of(BODY), {}),
+    "own algebra": (A37, None, X, (0.0, 1.0), element_of(A37), {"t_eval": [0.03, 0.5]}),
+    "members": (BODY, co.GaussLegendre(2), [X, X[::-1]], (1.0, -1.0), PAIR, {"save_every": 3}),
+    "shared": (BODY, co.Taylor(), [X, X[::-1]], (2.5, 3.0), element_of(BODY), {}),
+    "batch": (TURNED, None, X, (1.0, 0.0), PAIR, {}),
+    "event": (BODY, None, X, (0.0, 20.0), element_of(BODY), {"events": co.Event("x1", terminal=True)}),
+    "force": (BODY.with_forces(co.forces.LinearDamping(0.1)), None, X, (0.0, 1.0), element_of(BODY), {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OWN_ELEMENTS)
+def test_a_run_from_its_own_coadjoint_matrix_is_rebuilt_from_it(name, tmp_path):
+    system, method, x0, span, element, options = OWN_ELEMENTS[name]
+    sol = co.prepare(system, method, 0.05, attitude="coadjoint").run(x0, span, attitude=element, **options)
+    dataset = dataset_of(sol)
+    again = rebuild(dataset)
+    for what in ("t", "x", "attitude", "attitude0", "energy"):
+        np.testing.assert_array_equal(getattr(again, what), getattr(sol, what))
+    assert (again.carried, again.t_span, again.save_every) == (sol.carried, sol.t_span, sol.save_every)
+    with pytest.raises(ValueError, match="began with its own coadjoint matrix, .*; use `rebuild`"):
+        solution_inputs(dataset)
+    write_dataset(dataset, tmp_path / "run.nc")
+    read = co.load(tmp_path / "run.nc")
+    np.testing.assert_array_equal(read.attitude0, sol.attitude0)
+    if name != "batch":
+        found, wanted = (one.at(np.mean(sol.t[:2])) for one in (read, sol))
+        np.testing.assert_array_equal(found.attitude, wanted.attitude)
 
 
 def test_failed_run_fails_again_at_the_same_step():

@@ -27,7 +27,7 @@ from coadjoint.files.archive_store import (
 )
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS, states_of
 from coadjoint.files.blocks import SIZE
-from coadjoint.files.export import solution_inputs
+from coadjoint.files.export import stored_inputs
 from coadjoint.files.read_solution import ReadSolution
 from coadjoint.files.stored_arrays import StoredArray
 from coadjoint.memory import check_room
@@ -104,7 +104,7 @@ class ArchivedSolution(ReadSolution):
         if self.attributes["between_steps"]:
             names.append("time")
         values = {name: (self._arrays[name].dims, self._whole(name)) for name in names}
-        return solution_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
+        return stored_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
 
     def _whole(self, name: str) -> NDArray[Any]:
         array = self._arrays[name]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
@@ -176,6 +177,14 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     >>> solution_inputs(sol.to_xarray())["t_span"]
     (0.0, 1.0)
     """
+    inputs = stored_inputs(dataset, system, events)
+    if _coadjoint_start(dataset) is not None:
+        raise ValueError("the run began with its own coadjoint matrix, which `integrate` does not take; use `rebuild`")
+    return inputs
+
+
+def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
+    """Return the arguments of `solution_inputs`, also where the initial coadjoint matrix is none of them."""
     attributes = getattr(dataset, "attrs", None)
     if not isinstance(attributes, Mapping):
         raise TypeError(f"{short(dataset)} is no dataset; give one that xarray has read")
@@ -261,7 +270,20 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     True
     """
     from coadjoint.runs.integrate import integrate
+    from coadjoint.runs.prepared_run import PreparedRun
 
-    inputs = solution_inputs(dataset)
+    inputs = stored_inputs(dataset)
+    element = _coadjoint_start(dataset)
     with made_of(Entry(None, "the run of this dataset")):
-        return integrate(**inputs)
+        if element is None:
+            return integrate(**inputs)
+        prepared = {name: inputs.pop(name) for name in ("system", "method", "step", "attitude", "watch")}
+        return PreparedRun(**prepared).run(**inputs, attitude=element)
+
+
+def _coadjoint_start(dataset: xarray.Dataset) -> NDArray[np.float64] | None:
+    """Return the initial coadjoint matrix, which `integrate` does not take; None for a unit matrix or none at all."""
+    if dataset.attrs["attitude_carried"] != "coadjoint":
+        return None
+    element = state_of(dataset, "attitude0", DIMENSIONS[1:2])
+    return None if np.array_equal(element, np.broadcast_to(np.eye(element.shape[-1]), element.shape)) else element

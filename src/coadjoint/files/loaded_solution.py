@@ -18,7 +18,7 @@ from coadjoint.files.archive_store import HIDDEN
 from coadjoint.files.archived_solution import open_archive
 from coadjoint.files.checked_files import check_hdf5, check_zarr
 from coadjoint.files.content_checksum import CHECKSUM, checksum_of
-from coadjoint.files.export import ENDED, NEEDED, solution_inputs
+from coadjoint.files.export import ENDED, NEEDED, stored_inputs
 from coadjoint.files.read_solution import ReadSolution
 from coadjoint.given import read_path
 from coadjoint.memory import check_room
@@ -77,7 +77,7 @@ class LoadedSolution(ReadSolution):
         return LoadedSolution, (self.path, self.dataset, self._given)
 
     def inputs(self, events: Any = ()) -> dict[str, Any]:
-        return solution_inputs(self.dataset, self._given, events)
+        return stored_inputs(self.dataset, self._given, events)
 
     def _whole(self, name: str) -> NDArray[Any]:
         return np.asarray(self.dataset[name].values)
@@ -119,7 +119,7 @@ class LoadedSolution(ReadSolution):
         """Crossings found in the run, or None if it had no events."""
         if "event_time" not in self._arrays:
             return None
-        asked: tuple[Event, ...] = solution_inputs(self.dataset, self._given, None)["events"]
+        asked: tuple[Event, ...] = stored_inputs(self.dataset, self._given, None)["events"]
         moved: Any = unforced(self._system)
         named = () if isinstance(moved, MatrixSystem) else tuple(coordinate_names(moved, moved.dim))
         t, x, which, member, direction = (
