@@ -1,5 +1,7 @@
 """Events in files: a configuration has them, and a dataset repeats the run with them."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,23 @@ def test_a_dataset_repeats_the_run(attitude):
         assert np.array_equal(getattr(again.events, name), getattr(sol.events, name))
     assert np.array_equal(dataset["event_time"], sol.events.t) and np.array_equal(dataset["event_x"], sol.events.x)
     assert ("event_attitude" in dataset) == attitude
+
+
+@pytest.mark.parametrize("linear", [0.0, Fraction(1, 3)])
+def test_quadratic_events_are_stored(linear):
+    """With their own coefficients, of which fractions stay exact."""
+    given = co.Quadratic([1, 0, 0], linear=[0, linear, 0], constant=-Fraction(1, 8) if linear else -0.125)
+    events = [co.Event(given, name="far"), co.Event("x2", count=2, terminal=True)]
+    sol = co.integrate(BODY, X0, (0, 40), 0.125, events=events)
+    dataset = sol.to_xarray()
+    again = rebuild(dataset)
+    assert "not_stored" not in dataset.attrs and again.events.names == sol.events.names
+    assert len(sol.events["far"]) > 1 and isinstance(again.events.asked[0].g, co.Quadratic)
+    for name in ("t", "x", "which", "direction"):
+        assert np.array_equal(getattr(again.events, name), getattr(sol.events, name))
+    dataset.attrs["events"] = dataset.attrs["events"].replace('"kind"', '"sort"')
+    with pytest.raises(ValueError, match="events.*kind"):
+        rebuild(dataset)
 
 
 def test_events_that_are_functions():

@@ -9,6 +9,8 @@ from typing import Any
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.record_entries import Entry, made_of
+from coadjoint.files.record_reading import invariants_of
+from coadjoint.files.records import invariants_record
 from coadjoint.files.state_arrays import in_parts, state_dimensions
 from coadjoint.files.variables import named
 from coadjoint.given import read_whole
@@ -17,6 +19,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.quadratic import Quadratic
 
 
 def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
@@ -53,7 +56,9 @@ def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, 
     tables, missing = {}, []
     for event, name in zip(events, names, strict=True):
         g: Any = str(event.g) if isinstance(event.g, Polynomial) else event.g
-        if not isinstance(g, int | str):
+        if isinstance(g, Quadratic):
+            g = invariants_record({name: g})[name]
+        if not isinstance(g, int | str | dict):
             missing.append(name)
             continue
         tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
@@ -80,5 +85,9 @@ def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
     found = []
     with made_of(entry):
         for name, table in json.loads(entry.text()).items():
-            found.append(event_of_file(name, table, system))
+            if isinstance(table["g"], dict):
+                g = invariants_of(Entry({name: table["g"]}, entry.place), system.dim)[name]
+                found.append(Event(**{**table, "g": g}, name=name))
+            else:
+                found.append(event_of_file(name, table, system))
     return tuple(found)
