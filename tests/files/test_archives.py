@@ -175,7 +175,7 @@ def test_another_quantity_of_the_same_name_is_refused(tmp_path, other, several):
 def test_a_quantity_beside_a_function_is_compared(tmp_path):
     observe = {"far": far, "q": co.Polynomial({(2, 0, 0): 1.0})}
     cut(tmp_path / "run.zarr", observe=observe)
-    with pytest.raises(ArchiveError, match="observe is .*, which is not what the run was begun with"):
+    with pytest.raises(ArchiveError, match=r"observe is .*, which is not what the run was begun with"):
         co.resume(tmp_path / "run.zarr", observe={**observe, "q": co.Polynomial({(0, 2, 0): 1.0})})
 
 
@@ -221,7 +221,9 @@ def without_algebra(casimir, weight=0.5):
 )
 def test_a_system_with_another_invariant_or_force_of_the_same_name_is_refused(tmp_path, begun, other):
     cut(tmp_path / "run.zarr", begun())
-    with pytest.raises(ArchiveError, match="system is .*, (and the run is one of|which is not what the run was begun)"):
+    with pytest.raises(
+        ArchiveError, match=r"system is .*, (and the run is one of|which is not what the run was begun)"
+    ):
         co.resume(tmp_path / "run.zarr", system=other())
 
 

@@ -183,7 +183,7 @@ def test_a_run_from_its_own_coadjoint_matrix_is_rebuilt_from_it(name, tmp_path):
     for what in ("t", "x", "attitude", "attitude0", "energy"):
         np.testing.assert_array_equal(getattr(again, what), getattr(sol, what))
     assert (again.carried, again.t_span, again.save_every) == (sol.carried, sol.t_span, sol.save_every)
-    with pytest.raises(ValueError, match="began with its own coadjoint matrix, .*; use `rebuild`"):
+    with pytest.raises(ValueError, match=r"began with its own coadjoint matrix, .*; use `rebuild`"):
         solution_inputs(dataset)
     write_dataset(dataset, tmp_path / "run.nc")
     read = co.load(tmp_path / "run.nc")

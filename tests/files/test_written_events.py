@@ -84,7 +84,7 @@ def test_quadratic_events_are_stored(linear):
     for name in ("t", "x", "which", "direction"):
         assert np.array_equal(getattr(again.events, name), getattr(sol.events, name))
     dataset.attrs["events"] = dataset.attrs["events"].replace('"kind"', '"sort"')
-    with pytest.raises(ValueError, match="events.*kind"):
+    with pytest.raises(ValueError, match=r"events.*kind"):
         rebuild(dataset)
 
 
