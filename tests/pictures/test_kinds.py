@@ -13,7 +13,7 @@ import coadjoint as co
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.register import CannotShow, kinds
-from coadjoint.pictures.sites import places_of_sites
+from coadjoint.pictures.sites import places_of_sites, sites_of_row
 from coadjoint.systems.lattices import CELLS, graph
 from coadjoint.systems.ready_made import telling_of
 from coadjoint.systems.telling import Picture
@@ -375,3 +375,16 @@ def test_a_field_by_its_values():
     assert axes.get_title() == "heat at $t$ = 2" and axes.get_xlim() == (0.0, 6.0) and axes.get_ylim() == (0.0, 6.0)
     with pytest.raises(TypeError, match="modes, or a function"):
         shown(run, Picture("field", **given))
+
+
+@pytest.mark.parametrize("count", [31, 50, 100])
+def test_long_chains_are_read_like_text(count):
+    """Sites run to the right, and each row continues in the next one below."""
+    places = places_of_sites("chain", count, count)
+    row = int(np.count_nonzero(places[:, 1] == places[0, 1]))
+    assert 1 < row < count and sites_of_row("chain", count) == row
+    ends = np.arange(1, count) % row == 0
+    steps = np.diff(places, axis=0)
+    np.testing.assert_allclose(steps[~ends], np.tile([1.0, 0.0], (np.count_nonzero(~ends), 1)), rtol=0, atol=1e-14)
+    assert np.all(steps[ends, 1] < -1.0) and np.all(places[1:][ends, 0] == places[0, 0])
+    assert np.array_equal(places_of_sites("chain", 30, 30), np.stack([np.arange(30.0), np.zeros(30)], axis=-1))
