@@ -41,9 +41,8 @@ def drawn_run(system: Any, sense: float, forced: bool) -> Any:
     fluid = co.systems.torus_euler(5)
     fields = len(system.shape) - 1
     states = [[fluid.random(seed, degrees=(1, 2)) for seed in range(fields)] for _ in range(MEMBERS)]
-    start = np.array(states).reshape(MEMBERS, *system.shape) * np.array([1.0, 3.0, 0.2]).reshape(
-        -1, *[1] * (fields + 1)
-    )
+    scales = np.array([1.0, 3.0, 0.2]).reshape(-1, *[1] * len(system.shape))
+    start = scales * np.array(states).reshape(MEMBERS, *system.shape)
     x = start * (1.0 + 0.01 * np.arange(POINTS)).reshape(-1, *[1] * start.ndim)
     series = {
         name: scale * rng.normal(size=(POINTS, MEMBERS)) for scale, name in enumerate(("energy", *system.casimirs), 1)
@@ -51,7 +50,7 @@ def drawn_run(system: Any, sense: float, forced: bool) -> Any:
     series["energy"][7, 2] = -9.0  # the largest size of an energy, which is negative
     work = {}
     if forced:
-        quadratic = list(system.casimirs)[0]
+        quadratic = next(iter(system.casimirs))
         work = {
             "first": {name: rng.normal(size=(POINTS, MEMBERS)) for name in ("energy", quadratic)},
             "second": {"energy": rng.normal(size=(POINTS, MEMBERS))},
