@@ -9,14 +9,16 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.certificate import Certificate, Row, verdict
-from coadjoint.analysis.checks import attitude, invariants
+from coadjoint.analysis.checks import attitude, convergence, invariants
 from coadjoint.analysis.checks.convergence import allowed
 from coadjoint.analysis.checks.growth import growth
+from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.checks.sizes import size_of
 from coadjoint.analysis.checks.slope import slope_of_defects
 from coadjoint.analysis.checks.study import LARGE, study
 from coadjoint.analysis.checks.subject import APART, Subject
+from coadjoint.analysis.checks.symmetry import symmetry_row
 from coadjoint.analysis.given_step import scheme_and_claims
 from coadjoint.methods import Properties
 
@@ -64,6 +66,65 @@ def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
     assert wrong["energy"].evidence["deviations"].shape[1] == 5
     deviations = np.max(np.abs(wrong["energy"].evidence["deviations"]), axis=0)
     assert np.argmax(deviations) == place and np.delete(deviations, place).max() < 1e-12
+
+
+@pytest.mark.parametrize("h", [0.1, -0.1])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), turning(True)])
+def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
+    """A sample with each state twice as often has the values, the bounds and the verdicts of the sample."""
+    sample = np.array([X0, [0.9, -0.8, 0.7]])
+    found = {}
+    for times in (2, 4):
+        subject = subject_of(BODY, method, np.tile(sample, (times, 1)), h, steps=64)
+        run = invariants.long_run(subject)
+        rows = [*invariants.invariant_rows(subject, run, 2.0 * h), symmetry_row(subject, 2.0 * h)]
+        rows += [] if callable(method) else attitude.attitude_rows(subject, None, 64)
+        found[times] = {row.key: row for row in [*rows, poisson_row(subject, 2.0 * h)]}
+        # Without single steps, whose deviations are nearer to their bounds, the rows are those of the long run.
+        with monkeypatch.context() as patch:
+            patch.setattr(invariants, "_single_steps", lambda subject, telling: [])
+            rows = invariants.invariant_rows(subject, run, 2.0 * h)
+        assert all("round-off of the run" in row.source for row in rows)
+        found[times] |= {f"{row.key} over the run": row for row in rows}
+    assert len(found[2]) >= 6
+    for key, row in found[2].items():
+        other = found[4][key]
+        assert (other.verdict, other.measured) == (row.verdict, row.measured), key
+        # Sums over members are rounded.
+        assert other.value == pytest.approx(row.value, rel=1e-9) and other.bound == pytest.approx(row.bound, rel=1e-9)
+
+
+@pytest.mark.parametrize("h", [0.1, -0.1])
+@pytest.mark.parametrize("at_the_given", [True, False])
+def test_a_defect_at_the_given_step_or_at_larger_ones_alone_fails(at_the_given, h):
+    """An exact step still follows the motion at larger steps than the given one, where rows look as well."""
+    exact = turning(False)
+
+    def step(x, length):
+        given = abs(abs(float(length)) - abs(h)) < 1e-9
+        wrong = given if at_the_given else abs(float(length)) > 2.0 * abs(h)
+        return exact(x, length) * (1.0 + 1e-7 if wrong else 1.0)
+
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
+    sample = np.outer([0.5, 1.0, 0.8, 0.7], [0.6, 0.5, -0.4])
+    found = co.certify(system, step, sample, h, steps=16, order=2, symmetric=True, properties=EVERYTHING)
+    wanted = {"symmetry", "poisson", "energy", "casimir |x|^2"}
+    assert wanted <= {row.key for row in found.failures}, str(found)
+    lengths = [float(found[key].measured.split("at the step ")[1].split(",")[0]) for key in ("symmetry", "poisson")]
+    assert all((length == h) == at_the_given and length / h >= 1.0 for length in lengths)
+
+
+@pytest.mark.parametrize("h", [0.1, -0.1])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
+def test_the_order_of_single_steps_is_one_less_than_the_power_of_their_errors(method, h):
+    subject = subject_of(BODY, method, np.array([X0, [0.9, -0.8, 0.7]]), h)
+    found = convergence._single_steps(subject, study(subject))
+    assert found.value == pytest.approx(method.order, abs=0.3)
+    for length, error in zip(found.steps, found.errors, strict=True):
+        moved = [co.stepper(BODY, method, math.copysign(length, h))(x) for x in subject.states]
+        off = np.linalg.norm(moved - np.array([BODY.exact(x, math.copysign(length, h)) for x in subject.states]))
+        # The closed form is rounded, to less than the sixteenth of an error.
+        assert error == pytest.approx(off / np.linalg.norm(subject.states), rel=0.1)
 
 
 def test_a_reflection_must_reverse_the_motion_at_every_state():

@@ -75,6 +75,16 @@ def test_backward_and_forward_runs_are_corrected_alike():
     assert backward < 0.01 * np.ptp(run.energy)
 
 
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_a_step_back_moves_the_output_by_the_power_of_the_step(order):
+    """The flow of G takes h^p: of odd order that of -h is the inverse of that of h, of even order it is the same."""
+    system, x0 = systems()["body"], np.array([[1.0, 0.2, 0.5], [0.3, -0.4, 0.8]])
+    better = co.corrector(system, co.Splitting(order=order), x0)
+    forward, back = better(x0, 0.2), better(x0, -0.2)
+    assert np.max(np.abs(forward - x0)) > 1e-9
+    np.testing.assert_array_equal(back, better.inverse(x0, 0.2) if order % 2 else forward)
+
+
 def test_shapes_and_refusals():
     body, x0 = systems()["body"], (1.0, 0.2, 0.5)
     better = co.corrector(body, co.Splitting(), [x0, (0.5, 0.5, 1.0)])

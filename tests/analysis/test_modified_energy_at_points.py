@@ -39,10 +39,13 @@ def test_a_polynomial_as_functions_is_the_polynomial(order, sign):
     plain = co.LiePoissonSystem(algebra, co.Polynomial(quartic), sign=sign)
     x = np.array([[0.3, 0.5, -0.7], [1.0, -0.2, 0.4]])
     for method in (co.Splitting(order=1, parts="coordinates"), co.Splitting(order=4, parts="coordinates")):
-        expected = co.modified_hamiltonian(plain, method, order)(x, 0.5)
-        found = co.modified_hamiltonian(functions, method, order)(x, 0.5)
-        assert found == pytest.approx(expected, rel=1e-9)
-        assert order < 3 or method.order > 1 or not np.allclose(expected, plain.energy(x[0]))
+        of_plain = co.modified_hamiltonian(plain, method, order)
+        of_functions = co.modified_hamiltonian(functions, method, order)
+        for h in (0.5, -0.5):
+            expected = of_plain(x, h)
+            assert of_functions(x, h) == pytest.approx(expected, rel=1e-9)
+            assert order < 3 or method.order > 1 or not np.allclose(expected, plain.energy(x[0]))
+        assert order < 3 or method.order > 1 or not np.allclose(of_plain(x, 0.5), of_plain(x, -0.5), rtol=1e-6)
 
 
 @pytest.mark.parametrize("order", [2, 4])

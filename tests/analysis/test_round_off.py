@@ -94,3 +94,17 @@ def test_what_is_no_ensemble_is_refused():
     for size in (0, 4):
         with pytest.raises(ValueError, match="size"):
             orthogonality(crowd, size)
+
+
+def test_invariants_that_are_functions_are_relative_to_their_largest_value_of_each_member():
+    """The largest one of a member may be negative, and at any time."""
+    system = co.LiePoissonSystem(co.algebras.A3_7(0.3), co.Quadratic([1.0, 0.5, 0.25]))
+    sol = co.integrate(system, STARTS, (0, 0.4), 0.1)
+    rng = np.random.default_rng(2)
+    changed = rng.normal(size=sol.casimirs["log C"].shape)
+    changed[2, 1] = -7.0
+    sol.casimirs["log C"][:] = changed
+    wanted = random_walk((changed - changed[0]) / np.abs(changed).max(axis=0), 2)
+    found = round_off(sol, 2)["log C"]
+    for field in ("early", "late", "worst", "bias"):
+        assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=1e-12), field

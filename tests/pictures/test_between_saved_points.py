@@ -1,11 +1,14 @@
 """Curves are smooth where the scheme gives the states between the saved points, and dots where it cannot."""
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.between import MOST_BETWEEN, SMOOTH, TURN, times_between
+from coadjoint.pictures.between import MOST_BETWEEN, SMOOTH, TURN, few_times, times_between
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.sites import places_of_sites
 from coadjoint.runs.solution import Solution
@@ -180,3 +183,14 @@ def test_points_of_a_curve_that_closes_make_no_ribbon(monkeypatch):
         run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 300.0), 0.01, save_every=every)
         drawn = Drawn(run)
         assert drawn.joined is joined and drawn.close
+
+
+def test_states_between_are_not_computed_if_their_steps_take_long() -> None:
+    """A state takes a partial step in addition to the steps of the run, which are repeated."""
+    run = co.integrate(co.systems.rigid_body((1.0, 2.0, 3.0)), (1.0, 0.2, 0.5), (0.0, 1.0), 0.25)
+    for seconds, steps, enough in ((0.01, 4, True), (1.0, 4, False), (1.0, 4000, True), (1.6, 4000, False)):
+        stats = replace(run.stats, seconds=seconds, steps=steps)
+        drawn = Drawn(run)
+        drawn.solution = copy.copy(run)
+        object.__setattr__(drawn.solution, "stats", stats)
+        assert (few_times(drawn) is not None) == enough, (seconds, steps)

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 import coadjoint as co
 from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.fluids import part_on_grid
 from coadjoint.pictures.gallery import piece
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import CannotShow, kinds
@@ -162,6 +163,30 @@ def test_on_a_planet_the_relative_vorticity_is_shown(rotation):
     seen = co.integrate(still, still.random(2, degrees=(2, 4)), (0.0, 0.1), 0.05, co.IsospectralGauss())
     (other,) = shown(seen, Picture("vorticity", at=0.0)).get_images()
     np.testing.assert_allclose(image.get_array(), other.get_array(), atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", ["ball", "planet", "square", "two fields"])
+def test_large_scales_are_the_relative_vorticity_along_the_projections_of_its_stream_matrix(kind):
+    if kind in ("ball", "planet"):
+        still = co.systems.sphere_euler(N=8)
+        fluid = co.systems.sphere_euler(N=8, rotation=2.0) if kind == "planet" else still
+        seen, state = still.random(5, degrees=(1, 4)), fluid.random(5, degrees=(1, 4))
+    else:
+        still = fluid = co.systems.torus_euler(N=7)
+        seen = state = fluid.random(5, degrees=(1, 3))
+        state = state if kind == "square" else np.stack([fluid.random(6, degrees=(1, 2)), state])
+    shape = (17, 32) if kind in ("ball", "planet") else (16, 16)
+    P = still.stream_of(seen)
+    values, V = np.linalg.eigh(1j * P)
+    assert np.diff(values).min() > 1e-3 * np.abs(values).max(), "projections on single vectors"
+    large = sum(np.outer(v, v.conj()) @ seen @ np.outer(v, v.conj()) for v in V.T)
+    wanted = {"all": seen, "large": large, "small": seen - large, "stream": P}
+    for part, matrix in wanted.items():
+        found = part_on_grid(fluid, state, part, shape)
+        np.testing.assert_allclose(found, still.to_grid(matrix, shape), atol=1e-11 * np.abs(found).max())
+    if kind == "two fields":
+        carried = part_on_grid(fluid, state, "carried", shape)
+        np.testing.assert_allclose(carried, still.to_grid(state[0], shape), atol=1e-13)
 
 
 @pytest.mark.parametrize("which", ["ball", "square"])

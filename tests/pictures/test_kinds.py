@@ -13,7 +13,7 @@ import coadjoint as co
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.register import CannotShow, kinds
-from coadjoint.pictures.sites import places_of_sites
+from coadjoint.pictures.sites import places_of_sites, sites_of_row
 from coadjoint.systems.lattices import CELLS, graph
 from coadjoint.systems.ready_made import telling_of
 from coadjoint.systems.telling import Picture
@@ -375,3 +375,33 @@ def test_a_field_by_its_values():
     assert axes.get_title() == "heat at $t$ = 2" and axes.get_xlim() == (0.0, 6.0) and axes.get_ylim() == (0.0, 6.0)
     with pytest.raises(TypeError, match="modes, or a function"):
         shown(run, Picture("field", **given))
+
+
+@pytest.mark.parametrize("count", [31, 50, 100])
+def test_long_chains_are_read_like_text(count):
+    """Sites run to the right, and each row continues in the next one below."""
+    places = places_of_sites("chain", count, count)
+    row = int(np.count_nonzero(places[:, 1] == places[0, 1]))
+    assert 1 < row < count and sites_of_row("chain", count) == row
+    ends = np.arange(1, count) % row == 0
+    steps = np.diff(places, axis=0)
+    np.testing.assert_allclose(steps[~ends], np.tile([1.0, 0.0], (np.count_nonzero(~ends), 1)), rtol=0, atol=1e-14)
+    assert np.all(steps[ends, 1] < -1.0) and np.all(places[1:][ends, 0] == places[0, 0])
+    assert np.array_equal(places_of_sites("chain", 30, 30), np.stack([np.arange(30.0), np.zeros(30)], axis=-1))
+
+
+@pytest.mark.parametrize("count", [1, 5, 6, 24])
+def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
+    """From the top, clockwise; small ones on a circle of radius 1."""
+    x, y = places_of_sites(None, None, count).T
+    radius = max(1.0, count / 6.0)
+    turn = np.arctan2(x, y) % (2.0 * np.pi)
+    np.testing.assert_allclose(np.hypot(x, y), radius, rtol=1e-14)
+    np.testing.assert_allclose(turn[1:], 2.0 * np.pi * np.arange(1, count) / count, rtol=1e-13)
+    assert (x[0], y[0]) == (0.0, radius)
+
+
+@pytest.mark.parametrize(("part", "index"), [(-0.5, 0), (0.0, 0), (0.24, 2), (1.0, 10), (7.0, 10)])
+def test_fractions_outside_the_span_are_its_ends(part, index):
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (2.0, 1.0), 0.1)
+    assert Drawn(run).at(part) == index

@@ -1,5 +1,7 @@
 """Triangles of level surfaces lie on them, and miss nothing."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,20 @@ def test_level_that_is_not_met_gives_nothing() -> None:
 def test_wrong_box_is_refused() -> None:
     with pytest.raises(ValueError, match="three pairs"):
         level_surface(lambda x: x[0], 0.0, [(0.0, 0.0)] * 3)
+
+
+@pytest.mark.parametrize(
+    ("function", "level"),
+    [
+        (lambda x: math.log(x[0]), math.log(0.7)),  # a ValueError below zero
+        (lambda x: 1.0 / max(0.0, float(x[0])), 1.0 / 0.7),  # a ZeroDivisionError there
+        (lambda x: np.log(x[0]), math.log(0.7)),  # NaN and a warning there
+    ],
+)
+def test_surfaces_of_functions_that_are_not_defined_everywhere_are_complete(function, level) -> None:
+    box = [(-1.0, 1.4), (-0.5, 0.7), (0.0, 0.6)]
+    points = level_surface(function, level, box, cells=12).reshape(-1, 3)
+    # Linear interpolation over cells of 0.2: an eighth of the square times the second derivative, over the slope.
+    assert np.max(np.abs(points[:, 0] - 0.7)) <= 0.2**2 / 8 * (2.0 / 0.5**3) / (1.0 / 0.9**2)
+    np.testing.assert_allclose(points[:, 1:].min(axis=0), [-0.5, 0.0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(points[:, 1:].max(axis=0), [0.7, 0.6], rtol=0, atol=1e-15)

@@ -314,3 +314,13 @@ def test_speeds_and_sizes_of_movies(tmp_path):
     with pytest.raises(ValueError, match="a GIF of so many frames needs about"):
         write_movie(huge, tmp_path / "run.gif", 10.0)
     assert not list(tmp_path.iterdir())
+
+
+def test_movies_begin_at_the_start_whatever_time_a_picture_has():
+    """Lengths are relative to those of the first frame, also if the picture is given for another time."""
+    lattice = co.systems.spin_lattice("square", (2, 2), tensor=(1.0, 1.0, 0.5))
+    damped = lattice.with_forces(co.forces.LinearDamping(0.5))
+    run = co.integrate(damped, np.random.default_rng(3).normal(size=12), (0.0, 2.0), 0.1)
+    pictures = [Picture("spins", at=at) for at in (0.0, 0.5, 1.0)]
+    first = [bytes(next(iter(frames_of(run, picture, frames=2, size=(320, 180))))) for picture in pictures]
+    assert first[0] == first[1] == first[2]

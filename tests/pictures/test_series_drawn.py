@@ -114,3 +114,17 @@ def test_states_that_are_complex_matrices(stretch, joined, members):
     np.testing.assert_array_equal(drawn.x[0, :, 3], turned[:, 0, 1].imag)
     assert drawn.close is joined
     np.testing.assert_array_equal(drawn.state(drawn.at(0.5)), turned[20])
+
+
+@pytest.mark.parametrize("turns", [3, 290, 310])
+@pytest.mark.parametrize("joined", [True, False])
+@pytest.mark.parametrize("points", [4000, 5000])
+def test_long_series_are_lines_where_they_are_smooth_and_envelopes_where_they_are_dense(points, joined, turns):
+    """A column resolves eight dots; half a column resolves a turning point."""
+    t = np.linspace(2.0, 9.0, points)
+    axes = drawn_with(t, np.sin(np.pi * turns * (t - 2.0) / 7.0), joined)
+    if turns > 300 or (points > 4800 and not joined):
+        assert not axes.lines and len(axes.collections) == 1
+        return
+    (line,) = axes.lines
+    assert (line.get_linestyle() == "-") == joined and len(line.get_xdata()) == points

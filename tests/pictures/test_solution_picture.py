@@ -157,3 +157,25 @@ def test_names() -> None:
     assert "Splitting(order=2)" in str(co.Composition(co.Splitting(order=2), (0.5, 0.5)))
     assert symbol("100$") == r"100\$"
     assert surface_casimir({}) is None
+
+
+@pytest.mark.parametrize(("count", "members"), [(1, None), (3, None), (3, [2, 0]), (20, None), (21, None), (21, [20])])
+def test_the_headline_has_the_numbers_of_members(count: int, members: Any) -> None:
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    starts = np.random.default_rng(count).normal(size=(count, 3))
+    figure = co.integrate(body, starts, (0.0, 0.5), 0.125).plot(["drift"], members=members)
+    shown = min(count, 20) if members is None else len(members)
+    said = f"{shown} of {count} members" if shown < count else f"{count} members" if count > 1 else "step 0.125"
+    assert " ".join(figure.get_suptitle().split()).split(", ")[-1] == said
+
+
+def test_the_surface_is_that_of_a_polynomial_if_there_is_one() -> None:
+    def value(x: Any) -> Any:
+        return x[0] * x[1]
+
+    other = co.Invariant(value, lambda x: np.array([x[1], x[0], 0.0 * x[2]]))
+    square, plane = co.Polynomial({(2, 0, 0): 1}), co.Polynomial({(0, 0, 1): 1})
+    assert surface_casimir({"f": other, "x1^2": square, "x3": plane}) == "x1^2"
+    assert surface_casimir({"x3": plane, "f": other, "x1^2": square}) == "x3"
+    assert surface_casimir({"f": other, "g": other}) == "f"
+    assert surface_casimir({}) is None
