@@ -60,7 +60,7 @@ class Relaxed(co.methods.StepMethod):
 
 @dataclasses.dataclass(frozen=True)
 class Asking(co.methods.StepMethod):
-    """A step that asks for all that there is."""
+    """A step that asks for all that there is, also at views of its state and at numbers of another type."""
 
     order, explicit, symmetric = 1, True, False
 
@@ -68,9 +68,11 @@ class Asking(co.methods.StepMethod):
         return NOTHING
 
     def step(self, system, x, t, h):
-        weight = 1 + 0.01 * system.energy(x, t) - 0.02 * system.hamiltonian.value(2 * x[::-1], t + 0.1)
-        bent = system.hamiltonian.hessian(x, t) @ x + system.jacobian(x) @ system.hamiltonian.gradient(x)
-        return x + h * weight * system.vector_field(x) + 0.01 * h * bent / system.dim
+        back, single = x[::-1], (x + 0.25).astype(np.float32)
+        weight = 1 + 0.01 * system.energy(x, t) - 0.02 * system.hamiltonian.value(back, t + 0.1)
+        bent = system.hamiltonian.hessian(single, t) @ x + system.jacobian(back) @ system.hamiltonian.gradient(x)
+        field = system.vector_field(x) + 0.5 * system.vector_field(back, t)
+        return x + h * weight * field + 0.01 * h * bent / system.dim
 
 
 @dataclasses.dataclass(frozen=True)

@@ -205,6 +205,40 @@ def test_exponential_of_a_matrix(name, theta):
     assert error_of(read, D, x, theta) <= 4 * (len(D) + 2) * exponential_bound(D, theta) * np.linalg.norm(x)
 
 
+def plane(mean, half, upper, lower):
+    return np.array([[mean + half, upper], [lower, mean - half]])
+
+
+NEARLY_ALIKE = {
+    Kind.PLANE: [plane(*constants) for constants in np.array([0.5, 0.25, 1.0, -2.0]) + 0.125 * np.eye(5, 4, -1)],
+    Kind.ROTATE: [plane(0.0, 0.0, -w, w) for w in (1.0, 1.0 + 2.0**-52, -1.0, 2.0, 1.0)],
+    Kind.SCALE: [np.diag([a, b]) for a, b in ((1.0, 2.0), (1.0 + 2.0**-52, -1.0), (2.0, -2.0), (1.0, 1.0))],
+    Kind.SHEAR: [plane(0.0, 0.0, value, 0.0) for value in (1.0, -1.0, 2.0, 1.0)],
+}
+
+
+@pytest.mark.parametrize("kind", NEARLY_ALIKE, ids=lambda kind: kind.name)
+def test_blocks_that_differ_in_one_constant_have_their_own(kind):
+    """In one generator, in any order: blocks of a run share their constants only if all of these are equal."""
+    rng = np.random.default_rng(int(kind))
+    blocks = [*NEARLY_ALIKE[kind], NEARLY_ALIKE[kind][1]]
+    for _ in range(2):
+        D = np.zeros((2 * len(blocks),) * 2)
+        places = rng.permutation(len(D)).reshape(-1, 2)
+        for block, place in zip(blocks, places, strict=True):
+            D[np.ix_(place, place)] = block
+        system, method = turning(acting(D), [len(D)]), co.Splitting(order=1, parts="coordinates")
+        read = Reading(build_program(system, method))
+        assert kinds_of(read) == {kind}
+        assert read.generator(read.program.state, 0, 0) == entries(D)
+        x = rng.uniform(-1, 1, len(D) + 1)
+        x[-1] = 1.0
+        # The angle is the last coordinate, and the closed forms have some 16 roundings.
+        expected = expm(0.7 * D) @ x[:-1]
+        found = co.stepper(system, method, 0.7)(x)[:-1]
+        assert np.abs(found - expected).max() <= 64 * U * np.exp(0.7 * 4.0) * 2  # no block has a norm above 4
+
+
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_exponential_of_basis_elements(name):
     algebra, _ = ALGEBRAS[name]

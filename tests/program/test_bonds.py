@@ -2,6 +2,7 @@
 
 import json
 from fractions import Fraction
+from itertools import permutations, product
 
 import mpmath
 import numpy as np
@@ -12,6 +13,7 @@ from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.methods.registry import description_of, from_description
 from coadjoint.program.bonds import bonds, colours
 from coadjoint.program.part_polynomials import part_polynomials
+from coadjoint.program.split import NotSplit
 
 U = 2.0**-53
 SO3 = co.algebras.so(3)
@@ -111,6 +113,37 @@ def test_what_has_no_bond_is_refused_by_name(system):
     ):
         with pytest.raises(ValueError, match="no isotropic coupling"):
             refused()
+
+
+def signed_permutations():
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            yield np.diag(signs)[list(order)]
+
+
+@pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, 2.0), (2.0, 2.0), (-1.0, 1.0), (-0.5, -0.5)])
+def test_a_bond_is_a_multiple_of_the_identity_between_momenta_of_one_scale(factors):
+    """Of all couplings by signed permutations of the axes, in bases e -> f e of the factors f of the two spins."""
+    spins = [co.algebras.change_of_basis(SO3, f * np.eye(3)) for f in factors]
+    whole, found = co.algebras.direct_sum(*spins), 0
+    for coupling in signed_permutations():
+        M = np.kron([[0.0, 1.0], [0.0, 0.0]], 0.75 * coupling)
+        system = co.LiePoissonSystem(whole, co.Quadratic(M + M.T))
+        isotropic = factors[0] == factors[1] and np.array_equal(coupling, coupling[0, 0] * np.eye(3))
+        if not isotropic:
+            with pytest.raises(NotSplit, match="no isotropic coupling"):
+                bonds(system)
+            continue
+        found += 1
+        parts, shift = bonds(system)
+        ((_, body),) = parts.bodies.items()
+        assert (body.coordinates, body.other) == ((0, 1, 2), (3, 4, 5))
+        # c z.w = c |z + w|^2/2 - c (|z|^2 + |w|^2)/2; the Casimirs taken off are those of both spins.
+        x = np.array([0.5, -0.25, 1.0, 0.75, 0.5, -1.0])
+        total = np.array(body.matrix) @ (x[:3] + x[3:]) @ (x[:3] + x[3:]) / 2
+        taken = sum(factor * C(x) for C, factor in shift)
+        assert abs(system.energy(x) - total - taken) <= 16 * U * np.abs(x).sum() ** 2
+    assert found == 2 * (factors[0] == factors[1])
 
 
 def test_other_refusals(monkeypatch):

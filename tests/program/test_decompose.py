@@ -1,5 +1,6 @@
 """Casimir shifts, orders of parts, and the h^2 term that decides between them."""
 
+import json
 from itertools import permutations
 
 import numpy as np
@@ -165,6 +166,33 @@ def test_refusals():
         decompose(system, ChosenParts((0, 1, 2), (("|x|^2", 0.25),)))
     with pytest.raises(ValueError, match="the shift names 'C9'; the quadratic Casimirs are"):
         decompose(system, ChosenParts((0, 1), (("C9", 0.25),)))
+
+
+@pytest.mark.parametrize("linear", [(), (2,), (0, 2)])
+def test_a_choice_is_written_read_and_taken_again_with_all_that_it_holds(linear):
+    """Coordinates whose linear coefficients count as present have parts of their own, for any coefficients."""
+    algebra, M = co.algebras.so(3), (1.0, 2.0, 2.0)  # the shift by |x|^2 takes the last two coordinates off
+    driven = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=[0.5 * (k in linear) for k in range(3)]))
+    count = len(split(driven, "auto", shifted_terms(driven.hamiltonian.terms(), quadratic_casimirs(driven), SHIFT)))
+    assert count == len({0, *linear})
+    choice = ChosenParts(tuple(range(count))[::-1], SHIFT, linear)
+    again = ChosenParts.from_mapping(json.loads(json.dumps(choice.to_mapping())))
+    assert again == choice and eval(repr(choice)) == choice
+    assert (again.order, again.shift, again.linear) == (choice.order, choice.shift, linear)
+    free = co.LiePoissonSystem(algebra, co.Quadratic(M))
+    for system in (driven, free):
+        found = decompose(system, again)
+        assert found.choice == choice and [factor for _, factor in found.shift] == [1.0]
+        forms = [part.forms for part in found.parts]
+        assert forms == [part.forms for part in decompose(driven, choice).parts] and len(forms) == count
+        x = np.array([0.5, -1.0, 0.25])
+        gradient = part_jets(found.parts, x[None]).gradient.sum(axis=(0, 1))
+        assert np.array_equal(gradient, system.hamiltonian.gradient(x) - 2.0 * x)
+    with pytest.raises(ValueError, match=r"parts names coordinate 3; .* has 3 of them"):
+        decompose(free, ChosenParts((0, 1), SHIFT, (*linear, 3)))
+
+
+SHIFT = (("|x|^2", 1.0),)
 
 
 def test_many_systems_at_once_are_decomposed_as_each_alone():

@@ -200,3 +200,47 @@ def test_the_choice_is_written_and_read_again():
     table = free_body(order=4).program(top).to_mapping()
     assert table["bodies"] and json.dumps([int(k) for k in table["bodies"]])
     assert from_description(description_of(free_body(order=4))) == free_body(order=4)
+
+
+def described():
+    e3, so3 = co.algebras.e(3), co.algebras.so(3)
+    full = co.Quadratic([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
+    top = co.Quadratic([1.0, 2.0, 3.0, 0, 0, 0], linear=[0, 0, 0, 0.5, 0, 0.25])
+    bond = co.Quadratic(np.kron([[0, 0.75], [0.75, 0]], np.eye(3)))
+    spiral, third = co.algebras.get("A3,7", a=0.5), {(2, 0, 0): 0.5, (0, 3, 0): 0.25, (1, 2, 0): 0.5, (0, 0, 2): 1.0}
+    return {
+        "free body": (so3, full, "free_body"),
+        "free body and gravity": (e3, top, "free_body"),
+        "bond": (co.algebras.copies(so3, 2), bond, "bonds"),
+        "coordinates": (so3, co.Quadratic([1.0, 2.0, 2.75]), "auto"),
+        "polynomial": (spiral, co.Polynomial(third), [[0, 1], [2]]),
+    }
+
+
+@pytest.mark.parametrize("name", described())
+def test_two_copies_of_a_system_have_twice_the_operations_in_as_many_flows(name):
+    algebra, H, parts = described()[name]
+    n, doubled = algebra.dim, parts
+    if isinstance(H, co.Quadratic):
+        M, linear = np.kron(np.eye(2), matrix_of(H, n)), np.tile(H.gradient(np.zeros(n)), 2)
+        twice = co.Quadratic(M, linear=linear)
+    else:
+        none = (0,) * n
+        twice = co.Polynomial({whole: c for e, c in H.monomials.items() for whole in ((*e, *none), (*none, *e))})
+        doubled = [[*some, *(i + n for i in some)] for some in parts]
+    one = co.Splitting(order=4, parts=parts).describe(co.LiePoissonSystem(algebra, H))
+    two = co.Splitting(order=4, parts=doubled).describe(co.LiePoissonSystem(co.algebras.copies(algebra, 2), twice))
+    assert (two.flows, two.multiplications) == (one.flows, 2 * one.multiplications)
+    assert one.multiplications > 0 and one.functions > 0
+    for single, both in zip(one.parts, two.parts, strict=True):
+        assert both.multiplications == 2 * single.multiplications
+        # Rotations about one angle are one sine; shears have none.
+        assert both.functions == 2 * single.functions
+        assert both.blocks == {kind: 2 * count for kind, count in single.blocks.items()}
+        assert len(both.generators) == 2 * len(single.generators)
+    for said in (one, two):
+        assert f"{said.multiplications} multiplications" in str(said) and f"{said.functions} sines" in str(said)
+
+
+def matrix_of(H, n):
+    return np.array([H.gradient(e) - H.gradient(np.zeros(n)) for e in np.eye(n)])

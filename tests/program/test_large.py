@@ -134,9 +134,14 @@ def test_sparse_squares_are_bit_for_bit_the_dense_ones(hollow):
         assert np.array_equal(found.weights, expected.weights) and np.array_equal(found.linear, expected.linear)
 
 
-def test_shifts_are_counted_as_they_are_made():
-    M = np.round(np.random.default_rng(1).uniform(0.0, 2.0, 78) * 4) / 4
-    system = co.LiePoissonSystem(co.algebras.so(13), co.Quadratic(M))
+@pytest.mark.parametrize("driven", [0, 3, 40])
+def test_shifts_are_counted_as_they_are_made(driven):
+    """A coordinate with a linear term stays when a shift cancels its square."""
+    rng = np.random.default_rng(1)
+    M = np.round(rng.uniform(0.0, 2.0, 78) * 4) / 4
+    linear = np.zeros(78)
+    linear[rng.permutation(78)[:driven]] = -0.5
+    system = co.LiePoissonSystem(co.algebras.so(13), co.Quadratic(M, linear=linear))
     terms, casimirs, plain = system.hamiltonian.terms(), quadratic_casimirs(system), split(system)
     shifts = list(candidate_shifts(system, plain, casimirs))
     counts = numbers_of_parts(system, casimirs, shifts).tolist()

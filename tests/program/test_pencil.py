@@ -15,6 +15,9 @@ U = 2.0**-53
         (np.ones((3, 3)), np.eye(3), (0.0, 0.0, 3.0)),
         (np.ones((3, 3)), -2.0 * np.eye(3), (-1.5, 0.0, 0.0)),
         (np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([1.0, 4.0]), (-0.5, 0.5)),
+        # Pivots of very different sizes: the smallest one bounds the factors.
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([2.0**-10, 2.0**10]), (-1.0, 1.0)),
+        (np.ones((2, 2)), -np.diag([2.0**-10, 1.0]), (-1025.0, 0.0)),
     ],
 )
 def test_known_factors(matrix, casimir, factors):

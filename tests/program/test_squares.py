@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from coadjoint.program.offsets_of_squares import ExactSums, Reduced
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.sparse_squares import sparse_squares
 from coadjoint.program.squares import LARGEST_RATIONAL, complete_squares
@@ -139,3 +140,19 @@ def test_the_matrix_given_is_not_changed():
     kept = M.copy()
     complete_squares(M, b)
     assert np.array_equal(M, kept) and np.array_equal(b, np.ones(4))
+
+
+@pytest.mark.parametrize(
+    "offsets",
+    [
+        ExactSums((1,), ((1,), (2**600,)), (3, 1)),
+        Reduced((((0,), ({0: 1.0},)), ((1,), ({1: 2.0**-600},))), (1, 0)),
+    ],
+    ids=["exact", "reduced"],
+)
+def test_offsets_beyond_float64_are_refused(offsets):
+    """Any of them, not the first one alone; large ones that are numbers are given."""
+    assert np.all(np.isfinite(offsets.at(np.array([1.0, 2.0**400]))))
+    for size in (2.0**600, -(2.0**600)):
+        with pytest.raises(OverflowError, match="too large for"):
+            offsets.at(np.array([1.0, size]))

@@ -21,10 +21,12 @@ def top(sign=+1):
     return co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0]), sign=sign)
 
 
+DRIVEN = (lambda y, t: 0.5 * y * y * (2.0 + math.sin(t)), lambda y, t: y * (2.0 + math.sin(t)))
+STEADY = (lambda y: 0.25 * y * y, lambda y: 0.5 * y)
+
+
 def driven():
-    slow = (lambda y, t: 0.5 * y * y * (2.0 + math.sin(t)), lambda y, t: y * (2.0 + math.sin(t)))
-    steady = (lambda y: 0.25 * y * y, lambda y: 0.5 * y)
-    return co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: slow, 1: steady, 2: steady}))
+    return co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: DRIVEN, 1: STEADY, 2: STEADY}))
 
 
 def test_second_order_merges_the_outer_halves_of_consecutive_steps():
@@ -77,6 +79,26 @@ def test_flows_at_different_times_are_not_merged():
 def test_only_timed_parts_are_kept_apart():
     _, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts=[[2], [1], [0]])))
     assert len(finish) == 1 and [row[0] for row in step] == [0, 1, 2, 1]
+
+
+@pytest.mark.parametrize("timed", [(3,), (4,), (5,), (3, 5), (0, 4)])
+def test_a_part_is_timed_if_any_of_its_functions_is(timed):
+    """The functions of p1, p2, p3 are one part, wherever the one of time stands among them."""
+    kinds = {True: DRIVEN, False: STEADY}
+    system = co.LiePoissonSystem(co.algebras.e(3), co.Separable({k: kinds[k in timed] for k in (0, 3, 4, 5)}))
+    method = co.Splitting(order=2, parts=[[3, 4, 5], [0]])
+    program = build_program(system, method)
+    assert program.parts.timed.tolist() == [bool({3, 4, 5} & set(timed)), 0 in timed]
+    # The flows of the first part at the end of a step and at the start of the next one are at different times.
+    start, step, finish = sections(program)
+    assert (finish == [] and start == step) and [part for part, _, _ in step] == [0, 1, 0]
+    x0 = np.array([0.4, -0.3, 0.2, 0.9, 0.5, -0.7])
+    x = x0
+    for k in range(3):
+        x = Reading(program).steps(x, 0.25, 1, 0.7 + 0.25 * k)
+    whole = co.integrate(system, x0, (0.7, 1.45), 0.25, method).x[-1]
+    assert np.abs(Reading(program).steps(x0, 0.25, 3, 0.7) - x).max() <= 64 * 2.0**-53
+    assert np.abs(whole - x).max() <= 64 * 2.0**-53
 
 
 def test_first_order_takes_time_at_its_start_and_the_adjoint_at_its_end():
