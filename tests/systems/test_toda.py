@@ -124,9 +124,6 @@ def test_exact_shapes_and_refusals():
     system, x = co.systems.toda(3), state(3, "open")
     assert system.exact(x, 1.0).shape == (5,) and system.exact(x, [0.0, 1.0]).shape == (2, 5)
     np.testing.assert_array_equal(system.exact(x, 0.0), x)
-    start, same = system.exact(x, 0.0), system.exact(x, [0.0, 0.0])
-    start[0], same[0, 0] = 9.0, 9.0
-    assert x[0] != 9.0 != same[1, 0]
     np.testing.assert_array_equal(system.exact(np.zeros(5), 1.0), np.zeros(5))
     with pytest.raises(TypeError, match="toda has a closed form of the state alone"):
         system.exact(x, 1.0, attitude=True)
