@@ -429,6 +429,13 @@ def test_what_makes_no_sense_is_refused_by_name():
         (lambda f: f.LinearDamping(np.nan), ValueError, "NaN or infinity|must be finite|is nan"),
         (lambda f: f.Torque(1.0), ValueError, "the torque has the shape"),
         (lambda f: f.Torque(lambda x: x[:2]), ValueError, "the torque returns shape"),
+        (
+            lambda f: f.Torque(lambda x: x[None]),
+            ValueError,
+            r"the torque returns shape \(1, 3\); rigid_body needs \(3,\)",
+        ),
+        (lambda f: f.Torque(lambda t: 1.0), ValueError, r"the torque returns shape \(\); rigid_body needs \(3,\)"),
+        (lambda f: f.OwnForce(dict), TypeError, r"function of \(x, t, tau\)"),
         (lambda f: f.Torque(lambda a, b, c: a), TypeError, "positional arguments"),
         (lambda f: f.DoubleBracketDamping(-1), ValueError, "alpha of DoubleBracketDamping is -1"),
         (lambda f: f.DoubleBracketDamping(1, -np.eye(3)), ValueError, "not positive semidefinite"),

@@ -70,6 +70,24 @@ def test_refusals(case):
     assert "\n" not in str(refusal.value)
 
 
+def test_members_of_forces_that_keep_other_casimirs_are_refused():
+    """Also where the forces have the same names, of whichever member and force."""
+
+    def damped(*kept):
+        forces = [co.forces.OwnForce(lambda x, t, tau: x, name="drag", keeps_casimirs=one) for one in kept]
+        return body(1, 2, 3).with_forces(*forces)
+
+    assert len(co.batch([damped(True, False), damped(True, False)])) == 2
+    for other in (damped(True, True), damped(False, True), damped(False, False)):
+        with pytest.raises(ValueError, match="member 2 of the batch has forces that keep other Casimirs"):
+            co.batch([damped(True, False), damped(True, False), other])
+    for fewer in (damped(True), damped(True, False, False)):
+        with pytest.raises(
+            ValueError, match=r"member 1 of the batch has the forces drag.* and member 0 has drag, drag 2"
+        ):
+            co.batch([damped(True, False), fewer])
+
+
 @pytest.mark.parametrize("shape", [(2, 3), (4, 3), (3, 2), (3, 1, 3), (4,), ()])
 def test_wrong_shapes_of_x0(shape):
     batch = co.batch([body(1, 2, 3), body(1, 2, 2.5), body(1, 2, 2.75)])

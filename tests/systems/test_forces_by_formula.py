@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
+from coadjoint.systems.forces.described import from_description
 from coadjoint.systems.forces.double_bracket import exponential
 from coadjoint.systems.forces.normal_deviates import normal_deviates, words_of
 
@@ -151,3 +152,58 @@ def test_forces_are_applied_in_their_order_and_labelled_by_it():
     assert still.power(X) == pytest.approx(wanted, rel=1e-14)
     with pytest.raises(ValueError, match="two forces draw the same noise"):
         system.with_forces(some.HeatBath(0.7, temperature=0.5, seed=5, stream=4))
+
+
+@pytest.mark.parametrize("t", [0.0, 0.7, -2.0])
+def test_power_energy_and_field_of_a_driven_system_are_those_at_the_time(t):
+    H = co.Hamiltonian(
+        lambda x, t: (1 + t**2) * (x[0] ** 2 + 3 * x[1] ** 2) / 2 + np.sin(t) * x[2],
+        lambda x, t: np.array([(1 + t**2) * x[0], 3 * (1 + t**2) * x[1], np.sin(t)]),
+    )
+    driven = co.LiePoissonSystem(co.algebras.so(3), H, name="driven")
+    some = co.forces
+    push = some.Torque(lambda x, t: np.array([t * x[1], np.cos(t), x[0]]))
+    drag = some.OwnForce(lambda x, t, tau: x * np.exp(-(1 + t) * tau), name="drag")
+    wind = some.Torque(lambda t: np.array([t, 1.0, t**2]))
+    system = driven.with_forces(push, drag, wind)
+    slope = np.array([(1 + t**2) * X[0], 3 * (1 + t**2) * X[1], np.sin(t)])
+    fields = {
+        "Torque": np.array([t * X[1], np.cos(t), X[0]]),
+        "drag": -(1 + t) * X,
+        "Torque 2": np.array([t, 1.0, t**2]),
+    }
+    # Differences of order four, of steps 2^-12, whose rounding is u times 2^12, times numbers of size 16.
+    assert system.power(X, t) == pytest.approx({name: slope @ one for name, one in fields.items()}, abs=2.0**-34)
+    assert system.energy(X, t) == pytest.approx((1 + t**2) * (X[0] ** 2 + 3 * X[1] ** 2) / 2 + np.sin(t) * X[2])
+    whole = np.cross(slope, X) + sum(fields.values())
+    np.testing.assert_allclose(system.vector_field(X, t), whole, rtol=0, atol=2.0**-34)
+    both = np.stack([X, 2 * X, X])
+    times = np.array([0.3, 0.5, t])
+    found = system.vector_field(both, times)
+    np.testing.assert_array_equal(found, [system.vector_field(x, float(s)) for x, s in zip(both, times, strict=True)])
+    energies = [system.energy(x, float(s)) for x, s in zip(both, times, strict=True)]
+    np.testing.assert_array_equal(system.energy(both, times), energies)
+
+
+@pytest.mark.parametrize("t", [0.0, 0.7])
+def test_a_damping_that_does_not_converge_names_the_time(t):
+    with pytest.raises(co.IntegrationError, match="the midpoint rule of DoubleBracketDamping") as failure:
+        co.forces.DoubleBracketDamping(8.0).flow(BODY, X, t, 1.0)
+    assert failure.value.time == t and failure.value.step == 1
+
+
+def test_what_a_force_is_made_of_stays_as_it_is():
+    description = {"name": "LinearDamping", "rate": [0.1, 0.2, 0.3], "toward": [1.0, 0.0, 0.0]}
+    before = dict(description)
+    force = from_description(description)
+    assert description == before and from_description(description) == force
+    rate, torque = np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
+    damping, push = co.forces.LinearDamping(rate, torque), co.forces.Torque(torque)
+    rate[:], torque[:] = 9.0, 9.0
+    np.testing.assert_array_equal(damping.field(BODY, X, 0.0), [0.1, 0.2, 0.3] * ([1.0, 2.0, 3.0] - X))
+    np.testing.assert_array_equal(push.field(BODY, X, 0.0), [1.0, 2.0, 3.0])
+    system = BODY.with_forces(damping)
+    system.casimirs.clear()
+    assert list(system.casimirs) == list(BODY.casimirs) == ["|x|^2"]
+    complex_state = {"real": [[0.0, 1.0], [-1.0, 0.0]], "imaginary": [[2.0, 3.0], [3.0, -2.0]]}
+    assert co.forces.Torque(complex_state).torque == ((2j, 1 + 3j), (-1 + 3j, -2j))

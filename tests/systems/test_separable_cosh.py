@@ -47,6 +47,15 @@ def test_energy_field_and_orders(name):
         assert_order(system, x0, 0.5, 0.0625, method, wanted)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_it_is_made_again_from_its_parameters(name):
+    system, x0 = made(name)
+    again = co.systems.get("separable_cosh", **system.parameters)
+    assert again.parameters == system.parameters
+    np.testing.assert_array_equal(again.vector_field(x0), system.vector_field(x0))
+    assert again.energy(x0) == system.energy(x0)
+
+
 def test_casimirs_are_kept_and_the_energy_is_bounded():
     system, x0 = made("e(3)")
     run = co.integrate(system, x0, (0.0, 50.0), 0.1, co.Splitting(order=2))

@@ -181,6 +181,24 @@ def test_a_long_ring_follows_the_logarithm_of_the_product():
     assert run.drift()["log of the product of a"] < 1e-14 * np.abs(np.log(x[1000:])).sum()
 
 
+@pytest.mark.parametrize("n", [5, 64, 65, 80])
+def test_rings_with_a_of_either_sign(n):
+    """The product, or from 65 sites on the logarithm of its magnitude: value, derivatives, and along a run."""
+    system, x = co.systems.toda_ring(n), state(n, "ring", seed=n)
+    x[n:] *= np.random.default_rng(n).choice([-1.0, 1.0], n)
+    assert (x[n:] < 0).any() and (x[n:] > 0).any()
+    casimir = system.casimirs["product of a" if n < 65 else "log of the product of a"]
+    value = np.prod(x[n:]) if n < 65 else np.log(np.abs(x[n:])).sum()
+    assert casimir(x) == pytest.approx(value, rel=1e-13)
+    slope = np.concatenate([np.zeros(n), (value if n < 65 else 1.0) / x[n:]])
+    np.testing.assert_allclose(casimir.gradient(x), slope, rtol=1e-13)
+    np.testing.assert_allclose(system.structure_matrix(x) @ slope, 0.0, atol=1e-13 * np.abs(slope).max())
+    run = co.integrate(system, x, (0.0, 0.5), 0.05, co.Splitting(order=2))
+    name = next(name for name, one in system.casimirs.items() if one is casimir)
+    # Ten steps with n products each.
+    assert np.abs(run.casimirs[name] - value).max() < 20 * n * 2.0**-53 * max(1.0, abs(value))
+
+
 @pytest.mark.parametrize("make", MADE.values())
 @pytest.mark.parametrize("sites", [1, 0, -3, 2.5, True, "4"])
 def test_wrong_sites(make, sites):

@@ -305,13 +305,18 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
         TURNING.from_file(tmp_path / "field.nc", select={"level": 0})
 
 
-def test_fields_of_the_torus_in_netcdf(tmp_path):
+@pytest.mark.parametrize("ways", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_fields_of_the_torus_in_netcdf(ways, tmp_path):
+    """From other places than zero along both axes, in either direction, in radians or degrees."""
     import xarray
 
     W = TORUS.random(10)
     x, y = TORUS.grid((32, 40))
-    field = np.roll(TORUS.to_grid(W, (32, 40)), -8, axis=0)[:, ::-1]
-    dataset = xarray.Dataset({"w": (("y", "x"), field.T)}, {"x": x + np.pi / 2, "y": y[::-1]})
+    across, along = (slice(None, None, way) for way in ways)
+    field = np.roll(TORUS.to_grid(W, (32, 40)), (-8, 5), axis=(0, 1))[across, along]
+    x, y = (x + np.pi / 2)[across], (y - 5 * y[1])[along]
+    axes = {"x": x, "y": ("y", np.degrees(y), {"units": "degrees" if ways[0] > 0 else "degree"})}
+    dataset = xarray.Dataset({"w": (("y", "x"), field.T)}, axes)
     dataset.to_netcdf(tmp_path / "torus.nc", engine="h5netcdf")
     assert np.abs(TORUS.from_file(tmp_path / "torus.nc") - W).max() < 1e-12 * np.abs(W).max()
 
@@ -345,6 +350,15 @@ def test_other_grids_are_refused(latitude, longitude, said, tmp_path):
         (lambda: TORUS.random(1, degrees=(2, 13)), ValueError, r"degrees\[1\] must be a whole number from 2 to 12"),
         (lambda: SPHERE.random(1, degrees=5), TypeError, "the first and the last one"),
         (lambda: SPHERE.random(1, spectrum=lambda l: -l), ValueError, "positive or zero"),
+        (lambda: SPHERE.random(1, spectrum=[0.0, 1.0, -1.0]), ValueError, "positive or zero"),
+        (lambda: SPHERE.random(1, spectrum=[1.0, 0.0, 0.0]), ValueError, "not zero at all degrees"),
+        (lambda: SPHERE.random(1, spectrum=lambda l: 3.0 - l), ValueError, "positive or zero"),
+        (
+            lambda: SPHERE.random(1, spectrum=np.ones(25)),
+            ValueError,
+            "goes to the degree 24; N resolves those up to 23",
+        ),
+        (lambda: TORUS.random(1, spectrum=np.ones(14)), ValueError, "goes to the degree 13; N resolves those up to 12"),
         (lambda: SPHERE.random(1, spectrum=lambda l: 1.0), ValueError, "one number for each degree"),
         (lambda: SPHERE.random(1, spectrum=[0, 1.0], degrees=(1, 3)), ValueError, "of the degrees 0, ..., 3"),
         (lambda: SPHERE.random(1, spectrum=np.ones(30)), ValueError, "N resolves those up to 23"),
@@ -371,6 +385,20 @@ def test_other_grids_are_refused(latitude, longitude, said, tmp_path):
 def test_what_is_refused(call, kind, said):
     with pytest.raises(kind, match=said):
         call()
+
+
+@fluids
+def test_a_patch_without_an_edge_is_a_truncated_series(s):
+    """The modes of patches are those of points times a profile; an edge smooths each mode by its eigenvalue."""
+    place, radius = [(0.4, -2.0)], 0.7
+    sharp, smooth = (s.mode_array(s.relative(s.patches(place, radius, 1.5, edge=edge))) for edge in (0, 0.2))
+    size = np.abs(sharp).max()
+    np.testing.assert_allclose(smooth, sharp * np.exp(-s.eigenvalues * 0.02), rtol=0, atol=1e-11 * size)
+    usual = s.mode_array(s.relative(s.patches(place, radius, 1.5)))
+    edge = np.pi / s.complete_degree
+    np.testing.assert_allclose(usual, sharp * np.exp(-s.eigenvalues * edge**2 / 2), rtol=0, atol=1e-11 * size)
+    turned = s.mode_array(s.relative(s.patches([(0.4, -2.0 + 2 * np.pi)], radius, 1.5, edge=0)))
+    np.testing.assert_allclose(turned, sharp, rtol=0, atol=1e-10 * size)
 
 
 def test_netcdf_without_xarray(monkeypatch):

@@ -77,6 +77,8 @@ def test_weights_and_their_inverse():
     W = np.arange(1.0, 19.0).reshape(2, 3, 3)
     np.testing.assert_array_equal(stream(W), w * W)
     np.testing.assert_array_equal(stream.inverse(w * W), np.where(w == 0, 0.0, W))
+    # Entries of weight zero, which no W gives, are dropped.
+    np.testing.assert_array_equal(stream.inverse(W), [np.where(w == 0, 0.0, one / np.where(w, w, 1.0)) for one in W])
     np.testing.assert_array_equal(stream.table, w.ravel())
     for wrong in (w[:2], np.triu(w), np.where(w == 4.0, np.inf, w)):
         with pytest.raises(ValueError, match="weights"):

@@ -49,6 +49,13 @@ def test_coarse_grids_and_small_sizes_keep_what_they_resolve():
         ("(1, 0)", TypeError, "modes is"),
         ({(1, 0): 10**400}, ValueError, "too large for float64"),
         ([[10**400] * N] * N, ValueError, "too large for float64"),
+        ({(1, 2): 1j, (-1, -2): 1j}, ValueError, r"modes \(1, 2\) and \(-1, -2\) are not conjugate"),
+        ({(-1, 2): 0.5, (1, -2): -0.5}, ValueError, "are not conjugate"),
+        ({(0, 2): 0.5, (0, -2): 0.25}, ValueError, "are not conjugate"),
+        ({(0, 0): 1.0}, ValueError, "not both 0"),
+        ({(0, N // 2 + 1): 1.0}, ValueError, "give n1, n2 from -4 to 4"),
+        ({(-N // 2, 1): 1.0}, ValueError, "give n1, n2 from -4 to 4"),
+        ({(1, 1): np.inf}, ValueError, "a finite w"),
     ],
 )
 def test_what_is_no_field_is_refused(modes, kind, said):

@@ -261,3 +261,35 @@ def test_a_step_is_a_poisson_map():
     on = s.to_vector(s.algebra.projected(s.from_vector(np.eye(s.dim))))
     carried = on @ derivative @ s.structure_matrix(x) @ derivative.T @ on
     assert np.abs(carried - s.structure_matrix(end)).max() < 1e-7  # the derivative is by differences
+
+
+@ALL
+def test_vectors_beside_the_algebra_are_taken_as_the_nearest_states(s):
+    """Functions that need coordinates move them freely; nothing depends on the part that is no state."""
+    rng = np.random.default_rng(6)
+    x = rng.standard_normal(s.dim)
+    near = s.to_vector(s.algebra.projected(s.from_vector(x)))
+    assert np.abs(near - x).max() > 0.1
+    # Projections of numbers of order one, and products of N of them.
+    for look in (s.hamiltonian.value, s.hamiltonian.gradient, s.vector_field, s.energy, s.structure_matrix):
+        np.testing.assert_allclose(look(x), look(near), rtol=1e-13, atol=1e-12)
+    hessian = s.hamiltonian.hessian(x)
+    np.testing.assert_allclose(hessian @ x, s.hamiltonian.gradient(x), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=1e-13 * np.abs(hessian).max())
+    for trace in s.casimirs.values():
+        assert trace(x) == pytest.approx(trace(near), rel=1e-12, abs=1e-12)
+
+
+@ALL
+def test_the_rank_is_that_of_the_structure_matrix(s):
+    singular = np.linalg.svd(s.structure_matrix(random_state(s, seed=4)), compute_uv=False)
+    assert s.generic_rank() == np.count_nonzero(singular > 1e-9 * singular[0])
+
+
+@ALL
+def test_members_are_stacks_of_states_and_no_more(s):
+    X = np.stack([random_state(s, seed) for seed in (1, 2)])
+    np.testing.assert_array_equal(s.read(X), [s.read(one) for one in X])
+    for wrong in (X[None], X[:, :1], X[..., :-1], X[0, 0]):
+        with pytest.raises(ValueError, match=r"x0 has the shape .*; it must be .*, the carried field"):
+            s.read(wrong)

@@ -27,7 +27,7 @@ class TwoLayerEnergy(MatrixEnergy):
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         system = self._system
-        slope = system.stream_of(system.from_vector(x))[..., ::-1, :, :]
+        slope = system.stream_of(system.matrices(x))[..., ::-1, :, :]
         return system.energy_sign * system.to_vector(slope)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
