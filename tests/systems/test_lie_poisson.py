@@ -11,6 +11,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.products import direct_sum
 from coadjoint.systems.forces.linear_damping import LinearDamping
 from coadjoint.systems.hamiltonian import Hamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -132,6 +133,28 @@ def test_time_reaches_the_field():
     assert system.energy(x, 2.0) == 15.0
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_time_reaches_the_jacobian(sign):
+    """H = x . M(t) x / 2 + c(t) . x, on a linear bracket and on the same one as a function of x."""
+    g, M = catalogue.get("A3,7", a=1.75), np.array([[1.0, 0.25, 0.0], [0.25, -2.0, 0.5], [0.0, 0.5, 0.75]])
+
+    def slope(x, t):
+        return np.cos(t) * (M @ x) + np.array([t, 0.0, -t * t])
+
+    H = Hamiltonian(
+        lambda x, t: np.cos(t) * (x @ (M @ x)) / 2 + t * x[0] - t * t * x[2], slope, lambda x, t: np.cos(t) * M + 0 * t
+    )
+    constants = dense_constants(g)
+    linear = LiePoissonSystem(g, H, sign=sign)
+    curved = PoissonSystem(lambda x: constants @ x, H, dim=3, derivative=lambda x: constants, sign=sign)
+    x = np.array([0.5, -1.5, 0.75])
+    for system in (linear, curved):
+        for t in (0.0, 0.7, -2.0):
+            wanted = sign * (np.einsum("ijk,j->ik", constants, slope(x, t)) + np.cos(t) * (constants @ x) @ M)
+            np.testing.assert_allclose(system.jacobian(x, t), wanted, rtol=0, atol=64 * U)
+            np.testing.assert_allclose(system.vector_field(x, t), sign * (constants @ x) @ slope(x, t), atol=64 * U)
+
+
 def test_defaults_come_from_the_algebra():
     algebra = catalogue.e(3)
     system = LiePoissonSystem(algebra, Quadratic(1.0))
@@ -142,6 +165,24 @@ def test_defaults_come_from_the_algebra():
     assert "e(3)" in repr(system)
     with pytest.raises(TypeError, match="no closed form is known for tops"):
         LiePoissonSystem(algebra, Quadratic(1.0), name="tops").exact(np.ones(6), 1.0)
+
+
+def test_known_casimirs_keep_their_names_unless_a_search_finds_more():
+    # Its Casimir, x1^0.37 x2, is no polynomial, so a search in the sums below finds those of so(3) again.
+    other = LieAlgebra.from_brackets(3, {(0, 2): {0: 1.0}, (1, 2): {1: -0.37}})
+    both = direct_sum(catalogue.so(3), other)
+    assert both.dim - both.generic_rank() == 2
+    assert LiePoissonSystem(both, Quadratic(1.0)).casimirs == {
+        "|x|^2 [1]": Polynomial.variable(0, 6) ** 2
+        + sum((Polynomial.variable(k, 6) ** 2 for k in (1, 2)), 0 * Polynomial.variable(0, 6))
+    }
+    # Of so(3) by its brackets none is known: the search finds both.
+    c = dense_constants(catalogue.so(3))
+    unknown = direct_sum(LieAlgebra(c), catalogue.so(3))
+    found = LiePoissonSystem(unknown, Quadratic(1.0)).casimirs
+    assert len(unknown.casimirs_known) < len(found) == 2
+    gradients = [F.gradient(np.cos(np.arange(6.0))) for F in found.values()]
+    assert np.linalg.matrix_rank(gradients) == 2
 
 
 @pytest.mark.parametrize("name", ALGEBRAS)

@@ -174,6 +174,17 @@ def test_integrals_are_found(given, names):
             assert abs(F.gradient(x) @ field) < 1e-13
 
 
+@pytest.mark.parametrize(("count", "known"), [(64, ["total S3", "|total S|^2"]), (65, ["total S3"])])
+def test_the_square_of_the_total_spin_is_given_up_to_64_spins(count, known):
+    system = spin_lattice("ring", count, field=(0.0, 0.0, 0.5))
+    assert list(system.integrals) == known
+    x = spins_of(6, count)
+    total = x.reshape(-1, 3).sum(axis=0)
+    for name, wanted in (("total S3", total[2]), ("|total S|^2", total @ total)):
+        if name in known:
+            assert system.integrals[name].value(x) == pytest.approx(wanted, rel=1e-12)
+
+
 def test_integrals_by_polynomial_identity():
     system = spin_lattice("ring", 4, tensor=(1, 1, 0.5), dm=(0, 0, 0.25), field=(0, 0, 2), on_site=(0, 0, 1))
     ring = ExactPolynomials(system.algebra)
@@ -389,6 +400,14 @@ def test_many_parameters_are_not_kept():
         ({"lattice": "square"}, "shape"),
         ({"lattice": "square", "shape": (2, 3, 4)}, "give 2 whole numbers for a lattice that is square"),
         ({"lattice": "square", "shape": (2, 3), "periodic": (True,)}, "give one truth value, or 2"),
+        ({"lattice": "square", "shape": (4, 3), "periodic": (True, 1)}, r"periodic\[1\] is 1; it must be True or False"),
+        ({"lattice": "square", "shape": (2, 2.5)}, r"shape\[1\] must be a whole number from 1 up, not 2.5"),
+        ({"lattice": "square", "shape": (3, 2), "periodic": (False, True)}, "joins the sites 0 and 1 twice; take 3 or"),
+        ({"lattice": "square", "shape": (3, 1), "periodic": True}, "joins site 0 to itself"),
+        ({"lattice": [(0, 1), (3, 4), (2, 2)], "shape": 5}, "joins site 2 to itself; give pairs of different sites"),
+        ({"lattice": [(0, 1), (4, 3), (1, 2), (3, 4)], "shape": 5}, "lattice joins the sites 3 and 4 twice"),
+        ({"lattice": [(0, 1), (4, 3), (1, 7)], "shape": 5}, "edge 2 has the site 7; sites are numbered from 0 to 4"),
+        ({"lattice": [(0, 1), (-2, 3)], "shape": 5}, "edge 1 has the site -2; sites are numbered from 0 to 4"),
         ({"shape": 0}, r"shape\[0\] must be a whole number from 1 up"),
         ({"exchange": (1.0, 2.0)}, r"exchange has shape \(2,\); give one number or \(1,\)"),
         ({"tensor": (1.0, 2.0)}, r"tensor has shape \(2,\); give \(3,\) or \(3, 3\) or \(1, 3, 3\)"),

@@ -139,6 +139,7 @@ def test_wrong_triads(given, message):
         (np.nan, 1.0, "k"),
         (1e-170, 1.0, "leave the range of float64"),
         (1e200, 1e200, "leave the range of float64"),
+        (9.6e153, 9.6e153, "the squares of k = 9.6e\\+153 and l = 9.6e\\+153 leave the range of float64"),
     ],
 )
 def test_wrong_wave_numbers(k, l, message):
