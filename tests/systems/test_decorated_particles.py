@@ -8,6 +8,7 @@ from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.products import copies
 from coadjoint.systems.canonical import beside, canonical_state
 
 decorated_particles = co.systems.decorated_particles
@@ -39,6 +40,9 @@ def test_beside_names_and_brackets():
     assert ring.bracket(q1, p2) == ring.zero == ring.bracket(q1, ring.coordinates[5])
     for casimir in g.casimirs_known.values():
         assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
+    # a number in the name of a Casimir of g belongs to it
+    spins = beside(1, copies(co.algebras.so(3), 2))
+    assert list(spins.casimirs_known) == ["z", *copies(co.algebras.so(3), 2).casimirs_known]
     # no Casimirs are known of a sum with one that has none, but z
     assert list(beside(1, co.algebras.get("A2,1")).casimirs_known) == ["z"]
     with pytest.raises(ValueError, match=r"q has shape \(2,\) and p \(1,\)"):

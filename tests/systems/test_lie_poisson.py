@@ -215,6 +215,8 @@ def test_functions_become_invariants():
     system = LiePoissonSystem(catalogue.sl(2), Quadratic(1.0), casimirs={"C": lambda x: x[0] * x[2] + x[1] ** 2})
     assert isinstance(system.casimirs["C"], Invariant)
     assert system.casimirs["C"]([1.0, 2.0, 3.0]) == 7.0
+    by_number = LiePoissonSystem(catalogue.sl(2), Quadratic(1.0), casimirs={2: system.casimirs["C"]})
+    assert list(by_number.casimirs) == ["2"]
 
 
 def test_pieces_must_commute():
@@ -244,11 +246,47 @@ def test_representations_are_checked():
         ((catalogue.so(3), Quadratic([1.0, 2.0])), ValueError, "dimension 3"),
         ((catalogue.so(3), None), TypeError, "NoneType"),
         (("so(3)", Quadratic(1.0)), TypeError, "algebra is a str"),
+        ((catalogue.so(3), Quadratic(1.0), 1, None, None, ""), TypeError, "name of a system must be a nonempty string"),
+        (
+            (catalogue.so(3), Quadratic(1.0), 1, None, None, None, [1]),
+            TypeError,
+            r"parameters is \[1\]; give a mapping",
+        ),
+        ((catalogue.so(3), Quadratic(1.0), 1, None, None, None, None, 3), TypeError, "exact is 3; give a function of"),
     ],
 )
 def test_refusals(arguments, error, message):
     with pytest.raises(error, match=message):
         LiePoissonSystem(*arguments)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_everything_given_is_found_again(sign):
+    so3 = catalogue.so(3)
+    turn = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+    representation = np.array([turn @ E @ turn.T for E in so3.representation])
+
+    def exact(x0, t, attitude):
+        return x0, t, attitude
+
+    layout = {"lattice": "graph", "shape": None}
+    given = LiePoissonSystem(
+        so3, Quadratic(1.0), np.float64(sign), representation=representation, name="own", exact=exact, layout=layout
+    )
+    np.testing.assert_array_equal(given.representation, representation)
+    assert given.sign == sign and type(given.sign) is int and given.name == "own" and given.layout == layout
+    assert given.closed_form is exact and given.exact(1, 2) == (1, 2, False) and given.exact(1, 2, 3) == (1, 2, 3)
+    assert repr(given).startswith("<own: ") and repr(given).endswith(f"on so(3), sign={sign:+d}>")
+    plain = LiePoissonSystem(LieAlgebra(dense_constants(so3)), Quadratic(1.0), sign)
+    assert plain.name == "Lie-Poisson system on g*" and plain.layout == {} and plain.representation is None
+    assert repr(plain).endswith(f"on an algebra of dimension 3, sign={sign:+d}>")
+    curved = PoissonSystem(so3.structure_matrix, Quadratic(1.0), np.int8(sign), dim=np.int64(3), exact=exact)
+    assert (curved.sign, curved.dim, curved.name) == (sign, 3, "Poisson system of dimension 3")
+    assert type(curved.sign) is type(curved.dim) is int and curved.exact(1, 2, 3) == (1, 2, 3)
+    assert repr(curved).endswith(f"J a function of x, sign={sign:+d}>")
+    for system in (given, curved):
+        forces = LinearDamping(0.1), LinearDamping(0.2), LinearDamping(0.3)
+        assert system.with_forces(*forces).forces == forces
 
 
 def test_systems_are_immutable():

@@ -67,6 +67,17 @@ def test_parameters_are_plain_numbers_whatever_holds_them(name):
     assert again.parameters == wanted.parameters
 
 
+def test_names_are_sorted_and_listed():
+    assert list(systems.names()) == sorted(set(systems.names()))
+    assert dir(systems) == sorted([*systems.names(), "get", "names"])
+    for name in systems.names():
+        assert getattr(systems, name).__name__ == name
+    with pytest.raises(AttributeError, match="did you mean 'heavy_top'"):
+        systems.heavy_topp  # noqa: B018
+    with pytest.raises(ValueError, match="unknown system 3"):
+        systems.get(3)
+
+
 def test_parameters_are_checked():
     with pytest.raises(ValueError, match="did you mean 'rigid_body'"):
         systems.get("rigidbody")

@@ -154,6 +154,9 @@ def test_where_a_closed_form_is_known():
         ({"tensor": (1, 2, 3)}, []),
         ({"tensor": (1, 1, 0.5), "dm": (0, 1, 0)}, []),
         ({"field": (0, 3, 4)}, ["total S along (0, 0.75, 1)", "|total S|^2"]),
+        ({"field": (-1, 0, 4)}, ["total S along (-0.25, 0, 1)", "|total S|^2"]),
+        ({"dm": (2, 0, -0.5)}, ["total S along (1, 0, -0.25)"]),
+        ({"field": np.array([(0, 1, 1), (0, -2, -2), (0, 1, 1 + 2**-40), (0, 0, 0)])}, []),
         ({"field": np.array([(0, 0, 1), (0, 0, 2), (0, 0, 0), (0, 0, -1)])}, ["total S3"]),
         ({"field": np.eye(4)[:, :3]}, []),
         (
