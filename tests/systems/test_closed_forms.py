@@ -1,4 +1,4 @@
-"""Closed forms of all ready-made systems: slopes, groups, invariants, shapes, and group elements, with drawn parameters."""
+"""Closed forms of ready-made systems: slopes, groups, invariants, shapes, and group elements, from drawn states."""
 
 import numpy as np
 import pytest
@@ -29,6 +29,10 @@ SYSTEMS = {
     "Sklyanin, equal": (S.sklyanin((1.0, 2.5, 4.0), (0.3, 2.0, 2.0, 2.0)), 0),
     "spins apart": (S.spin_lattice("chain", 3, exchange=0.0, field=FIELDS), 0),
     "spins together": (S.spin_lattice("complete", 3, exchange=-0.6, field=(0.1, 0.2, -0.3)), 0),
+    "spins of a scaled tensor": (
+        S.spin_lattice("complete", 4, exchange=-0.6, tensor=2.5 * np.eye(3), on_site=(0.3, 0.3, 0.3)),
+        0,
+    ),
     "spins alone": (S.spin_lattice("ring", 3, exchange=0.4), 0),
     "particles": (S.decorated_particles((1.0, 2.5), (0.2, 0.3, 0.4), (0.0, 0.0, 0.25)), 0),
     "particles, repelled": (S.decorated_particles((1.0, 2.5), (0.0, 0.3, -0.4), (0.0, 0.0, 0.1)), 0),

@@ -1,5 +1,7 @@
 """Example runs of ready-made systems: initial states, names of coordinates, and the functions drawn over time."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -153,7 +155,7 @@ def test_two_vortices_of_one_sense():
     def turns(low, high, across):
         corners = [(low, across[0]), (high, across[0]), (high, across[1]), (low, across[1]), (low, across[0])]
         path = []
-        for (a, b), (c, d) in zip(corners, corners[1:], strict=False):
+        for (a, b), (c, d) in itertools.pairwise(corners):
             count = max(abs(c - a), abs(d - b))
             path += [(a + (c - a) * k // count, b + (d - b) * k // count) for k in range(count)]
         along = np.array([angle[place] for place in [*path, path[0]]])

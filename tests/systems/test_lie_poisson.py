@@ -207,6 +207,8 @@ def test_wrong_casimirs_are_refused_by_name():
         LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": Invariant(lambda x: 0.0, lambda x: x[:2])})
     with pytest.raises(TypeError, match="mapping"):
         LiePoissonSystem(so4, Quadratic(1.0), casimirs=[so4.casimirs_known["|x|^2"]])
+    with pytest.raises(ValueError, match=r"^a Casimir is called 'energy', which is the name of the Hamiltonian"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs={"energy": so4.casimirs_known["|x|^2"]})
     with pytest.raises(TypeError, match="'C' is 3"):
         LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": 3})
 

@@ -130,6 +130,8 @@ def test_where_a_closed_form_is_known():
         spin_lattice("complete", 4, tensor=(1, 1, 2)),
         spin_lattice("complete", 4, exchange=np.arange(6.0)),
         spin_lattice("complete", 4, on_site=(0, 0, 1)),
+        spin_lattice("complete", 4, on_site=np.diag([0.0, 0.0, 1.0]) * np.arange(4.0)[:, None, None]),
+        spin_lattice("complete", 4, tensor=np.eye(3) * np.arange(1.0, 7.0)[:, None, None]),
         spin_lattice("complete", 4, dm=(0, 0, 1)),
         spin_lattice("ring", 4),
         spin_lattice(field=lambda t: (0.0, 0.0, np.cos(t))),
@@ -386,6 +388,20 @@ def test_many_parameters_are_not_kept():
     ring = spin_lattice("ring", 30000, exchange=np.ones(30000), field=np.ones((30000, 3)))
     assert ring.parameters is None
     assert spin_lattice("ring", 30000).parameters["shape"] == 30000
+    # All of them count together.
+    half = spin_lattice("ring", 15000, exchange=np.ones(15000), field=np.ones((15000, 3)))
+    assert half.parameters["exchange"] == (1.0,) * 15000
+    assert spin_lattice("ring", 15000, field=np.ones((15000, 3)), dm=np.ones((15000, 3))).parameters is None
+    S = spins_of(8, 15000)
+    assert half.casimirs["sum of |x|^2"](S) == pytest.approx(S @ S, rel=1e-12)
+
+
+def test_layouts_and_graphs_of_one_site():
+    assert spin_lattice("square", (3, 2)).layout == {"lattice": "square", "shape": (3, 2)}
+    assert spin_lattice([(0, 1)], 2).layout == {"lattice": "graph"}
+    for lattice in ("complete", np.zeros((0, 2), dtype=int)):
+        single = spin_lattice(lattice, 1, field=(0.0, 0.0, 2.0))
+        np.testing.assert_array_equal(single.vector_field([1.0, 0.5, 0.25]), [1.0, -2.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -403,7 +419,7 @@ def test_many_parameters_are_not_kept():
         ({"lattice": "square"}, "shape"),
         ({"lattice": "square", "shape": (2, 3, 4)}, "give 2 whole numbers for a lattice that is square"),
         ({"lattice": "square", "shape": (2, 3), "periodic": (True,)}, "give one truth value, or 2"),
-        ({"lattice": "square", "shape": (4, 3), "periodic": (True, 1)}, r"periodic\[1\] is 1; it must be True or False"),
+        ({"lattice": "square", "shape": (4, 3), "periodic": (True, 1)}, r"periodic\[1\] is 1; it must be True or"),
         ({"lattice": "square", "shape": (2, 2.5)}, r"shape\[1\] must be a whole number from 1 up, not 2.5"),
         ({"lattice": "square", "shape": (3, 2), "periodic": (False, True)}, "joins the sites 0 and 1 twice; take 3 or"),
         ({"lattice": "square", "shape": (3, 1), "periodic": True}, "joins site 0 to itself"),
@@ -420,6 +436,9 @@ def test_many_parameters_are_not_kept():
         ({"field": lambda x, t: (1.0, 2.0, 3.0)}, "give a function of the time t alone"),
         ({"field": lambda t: [1.0 / t] * 3}, r"field\(0.0\) fails \(ZeroDivisionError"),
         ({"on_site": [[0, 1, 0], [0, 0, 0], [0, 0, 0]]}, "on_site is not symmetric at"),
+        ({"on_site": [[0, 1, 2], [1, 0, 0], [3, 0, 0]]}, r"on_site is not symmetric at \[0, 2\]"),
+        ({"lattice": [(0, 1)], "periodic": (True, False)}, "periodic is .*; give one truth value, or 1"),
+        ({"lattice": "complete", "periodic": 1}, "periodic is 1; it must be True or False"),
         ({"exchange": 1e300}, "exchange has numbers beyond 1e\\+100"),
     ],
 )  # fmt: skip

@@ -124,6 +124,7 @@ def test_a_triad_is_a_body_of_the_textbook():
         ({"second": (1.0, np.inf)}, "second"),
         ({"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, "leave the range of float64"),
         ({"first": (1e200, 0.0), "second": (0.0, 1e200)}, "leave the range of float64"),
+        ({"first": (1e170, 0.0), "second": (0.0, 1e-10)}, "leave the range of float64 when squared"),
     ],
 )
 def test_wrong_triads(given, message):
