@@ -26,6 +26,7 @@ SYSTEMS = {
     "triad, other sense": (S.fluid_triad((-0.25, 1.5), (1.0, 0.5)), 0),
     "Lorenz": (S.lorenz_1960(0.75, 1.25), 0),
     "Sklyanin": (S.sklyanin((1.0, 2.5, 4.0), (-1.0, 1.5, 3.0, 4.5)), 0),
+    "Sklyanin, symmetric": (S.sklyanin((1.0, 1.0, 4.0), (0.3, 2.0, 2.0, 5.0)), 0),
     "Sklyanin, equal": (S.sklyanin((1.0, 2.5, 4.0), (0.3, 2.0, 2.0, 2.0)), 0),
     "spins apart": (S.spin_lattice("chain", 3, exchange=0.0, field=FIELDS), 0),
     "spins together": (S.spin_lattice("complete", 3, exchange=-0.6, field=(0.1, 0.2, -0.3)), 0),

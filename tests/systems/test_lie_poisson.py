@@ -226,8 +226,10 @@ def test_pieces_must_commute():
     LiePoissonSystem(
         e3, SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((0, 3), Quadratic(1.0)), ((1,), Quadratic(2.0))])
     )
-    with pytest.raises(ValueError, match="piece 1 has the coordinates 0 and 4"):
-        LiePoissonSystem(e3, SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((4, 0), Quadratic(1.0))]))
+    wrong = SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((4, 0), Quadratic(1.0))])
+    for H in (wrong, Quadratic(np.arange(6.0)) + wrong):
+        with pytest.raises(ValueError, match="piece 1 has the coordinates 0 and 4"):
+            LiePoissonSystem(e3, H)
 
 
 def test_representations_are_checked():

@@ -150,5 +150,6 @@ def test_wrong_wave_numbers(k, l, message):
 
 def test_attitude_is_refused():
     for name in ("lorenz_1960", "fluid_triad"):
+        assert co.systems.get(name).algebra.name == f"so(3) of {name}"
         with pytest.raises(TypeError, match=f"{name} has a closed form of the state alone"):
             co.systems.get(name).exact(X0, 1.0, attitude=True)
