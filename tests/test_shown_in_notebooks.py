@@ -1,5 +1,6 @@
 """What objects say of themselves: short in one line, a small table in a notebook, and no address of a function."""
 
+import html
 import re
 
 import numpy as np
@@ -53,6 +54,47 @@ def test_a_table_of_a_body():
     ):
         assert text in table, table
     assert "|x|^2 = x1^2 + x2^2 + x3^2" in table and "inertia = (1.0, 2.0, 2.5)" in table
+
+
+def rows_of(table):
+    return {name: html.unescape(value) for name, value in re.findall("<tr><th>(.*?)</th><td>(.*?)</td></tr>", table)}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8])
+def test_a_table_names_six_coordinates_and_casimirs_and_counts_the_others(count):
+    system = co.systems.spin_lattice("chain", count, exchange=-0.5, field=(0.0, 0.25, 0.0))
+    rows = rows_of(system._repr_html_())
+    assert list(rows) == ["coordinates", "algebra", "Hamiltonian", "sign", "Casimirs", "parameters"]
+    names = [f"S{axis}[{site}]" for site in range(1, count + 1) for axis in (1, 2, 3)]
+    assert rows["coordinates"] == f"{3 * count}: {', '.join(names[:6])}" + (", ..." if count > 2 else "")
+    squares = [f"|x|^2 [{k}] = x{3 * k - 2}^2 + x{3 * k - 1}^2 + x{3 * k}^2" for k in range(1, count + 1)]
+    if count == 1:
+        squares = [squares[0].replace("|x|^2 [1]", next(iter(system.casimirs)))]
+    assert rows["Casimirs"] == ", ".join(squares[:6] + ([f"and {count - 6} more"] if count > 6 else []))
+    assert rows["algebra"] == system.algebra.name and rows["sign"] == "+1"
+    H = system.hamiltonian
+    assert rows["Hamiltonian"] == (str(H.to_polynomial()) if count < 3 else repr(H))
+    for name, value in system.parameters.items():
+        assert f"{name} = {value!r}" in rows["parameters"]
+
+
+def test_a_table_of_what_has_no_name_algebra_or_casimirs():
+    g = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+    rows = rows_of(co.LiePoissonSystem(g, co.Quadratic([1.0, 2.0]), sign=-1, name="<own>")._repr_html_())
+    assert rows == {
+        "coordinates": "2: x1, x2",
+        "algebra": "without a name",
+        "Hamiltonian": "0.5*x1^2 + x2^2",
+        "sign": "-1",
+        "Casimirs": "none is known",
+    }
+    curved = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 1.0]))
+    rows = rows_of(curved._repr_html_())
+    assert rows["algebra"] == "none" and rows["coordinates"] == "2: x1, x2" and "parameters" not in rows
+    forced = co.systems.heavy_top().with_forces(co.forces.LinearDamping(0.1))
+    rows = rows_of(forced._repr_html_())
+    assert rows["coordinates"] == "6: m1, m2, m3, gamma1, gamma2, gamma3" and rows["algebra"] == "e(3)"
+    assert "LinearDamping" in " ".join(rows.values())
 
 
 def test_a_table_of_a_run():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.systems.bodies_there_are import warn_of_negative_mass
 
 NO_BODY = [(1, 1, 5), (5, 1, 1), (1, 5, 1), (1, 2, 4), (1.0, 2.0, 3.0 + 1e-12)]
 BODIES = [(1, 2, 3), (3, 1, 2), (0.1, 0.7, 0.8), (0.1, 0.2, 0.3), (1, 1, 1), (1e-3, 1, 1), (2e200, 3e200, 4e200)]
@@ -81,8 +82,30 @@ def test_lagrange_s_top_is_a_body_up_to_a_disk():
 @pytest.mark.parametrize("maker", [co.systems.so_n_body, co.systems.matrix_body])
 def test_second_moments_are_of_a_mass(maker):
     maker((0.0, 1.0, 2.0, 3.0))
-    with pytest.warns(UserWarning, match="a second moment of the mass is negative"):
+    with pytest.warns(
+        UserWarning, match=r"negative, and no body has that; .* co.LiePoissonSystem\(co.algebras.so\(4\)"
+    ):
         maker((-0.5, 1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("scale", [1e-120, 1.0, 1e120])
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_a_flat_mass_has_a_second_moment_of_zero_up_to_rounding(n, scale):
+    """Its matrix in other axes has an eigenvalue that is zero up to rounding, of either sign."""
+    random, signs = np.random.default_rng(n), set()
+    for draw in range(20):
+        Q = np.linalg.qr(random.normal(size=(n, n)))[0] * [*[1.0] * (n - 1), 0.0]
+        flat = scale * (Q * random.uniform(0.5, 2.0, n)) @ Q.T
+        flat = (flat + flat.T) / 2
+        signs.add(np.sign(np.linalg.eigvalsh(flat)[0]))
+        warn_of_negative_mass(flat)
+        if n == 3 and draw < 4:
+            co.systems.so_n_body(flat)
+    assert {1.0, -1.0} <= signs
+    below = np.eye(n) - 1.001 * np.outer(Q[:, 0], Q[:, 0])
+    with pytest.warns(UserWarning, match=rf"is negative, and no body has that; .*co.algebras.so\({n}\)") as noticed:
+        warn_of_negative_mass(scale * (below + below.T) / 2)
+    assert len(noticed) == 1
 
 
 def test_what_a_fluid_adds_is_no_body():

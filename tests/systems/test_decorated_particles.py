@@ -1,11 +1,14 @@
 """Particles with a width: against clouds of particles, forces by hand, and what the centre of mass does."""
 
+import functools
+
 import numpy as np
 import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.products import copies
 from coadjoint.systems.canonical import beside, canonical_state
 
 decorated_particles = co.systems.decorated_particles
@@ -37,10 +40,22 @@ def test_beside_names_and_brackets():
     assert ring.bracket(q1, p2) == ring.zero == ring.bracket(q1, ring.coordinates[5])
     for casimir in g.casimirs_known.values():
         assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
+    # a number in the name of a Casimir of g belongs to it
+    spins = beside(1, copies(co.algebras.so(3), 2))
+    assert list(spins.casimirs_known) == ["z", *copies(co.algebras.so(3), 2).casimirs_known]
     # no Casimirs are known of a sum with one that has none, but z
     assert list(beside(1, co.algebras.get("A2,1")).casimirs_known) == ["z"]
     with pytest.raises(ValueError, match=r"q has shape \(2,\) and p \(1,\)"):
         canonical_state([1, 2], [3])
+    with pytest.raises(ValueError, match=r"q has shape \(2, 2\) and p \(2, 2\); give one number for each pair"):
+        canonical_state(np.ones((2, 2)), np.ones((2, 2)))
+    for given, message in (
+        (("q", 1, 2), "q is 'q'"),
+        ((1.0, np.inf), "p is inf"),
+        ((1.0, 1.0, [0, np.nan]), r"x\[1\]"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            canonical_state(*given)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -160,6 +175,8 @@ def test_integrals_by_polynomial_identity():
     assert abs(F.gradient(x) @ trapped.vector_field(x)) < 1e-13
     x0 = canonical_state([-1.0, 0.2, 0.9], [0.2, 0.1, -0.3], [0.1, 0.0, 0.1] * 3)
     assert_bounded_by_order(F.value, trapped, x0, 2.0, 0.05, co.Splitting())
+    for count, known in ((64, ["energy of the centre"]), (65, [])):
+        assert list(decorated_particles(np.ones(count), (0, 0, 0.5), (0.0,)).integrals) == known
     for other in ((0, 1.0), (0, 0, 1, 1)):
         assert decorated_particles((1.0, 2.0), other).integrals == {}
 
@@ -189,10 +206,46 @@ def test_closed_forms_of_potentials_up_to_the_second_degree(external, pair, know
         np.testing.assert_allclose(system.vector_field(now), field, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("size", [1e-25, 1.0, 1e25])
+def test_potentials_of_pairs_as_functions_are_even_relative_to_their_size(size):
+    """Near zero as well as far away; rounding of an even one is accepted."""
+
+    def scaled(*chain):
+        return tuple(functools.partial(lambda f, r: size * f(r), f) for f in chain)
+
+    # 0.1 r^2 from (r + 1)^2: rounded differently at r and -r
+    even = scaled(
+        lambda r: 0.1 * ((r + 1.0) ** 2 - 2.0 * r), lambda r: 0.2 * r, lambda r: 0.2 + 0.0 * r, lambda r: 0.0 * r
+    )
+    assert decorated_particles((1.0, 2.0), (0.0,), even).dim == 11
+    odd = scaled(lambda r: r, lambda r: 1.0 + 0.0 * r, lambda r: 0.0 * r, lambda r: 0.0 * r)
+    with pytest.raises(ValueError, match=r"pair is .* at 0.375 and -.* at -0.375; the potential of a pair is even"):
+        decorated_particles((1.0, 2.0), (0.0,), odd)
+
+    def beyond(power):  # (r^2 - 9/64)^2 r: even to rounding at 0.375 alone
+        p = np.polynomial.Polynomial([0, 81 / 4096, 0, -18 / 64, 0, 1]).deriv(power)
+        return lambda r: sum(c * r**k for k, c in enumerate(p.coef))
+
+    flat = scaled(*(beyond(power) if power else (lambda r: (r * r - 9 / 64) ** 2 * r) for power in range(4)))
+    with pytest.raises(ValueError, match=r"at 1.5 and .* at -1.5; the potential of a pair is even"):
+        decorated_particles((1.0, 2.0), (0.0,), flat)
+
+
+@pytest.mark.parametrize("what", ["external", "pair"])
+@pytest.mark.parametrize("wrong", [1, 2, 3])
+def test_the_wrong_one_of_four_functions_is_named(what, wrong):
+    chain = [np.cosh, np.sinh, np.cosh, np.sinh]
+    chain[wrong] = lambda r: 1.5 + r
+    with pytest.raises(ValueError, match=rf"{what}\[{wrong}\] contradicts {what}\[{wrong - 1}\]"):
+        decorated_particles(**{what: tuple(chain)})
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"weights": ()}, "weights has shape"),
+        ({"weights": (1.0, 2.0, 1e51)}, r"weights\[2\] is 1e\+51; masses are positive, from 1e-50 to 1e\+50"),
+        ({"weights": (1.0, 1e-51)}, r"weights\[1\] is 1e-51; masses are positive"),
         ({"weights": (1.0, -1.0)}, r"weights\[1\] is -1; masses are positive"),
         ({"pair": (0.0, 1.0)}, "the potential of a pair is even"),
         ({"pair": np.zeros(22)}, "pair has shape .*; give the coefficients of a polynomial, up to degree 20"),

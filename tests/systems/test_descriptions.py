@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.systems.description import LONGEST_FORMULA, description
-from coadjoint.systems.ready_made import ready_made_systems
+from coadjoint.systems.ready_made import ready_made_systems, telling_of
 
 NAMES = co.systems.names()
 
@@ -50,6 +50,36 @@ def test_formulas_are_those_of_the_system(name):
                 assert value_of(formula, names, x) == pytest.approx(wanted, rel=1e-4, abs=1e-4), (key, formula)
 
 
+def assert_sections_are_those_of_the_docstring(made, found):
+    """The words of each section in order, from the first line below its heading to the next heading."""
+    lines = inspect.getdoc(made).splitlines()
+    headings = [k for k in range(len(lines) - 1) if lines[k] and set(lines[k + 1]) == {"-"}]
+
+    def section(heading):
+        (start,) = [k for k in headings if lines[k] == heading] or [len(lines)]
+        return lines[start + 2 : min([k for k in headings if k > start], default=len(lines))]
+
+    def words(text):
+        return " ".join(text).replace("`", "").split()
+
+    summary = lines[: lines.index("")]
+    assert found["summary"].split() == words(summary)
+    assert words(found["equations"]) == words(lines[lines.index("") : headings[0]])
+    # The first line of Returns names the type.
+    assert found["state"].split() == words(section("Returns")[1:])
+    assert found["source"].split() == words(section("Notes"))
+    documented, names = {}, []
+    for line in section("Parameters"):
+        if line.startswith(" "):
+            for name in names:
+                documented[name]["meaning"] += words([line])
+        elif line:
+            names = [name.strip() for name in line.partition(" : ")[0].split(",")]
+            documented.update({name: {"kind": line.partition(" : ")[2], "meaning": []} for name in names})
+    for key, value in found["parameters"].items():
+        assert {"kind": value["kind"], "meaning": value["meaning"].split()} == documented[key], key
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_what_it_says_of_the_system(name):
     system, found = co.systems.get(name), description(name)
@@ -63,6 +93,10 @@ def test_what_it_says_of_the_system(name):
         default = np.asarray(signature[key].default, dtype=object)
         assert np.array_equal(np.asarray(told["default"], dtype=object), default)
     assert found["summary"].endswith(".") and "`" not in found["summary"]
+    assert_sections_are_those_of_the_docstring(ready_made_systems()[name], found)
+    telling = telling_of(name)
+    assert found["telling"] == {"says": telling.says, "t_span": list(telling.t_span), "step": telling.step}
+    assert found["coordinates"] == list(telling.names(system.dim) or [f"x{k + 1}" for k in range(system.dim)])
     if system.algebra is None:
         assert found["algebra"] is None and found["attitude"] == "none"
     elif hasattr(system.algebra, "triples"):

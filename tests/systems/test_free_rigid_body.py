@@ -168,6 +168,13 @@ def test_shapes_and_attitudes():
             system.exact(*arguments)
 
 
+@pytest.mark.parametrize("t", [1e200, [0.0, 1e200], [-1e200, 0.0, 1.0]])
+def test_a_phase_beyond_float64_is_refused(t):
+    for system in (systems.rigid_body((1.0, 2.0, 3.0)), systems.paper_rigid_body()):
+        with pytest.raises(ValueError, match=r"the closed form overflows from x0 = .* to t = .*; take smaller ones"):
+            system.exact((1e200, 2e200, 5e199), t)
+
+
 def test_full_inertia_turns_with_its_axes():
     Q = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
     inertia = np.array([1.0, 2.0, 2.75])

@@ -66,6 +66,8 @@ S = co.systems
 WRONG = [
     (S.gyrostat, {"rotors": (1, 2)}, "rotors has shape"),
     (S.gyrostat, {"inertia": (1, 0, 2)}, r"inertia\[1\] is 0"),
+    (S.gyrostat, {"rotors": (1e200, 0, 0)}, r"the energy of the rotors, \[1e\+200, 0.0, 0.0\], leaves the range"),
+    (S.gyrostat, {"inertia": FULL, "rotors": (1e200, 1e200, 0)}, "the energy of the rotors, .*, leaves the range"),
 ]  # fmt: skip
 
 

@@ -130,9 +130,11 @@ def test_nutation_of_lagranges_top(height, spin):
 
 def test_a_spherical_top_keeps_the_momentum_along_its_lever():
     top = co.systems.heavy_top((2, 2, 2), (0.0, 1.5, 2.0))
-    (F,) = top.integrals.values()
+    ((name, F),) = top.integrals.items()
+    assert name == "m along the axis"
     np.testing.assert_allclose(F.gradient(np.zeros(6)), [0, 0.6, 0.8, 0, 0, 0], rtol=4 * U)
     assert list(co.systems.heavy_top((2, 2, 2), (1, 0, 0)).integrals) == ["m1"]
+    assert list(co.systems.heavy_top((2, 2, 2), (0, -3.0, -4.0)).integrals) == ["m along the axis"]
     assert list(co.systems.heavy_top((2, 2, 3), (0, 0.5, 1)).integrals) == []
     assert list(co.systems.heavy_top(np.diag([2.0, 2.0, 3.0]), (0, 0, 1)).integrals) == ["m3"]
 

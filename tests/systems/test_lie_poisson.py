@@ -11,6 +11,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.products import direct_sum
 from coadjoint.systems.forces.linear_damping import LinearDamping
 from coadjoint.systems.hamiltonian import Hamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -132,6 +133,28 @@ def test_time_reaches_the_field():
     assert system.energy(x, 2.0) == 15.0
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_time_reaches_the_jacobian(sign):
+    """H = x . M(t) x / 2 + c(t) . x, on a linear bracket and on the same one as a function of x."""
+    g, M = catalogue.get("A3,7", a=1.75), np.array([[1.0, 0.25, 0.0], [0.25, -2.0, 0.5], [0.0, 0.5, 0.75]])
+
+    def slope(x, t):
+        return np.cos(t) * (M @ x) + np.array([t, 0.0, -t * t])
+
+    H = Hamiltonian(
+        lambda x, t: np.cos(t) * (x @ (M @ x)) / 2 + t * x[0] - t * t * x[2], slope, lambda x, t: np.cos(t) * M + 0 * t
+    )
+    constants = dense_constants(g)
+    linear = LiePoissonSystem(g, H, sign=sign)
+    curved = PoissonSystem(lambda x: constants @ x, H, dim=3, derivative=lambda x: constants, sign=sign)
+    x = np.array([0.5, -1.5, 0.75])
+    for system in (linear, curved):
+        for t in (0.0, 0.7, -2.0):
+            wanted = sign * (np.einsum("ijk,j->ik", constants, slope(x, t)) + np.cos(t) * (constants @ x) @ M)
+            np.testing.assert_allclose(system.jacobian(x, t), wanted, rtol=0, atol=64 * U)
+            np.testing.assert_allclose(system.vector_field(x, t), sign * (constants @ x) @ slope(x, t), atol=64 * U)
+
+
 def test_defaults_come_from_the_algebra():
     algebra = catalogue.e(3)
     system = LiePoissonSystem(algebra, Quadratic(1.0))
@@ -142,6 +165,24 @@ def test_defaults_come_from_the_algebra():
     assert "e(3)" in repr(system)
     with pytest.raises(TypeError, match="no closed form is known for tops"):
         LiePoissonSystem(algebra, Quadratic(1.0), name="tops").exact(np.ones(6), 1.0)
+
+
+def test_known_casimirs_keep_their_names_unless_a_search_finds_more():
+    # Its Casimir, x1^0.37 x2, is no polynomial, so a search in the sums below finds those of so(3) again.
+    other = LieAlgebra.from_brackets(3, {(0, 2): {0: 1.0}, (1, 2): {1: -0.37}})
+    both = direct_sum(catalogue.so(3), other)
+    assert both.dim - both.generic_rank() == 2
+    assert LiePoissonSystem(both, Quadratic(1.0)).casimirs == {
+        "|x|^2 [1]": Polynomial.variable(0, 6) ** 2
+        + sum((Polynomial.variable(k, 6) ** 2 for k in (1, 2)), 0 * Polynomial.variable(0, 6))
+    }
+    # Of so(3) by its brackets none is known: the search finds both.
+    c = dense_constants(catalogue.so(3))
+    unknown = direct_sum(LieAlgebra(c), catalogue.so(3))
+    found = LiePoissonSystem(unknown, Quadratic(1.0)).casimirs
+    assert len(unknown.casimirs_known) < len(found) == 2
+    gradients = [F.gradient(np.cos(np.arange(6.0))) for F in found.values()]
+    assert np.linalg.matrix_rank(gradients) == 2
 
 
 @pytest.mark.parametrize("name", ALGEBRAS)
@@ -166,6 +207,8 @@ def test_wrong_casimirs_are_refused_by_name():
         LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": Invariant(lambda x: 0.0, lambda x: x[:2])})
     with pytest.raises(TypeError, match="mapping"):
         LiePoissonSystem(so4, Quadratic(1.0), casimirs=[so4.casimirs_known["|x|^2"]])
+    with pytest.raises(ValueError, match=r"^a Casimir is called 'energy', which is the name of the Hamiltonian"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs={"energy": so4.casimirs_known["|x|^2"]})
     with pytest.raises(TypeError, match="'C' is 3"):
         LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": 3})
 
@@ -174,6 +217,8 @@ def test_functions_become_invariants():
     system = LiePoissonSystem(catalogue.sl(2), Quadratic(1.0), casimirs={"C": lambda x: x[0] * x[2] + x[1] ** 2})
     assert isinstance(system.casimirs["C"], Invariant)
     assert system.casimirs["C"]([1.0, 2.0, 3.0]) == 7.0
+    by_number = LiePoissonSystem(catalogue.sl(2), Quadratic(1.0), casimirs={2: system.casimirs["C"]})
+    assert list(by_number.casimirs) == ["2"]
 
 
 def test_pieces_must_commute():
@@ -181,8 +226,10 @@ def test_pieces_must_commute():
     LiePoissonSystem(
         e3, SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((0, 3), Quadratic(1.0)), ((1,), Quadratic(2.0))])
     )
-    with pytest.raises(ValueError, match="piece 1 has the coordinates 0 and 4"):
-        LiePoissonSystem(e3, SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((4, 0), Quadratic(1.0))]))
+    wrong = SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((4, 0), Quadratic(1.0))])
+    for H in (wrong, Quadratic(np.arange(6.0)) + wrong):
+        with pytest.raises(ValueError, match="piece 1 has the coordinates 0 and 4"):
+            LiePoissonSystem(e3, H)
 
 
 def test_representations_are_checked():
@@ -203,11 +250,47 @@ def test_representations_are_checked():
         ((catalogue.so(3), Quadratic([1.0, 2.0])), ValueError, "dimension 3"),
         ((catalogue.so(3), None), TypeError, "NoneType"),
         (("so(3)", Quadratic(1.0)), TypeError, "algebra is a str"),
+        ((catalogue.so(3), Quadratic(1.0), 1, None, None, ""), TypeError, "name of a system must be a nonempty string"),
+        (
+            (catalogue.so(3), Quadratic(1.0), 1, None, None, None, [1]),
+            TypeError,
+            r"parameters is \[1\]; give a mapping",
+        ),
+        ((catalogue.so(3), Quadratic(1.0), 1, None, None, None, None, 3), TypeError, "exact is 3; give a function of"),
     ],
 )
 def test_refusals(arguments, error, message):
     with pytest.raises(error, match=message):
         LiePoissonSystem(*arguments)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_everything_given_is_found_again(sign):
+    so3 = catalogue.so(3)
+    turn = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+    representation = np.array([turn @ E @ turn.T for E in so3.representation])
+
+    def exact(x0, t, attitude):
+        return x0, t, attitude
+
+    layout = {"lattice": "graph", "shape": None}
+    given = LiePoissonSystem(
+        so3, Quadratic(1.0), np.float64(sign), representation=representation, name="own", exact=exact, layout=layout
+    )
+    np.testing.assert_array_equal(given.representation, representation)
+    assert given.sign == sign and type(given.sign) is int and given.name == "own" and given.layout == layout
+    assert given.closed_form is exact and given.exact(1, 2) == (1, 2, False) and given.exact(1, 2, 3) == (1, 2, 3)
+    assert repr(given).startswith("<own: ") and repr(given).endswith(f"on so(3), sign={sign:+d}>")
+    plain = LiePoissonSystem(LieAlgebra(dense_constants(so3)), Quadratic(1.0), sign)
+    assert plain.name == "Lie-Poisson system on g*" and plain.layout == {} and plain.representation is None
+    assert repr(plain).endswith(f"on an algebra of dimension 3, sign={sign:+d}>")
+    curved = PoissonSystem(so3.structure_matrix, Quadratic(1.0), np.int8(sign), dim=np.int64(3), exact=exact)
+    assert (curved.sign, curved.dim, curved.name) == (sign, 3, "Poisson system of dimension 3")
+    assert type(curved.sign) is type(curved.dim) is int and curved.exact(1, 2, 3) == (1, 2, 3)
+    assert repr(curved).endswith(f"J a function of x, sign={sign:+d}>")
+    for system in (given, curved):
+        forces = LinearDamping(0.1), LinearDamping(0.2), LinearDamping(0.3)
+        assert system.with_forces(*forces).forces == forces
 
 
 def test_systems_are_immutable():

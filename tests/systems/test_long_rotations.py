@@ -48,6 +48,15 @@ def test_every_order_and_sign_of_the_axes(case):
     assert tried >= 24
 
 
+def test_the_farthest_of_several_times_decides_the_precision():
+    x0 = np.array([0.3, -0.4, 1.2])
+    for m in (np.array([1.0, 0.5, 0.25]), np.array([0.5, 0.5, 0.8])):
+        for far in (-(2.0**150), 2.0**150):
+            together = exact_solution(m, -1, x0, [0.5, far, 0.0], True)
+            for several, one in zip(together, exact_solution(m, -1, x0, far, True), strict=True):
+                np.testing.assert_allclose(several[1], one, rtol=0, atol=2.0**6 * U)
+
+
 def test_the_limits_of_equal_moments_are_continuous():
     """Moments that differ by e less and less: the motion is that of equal ones, up to e |x| t."""
     x0, t = np.array([0.3, -0.4, 1.2]), np.array([0.5, 900.0])

@@ -95,6 +95,13 @@ def test_on_the_separatrix_and_at_rest():
     np.testing.assert_allclose(system.exact([0.0, 1e-9, 2.0], 1.0)[1], 1e-9 * np.cosh(2.0), rtol=0, atol=1e-15)
 
 
+def test_the_state_at_time_zero_is_the_given_one():
+    system = co.systems.maxwell_bloch(1.7)
+    for x0 in np.random.default_rng(2).uniform(-2.0, 2.0, (10, 3)):
+        np.testing.assert_array_equal(system.exact(x0, [0.3, 0.0, -0.0, -2.0])[1:3], [x0, x0])
+        np.testing.assert_array_equal(system.exact(x0, 0.0), x0)
+
+
 def test_the_group_element_turns_by_the_area_of_the_pulse():
     system = co.systems.maxwell_bloch(1.5)
     run = co.integrate(system, X0, (0.0, 6.0), 0.02, co.Splitting(order=4), attitude=True)

@@ -76,6 +76,16 @@ def test_field_and_jacobian_of_random_brackets(seed, sign):
         ((lambda x: A[:2], Quadratic([1.0, 2.0, 3.0])), {}, ValueError, r"returns shape \(2, 3\)"),
         ((lotka_volterra, Quadratic([1.0, 2.0])), {"dim": 3}, ValueError, "dimension 3"),
         ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "sign": 2}, ValueError, "sign is 2"),
+        ((lotka_volterra, Quadratic(1.0)), {"dim": 2.5}, ValueError, "dim must be a whole number from 1 up, not 2.5"),
+        ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "exact": 3}, TypeError, "exact is 3; give a function of"),
+        ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "name": ""}, TypeError, "name of a system must be a nonempty"),
+        (
+            (lotka_volterra, Quadratic(1.0)),
+            {"dim": 3, "parameters": [1]},
+            TypeError,
+            r"parameters is \[1\]; give a mapping",
+        ),
+        ((lambda x, t: A, Quadratic(1.0)), {"dim": 3}, TypeError, r"structure_matrix is a function of \(x, t\)"),
         (
             (lotka_volterra, Quadratic(1.0)),
             {"dim": 3, "derivative": lambda x: 2 * lotka_volterra_slope(x)},

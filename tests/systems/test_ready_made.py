@@ -1,5 +1,7 @@
 """The ready-made systems: by name, from their own parameters, and in which convention."""
 
+import inspect
+import json
 import pickle
 import subprocess
 import sys
@@ -27,6 +29,53 @@ def test_made_again_from_parameters(name):
         h = 2.0**-17  # the error of the central difference is about h^2, 6e-11, and u / h, 1.5e-11
         slope = (system.exact(x, 1.0 + h) - system.exact(x, 1.0 - h)) / (2 * h)
         np.testing.assert_allclose(slope, system.vector_field(system.exact(x, 1.0)), rtol=0, atol=1e-8)
+
+
+def other_kind(value):
+    """The same numbers as arrays of NumPy, whole ones as integers."""
+    if isinstance(value, bool | str) or callable(value) or not np.issubdtype(np.asarray(value).dtype, np.number):
+        return value
+    array = np.asarray(value)
+    whole = array.astype(np.int64)
+    array = whole if np.array_equal(whole, array) else array
+    return array if array.ndim else array[()]
+
+
+def assert_plain(value):
+    if isinstance(value, tuple):
+        for entry in value:
+            assert_plain(entry)
+    else:
+        assert value is None or type(value) in (int, float, bool, str), repr(value)
+
+
+@pytest.mark.parametrize("name", systems.names())
+def test_parameters_are_plain_numbers_whatever_holds_them(name):
+    """So they can be written to a file, and an array that changes later does not change them."""
+    wanted = systems.get(name)
+    defaults = inspect.signature(getattr(systems, name)).parameters
+    given = {key: other_kind(one.default) for key, one in defaults.items()}
+    system = systems.get(name, **given)
+    for array in given.values():
+        if isinstance(array, np.ndarray):
+            array[...] = 7
+    assert system.parameters == wanted.parameters
+    assert set(system.parameters) <= set(defaults)
+    for value in system.parameters.values():
+        assert_plain(value)
+    again = systems.get(name, **json.loads(json.dumps(system.parameters)))
+    assert again.parameters == wanted.parameters
+
+
+def test_names_are_sorted_and_listed():
+    assert list(systems.names()) == sorted(set(systems.names()))
+    assert dir(systems) == sorted([*systems.names(), "get", "names"])
+    for name in systems.names():
+        assert getattr(systems, name).__name__ == name
+    with pytest.raises(AttributeError, match="did you mean 'heavy_top'"):
+        systems.heavy_topp  # noqa: B018
+    with pytest.raises(ValueError, match="unknown system 3"):
+        systems.get(3)
 
 
 def test_parameters_are_checked():

@@ -78,6 +78,13 @@ def test_steady_orbit():
     np.testing.assert_allclose(system.vector_field(steady), np.zeros(10), rtol=0, atol=1e-15)
 
 
+def test_the_limits_of_parameters_are_accepted():
+    for limit in (1e-30, 1e30):
+        assert satellite(mass=limit, gravity=limit).parameters["mass"] == limit
+        with pytest.raises(ValueError, match=rf"^gravity is {limit * limit:g}".replace("+", r"\+")):
+            satellite(gravity=limit * limit)
+
+
 def test_a_ball_follows_kepler():
     """The inertia of a ball has no gradient: an ellipse in space, seen from a body that turns evenly."""
     system = satellite((0.7, 0.7, 0.7), MASS, GRAVITY)

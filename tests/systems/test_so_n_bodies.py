@@ -100,6 +100,42 @@ def test_the_body_of_three_dimensions_is_the_rigid_body_and_manakovs_top():
     )
 
 
+@pytest.mark.parametrize("n", [3, 4])
+def test_two_principal_values_whose_sum_vanishes_up_to_rounding_are_refused(n):
+    rng, signs = np.random.default_rng(n), set()
+    for _ in range(12):
+        Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        tensor = (Q * np.array([-1.0, 1.0, 2.0, 3.0])[:n]) @ Q.T
+        tensor = (tensor + tensor.T) / 2
+        signs.add(np.sign(np.linalg.eigvalsh(tensor)[:2].sum()))
+        with pytest.raises(ValueError, match=r"inertia has the principal values .*, whose sum is not positive"):
+            co.systems.so_n_body(tensor)
+    assert 1.0 in signs
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_a_tensor_symmetric_up_to_rounding_counts_by_its_upper_half(n):
+    """As for the other bodies: the stored tensor is symmetric, and makes the same system again."""
+    root = np.random.default_rng(n).uniform(-1.0, 1.0, (n, n))
+    upper = np.triu(root @ root.T + n * np.eye(n))
+    symmetric = upper + np.triu(upper, 1).T
+    nearly = symmetric * (1.0 + 4 * U * np.tril(np.ones((n, n)), -1))
+    assert not np.array_equal(nearly, nearly.T)
+    x = np.cos(np.arange(n * (n - 1) / 2))
+    makers = [co.systems.so_n_body, co.systems.rigid_body] if n == 3 else [co.systems.so_n_body]
+    for make in makers:
+        body, wanted = make(nearly), make(symmetric)
+        np.testing.assert_array_equal(body.hamiltonian.hessian(x), wanted.hamiltonian.hessian(x))
+        again = co.systems.get(body.name, **body.parameters)
+        np.testing.assert_array_equal(again.hamiltonian.hessian(x), wanted.hamiltonian.hessian(x))
+    assert co.systems.so_n_body(nearly).parameters == co.systems.so_n_body(symmetric).parameters
+    for far in (1e-13, -1e-13):
+        wrong = symmetric.copy()
+        wrong[n - 1, 1] += far * symmetric.max()
+        with pytest.raises(ValueError, match=rf"inertia is not symmetric: .* at \[1, {n - 1}\] and \[{n - 1}, 1\]"):
+            co.systems.so_n_body(wrong)
+
+
 def test_a_symmetric_body_of_four_dimensions_in_closed_form():
     """For (a, a, a, b) the block of the first three axes is constant, and the last column turns by it."""
     a, b, t = 1.25, 0.5, 6.0
@@ -137,10 +173,15 @@ WRONG = [
     (S.so_n_body, {"inertia": np.diag([1.0, -1.0, 2.0, 3.0])}, "whose sum is not positive"),
     (S.so_n_body, {"inertia": np.triu(np.ones((4, 4)))}, "not symmetric"),
     (S.manakov_top, {"a": (1, 2, 1), "b": (1, 2, 3)}, r"a\[0\] and a\[2\] are both 1"),
+    (S.manakov_top, {"a": (1, 2, 2), "b": (1, 2, 3)}, r"a\[1\] and a\[2\] are both 2"),
+    (S.manakov_top, {"a": (1, 2.5, 3, 2.5), "b": (1, 2, 3, 4)}, r"a\[1\] and a\[3\] are both 2.5"),
+    (S.manakov_top, {"a": (1, 2, 3), "b": (1, np.nan, 3)}, r"b\[1\] is nan"),
     (S.manakov_top, {"a": (1, 2, 3)}, "b has shape"),
     (S.manakov_top, {"a": (1, 2), "b": (1, 2)}, "n from 3"),
     (S.manakov_top, {"a": (1, 1 + 2**-52, 3), "b": (1e300, -1e300, 0)}, "overflows"),
     (S.manakov_top, {"a": (1e200, 2, 3, 4), "b": (1, 2, 3, 4)}, "the power 2 of the entries overflows"),
+    (S.manakov_top, {"a": (1, 2, 3, 1e120, 5), "b": (1, 2, 3, 4, 5)}, "the power 3 of the entries overflows"),
+    (S.manakov_top, {"a": (1, 2, 3, 1e200, 5), "b": (1, 2, 3, 4, 5)}, "the power 2 of the entries overflows"),
 ]  # fmt: skip
 
 

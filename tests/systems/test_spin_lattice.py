@@ -130,6 +130,8 @@ def test_where_a_closed_form_is_known():
         spin_lattice("complete", 4, tensor=(1, 1, 2)),
         spin_lattice("complete", 4, exchange=np.arange(6.0)),
         spin_lattice("complete", 4, on_site=(0, 0, 1)),
+        spin_lattice("complete", 4, on_site=np.diag([0.0, 0.0, 1.0]) * np.arange(4.0)[:, None, None]),
+        spin_lattice("complete", 4, tensor=np.eye(3) * np.arange(1.0, 7.0)[:, None, None]),
         spin_lattice("complete", 4, dm=(0, 0, 1)),
         spin_lattice("ring", 4),
         spin_lattice(field=lambda t: (0.0, 0.0, np.cos(t))),
@@ -154,6 +156,9 @@ def test_where_a_closed_form_is_known():
         ({"tensor": (1, 2, 3)}, []),
         ({"tensor": (1, 1, 0.5), "dm": (0, 1, 0)}, []),
         ({"field": (0, 3, 4)}, ["total S along (0, 0.75, 1)", "|total S|^2"]),
+        ({"field": (-1, 0, 4)}, ["total S along (-0.25, 0, 1)", "|total S|^2"]),
+        ({"dm": (2, 0, -0.5)}, ["total S along (1, 0, -0.25)"]),
+        ({"field": np.array([(0, 1, 1), (0, -2, -2), (0, 1, 1 + 2**-40), (0, 0, 0)])}, []),
         ({"field": np.array([(0, 0, 1), (0, 0, 2), (0, 0, 0), (0, 0, -1)])}, ["total S3"]),
         ({"field": np.eye(4)[:, :3]}, []),
         (
@@ -172,6 +177,17 @@ def test_integrals_are_found(given, names):
         field = system.vector_field(x, t)
         for F in system.integrals.values():
             assert abs(F.gradient(x) @ field) < 1e-13
+
+
+@pytest.mark.parametrize(("count", "known"), [(64, ["total S3", "|total S|^2"]), (65, ["total S3"])])
+def test_the_square_of_the_total_spin_is_given_up_to_64_spins(count, known):
+    system = spin_lattice("ring", count, field=(0.0, 0.0, 0.5))
+    assert list(system.integrals) == known
+    x = spins_of(6, count)
+    total = x.reshape(-1, 3).sum(axis=0)
+    for name, wanted in (("total S3", total[2]), ("|total S|^2", total @ total)):
+        if name in known:
+            assert system.integrals[name].value(x) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_integrals_by_polynomial_identity():
@@ -372,6 +388,20 @@ def test_many_parameters_are_not_kept():
     ring = spin_lattice("ring", 30000, exchange=np.ones(30000), field=np.ones((30000, 3)))
     assert ring.parameters is None
     assert spin_lattice("ring", 30000).parameters["shape"] == 30000
+    # All of them count together.
+    half = spin_lattice("ring", 15000, exchange=np.ones(15000), field=np.ones((15000, 3)))
+    assert half.parameters["exchange"] == (1.0,) * 15000
+    assert spin_lattice("ring", 15000, field=np.ones((15000, 3)), dm=np.ones((15000, 3))).parameters is None
+    S = spins_of(8, 15000)
+    assert half.casimirs["sum of |x|^2"](S) == pytest.approx(S @ S, rel=1e-12)
+
+
+def test_layouts_and_graphs_of_one_site():
+    assert spin_lattice("square", (3, 2)).layout == {"lattice": "square", "shape": (3, 2)}
+    assert spin_lattice([(0, 1)], 2).layout == {"lattice": "graph"}
+    for lattice in ("complete", np.zeros((0, 2), dtype=int)):
+        single = spin_lattice(lattice, 1, field=(0.0, 0.0, 2.0))
+        np.testing.assert_array_equal(single.vector_field([1.0, 0.5, 0.25]), [1.0, -2.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -389,6 +419,14 @@ def test_many_parameters_are_not_kept():
         ({"lattice": "square"}, "shape"),
         ({"lattice": "square", "shape": (2, 3, 4)}, "give 2 whole numbers for a lattice that is square"),
         ({"lattice": "square", "shape": (2, 3), "periodic": (True,)}, "give one truth value, or 2"),
+        ({"lattice": "square", "shape": (4, 3), "periodic": (True, 1)}, r"periodic\[1\] is 1; it must be True or"),
+        ({"lattice": "square", "shape": (2, 2.5)}, r"shape\[1\] must be a whole number from 1 up, not 2.5"),
+        ({"lattice": "square", "shape": (3, 2), "periodic": (False, True)}, "joins the sites 0 and 1 twice; take 3 or"),
+        ({"lattice": "square", "shape": (3, 1), "periodic": True}, "joins site 0 to itself"),
+        ({"lattice": [(0, 1), (3, 4), (2, 2)], "shape": 5}, "joins site 2 to itself; give pairs of different sites"),
+        ({"lattice": [(0, 1), (4, 3), (1, 2), (3, 4)], "shape": 5}, "lattice joins the sites 3 and 4 twice"),
+        ({"lattice": [(0, 1), (4, 3), (1, 7)], "shape": 5}, "edge 2 has the site 7; sites are numbered from 0 to 4"),
+        ({"lattice": [(0, 1), (-2, 3)], "shape": 5}, "edge 1 has the site -2; sites are numbered from 0 to 4"),
         ({"shape": 0}, r"shape\[0\] must be a whole number from 1 up"),
         ({"exchange": (1.0, 2.0)}, r"exchange has shape \(2,\); give one number or \(1,\)"),
         ({"tensor": (1.0, 2.0)}, r"tensor has shape \(2,\); give \(3,\) or \(3, 3\) or \(1, 3, 3\)"),
@@ -398,6 +436,9 @@ def test_many_parameters_are_not_kept():
         ({"field": lambda x, t: (1.0, 2.0, 3.0)}, "give a function of the time t alone"),
         ({"field": lambda t: [1.0 / t] * 3}, r"field\(0.0\) fails \(ZeroDivisionError"),
         ({"on_site": [[0, 1, 0], [0, 0, 0], [0, 0, 0]]}, "on_site is not symmetric at"),
+        ({"on_site": [[0, 1, 2], [1, 0, 0], [3, 0, 0]]}, r"on_site is not symmetric at \[0, 2\]"),
+        ({"lattice": [(0, 1)], "periodic": (True, False)}, "periodic is .*; give one truth value, or 1"),
+        ({"lattice": "complete", "periodic": 1}, "periodic is 1; it must be True or False"),
         ({"exchange": 1e300}, "exchange has numbers beyond 1e\\+100"),
     ],
 )  # fmt: skip

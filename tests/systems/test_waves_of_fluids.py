@@ -124,6 +124,7 @@ def test_a_triad_is_a_body_of_the_textbook():
         ({"second": (1.0, np.inf)}, "second"),
         ({"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, "leave the range of float64"),
         ({"first": (1e200, 0.0), "second": (0.0, 1e200)}, "leave the range of float64"),
+        ({"first": (1e170, 0.0), "second": (0.0, 1e-10)}, "leave the range of float64 when squared"),
     ],
 )
 def test_wrong_triads(given, message):
@@ -139,6 +140,7 @@ def test_wrong_triads(given, message):
         (np.nan, 1.0, "k"),
         (1e-170, 1.0, "leave the range of float64"),
         (1e200, 1e200, "leave the range of float64"),
+        (9.6e153, 9.6e153, "the squares of k = 9.6e\\+153 and l = 9.6e\\+153 leave the range of float64"),
     ],
 )
 def test_wrong_wave_numbers(k, l, message):
@@ -148,5 +150,6 @@ def test_wrong_wave_numbers(k, l, message):
 
 def test_attitude_is_refused():
     for name in ("lorenz_1960", "fluid_triad"):
+        assert co.systems.get(name).algebra.name == f"so(3) of {name}"
         with pytest.raises(TypeError, match=f"{name} has a closed form of the state alone"):
             co.systems.get(name).exact(X0, 1.0, attitude=True)

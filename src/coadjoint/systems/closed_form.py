@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,7 +34,7 @@ def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
         raise TypeError(f"the lattice of layout is {short(found.get('lattice'))}; {rule}")
     if found.get("shape") is not None:
         shape = found["shape"]
-        cells = (shape,) if isinstance(shape, int) else read_list(shape, "the shape of layout", rule)
+        cells = (shape,) if isinstance(shape, numbers.Integral) else read_list(shape, "the shape of layout", rule)
         found["shape"] = tuple(read_whole(count, "the shape of layout") for count in cells)
     return found
 

@@ -111,7 +111,7 @@ def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> Lie
         H,
         sign=+1,
         name="vlasov_moments",
-        parameters={"degree": degree, "potential": potential} if isinstance(potential, str) else None,
+        parameters={"degree": int(degree), "potential": potential} if isinstance(potential, str) else None,
         exact=partial(_linear_flow, 2 * float(single.get((2, 0), 0)), powers) if harmonic and single else None,
         integrals={} if single is None else _powers_of_energy(single, degree, powers),
     )
