@@ -202,3 +202,12 @@ def test_a_description_says_the_base():
     described = description_of(co.Projected(co.Splitting(order=4)))
     assert from_description(described) == co.Projected(co.Splitting(order=4))
     assert co.methods.get("Projected", base={"name": "Kahan"}) == co.Projected(co.Kahan())
+
+
+def test_a_projection_that_fails_knows_the_time():
+    system = LARGE["cubic alone"]
+    for scheme in (co.Projected(co.ExplicitRungeKutta("runge2")), co.Taylor(2)):
+        for take in (scheme.step, scheme.tangent):
+            with pytest.raises(co.IntegrationError, match="the projection of a step does not converge") as failure:
+                take(system, start_of(system), 0.75, 0.8)
+            assert (failure.value.time, failure.value.step) == (0.75, 1) and failure.value.residual > 1e-12
