@@ -129,3 +129,17 @@ def test_forty_digits():
     start, exact = system.from_modes(first_modes(7)), system.from_modes(last_modes(7))
     errors = [np.abs(last(system, start, 1.0, n, co.CommutatorFree(4)) - exact).max() for n in (16, 32, 512)]
     assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.3 and errors[2] < 1e-12
+
+
+@pytest.mark.parametrize("h", [1.0, -3.0])
+def test_a_step_in_python_is_that_of_exact_exponentials_for_streams_of_any_shape(h):
+    """The norm of a commutator is that of both sides, however much the sums of rows and columns differ."""
+    for P in (np.diag([0.9, 0.0, -0.9, 0.4]), np.ones((4, 1)) * [1.2, 0.0, 0.0, -0.3], 2.0 * np.eye(4, k=2)):
+        system = co.MatrixSystem(co.MatrixAlgebra("gl", 4), Weights(np.zeros((4, 4))), P)
+        W = np.random.default_rng(3).uniform(-1.0, 1.0, (4, 4))
+        U, V = expm(h * P), expm(-h * P)
+        exact, scale = U @ W @ V, np.abs(U) @ np.abs(W) @ np.abs(V)
+        for order in SCHEMES:
+            found = co.CommutatorFree(order).step(system, W, 0.0, h)
+            # Substeps of norm one, each a series with sums of at most exp(1): some roundings of each.
+            assert np.abs(found - exact).max() < 256 * UNIT_ROUNDOFF * scale.max()

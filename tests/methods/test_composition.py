@@ -113,3 +113,10 @@ def test_a_composition_of_splittings_is_the_scheme_of_that_name():
         for method in (co.Splitting(scheme="yoshida4"), co.Composition(co.Splitting(order=2), YOSHIDA))
     ]
     assert np.abs(ends[0] - ends[1]).max() <= 100 * 30 * 8 * 2.0**-53
+
+
+def test_substeps_of_compositions_of_compositions_are_counted_together():
+    inner = co.Composition(co.Splitting(order=2), (1 / 40,) * 40)
+    assert len(co.Composition(inner, (1 / 25,) * 25).fractions) == 1000
+    with pytest.raises(ValueError, match="a step of the Composition has 1040 substeps; the limit is 1000"):
+        co.Composition(inner, (1 / 26,) * 26)

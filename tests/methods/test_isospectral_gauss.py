@@ -206,3 +206,29 @@ def test_the_tangent_of_two_layers_takes_matrices_and_coordinates(stages) -> Non
     moved, by_matrices = scheme.tangent(system, system.matrices(W), 0.5, 0.25)
     assert np.array_equal(after, moved) and np.array_equal(by_numbers, by_matrices)
     assert np.array_equal(after, scheme.step(system, W, 0.5, 0.25))
+
+
+@pytest.mark.parametrize("scheme", [co.IsospectralGauss(1), co.IsospectralGauss(2), co.CommutatorFree(3)], ids=str)
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("h", [0.3, -0.3])
+def test_tangents_along_a_nonlinear_stream_that_depends_on_time(scheme, size, h):
+    """States and steps of any scale: W -> size W and t -> t / size leave the derivative as it is."""
+
+    def stream(W, t):
+        return (1.0 + 0.5 * np.sin(3.0 * size * t)) * (W + W**3 / size**2).T
+
+    def energy(W, t):
+        return (1.0 + 0.5 * np.sin(3.0 * size * t)) * np.sum(W**2 / 2 + W**4 / (4 * size**2))
+
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), stream, energy=energy)
+    W = size * np.random.default_rng(5).uniform(-0.5, 0.5, (3, 3))
+    step = co.stepper(system, scheme, h / size)
+    x, e = system.to_vector(W), 2.0**-9 * size
+    columns = []
+    for unit in np.eye(9):
+        ends = [step(system.from_vector(x + d * unit), t=0.4 / size) for d in (e, -e, e / 2, -e / 2)]
+        wide, narrow = (ends[0] - ends[1]) / (2 * e), (ends[2] - ends[3]) / e
+        columns.append(system.to_vector((4 * narrow - wide) / 3))
+    # Streams given as functions are differentiated to nine digits; Richardson's difference has ten.
+    np.testing.assert_allclose(step.tangent(W, t=0.4 / size), np.stack(columns, axis=1), rtol=0, atol=1e-7)
+    assert step.tangent_by(W) == "differences"

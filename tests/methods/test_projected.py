@@ -109,6 +109,28 @@ def test_the_order_of_the_base_on_su3(base):
     assert abs(np.log2(errors[0] / errors[1]) - base.order) < 0.35
 
 
+def difference_of(step, x, e=1e-3):
+    """Richardson's difference of order 4 of a step, one column for each coordinate."""
+    wide, narrow = (
+        np.stack([(step(x + d * unit) - step(x - d * unit)) / (2 * d) for unit in np.eye(len(x))], axis=1)
+        for d in (2 * e, e)
+    )
+    return (4 * narrow - wide) / 3
+
+
+@pytest.mark.parametrize("h", [0.4, -0.4])
+@pytest.mark.parametrize("scheme", [co.Projected(co.ExplicitRungeKutta("runge2")), co.Taylor(2)], ids=str)
+@pytest.mark.parametrize("name", ["cubic alone", "degrees up to 8 in one block"])
+def test_tangents_of_long_projections_are_derivatives(name, scheme, h):
+    """Multipliers are so large that second derivatives at the step of the base and at its projection differ."""
+    system = LARGE[name]
+    x = start_of(system)
+    step, base = co.stepper(system, scheme, h), getattr(scheme, "base", co.Taylor(2, projected=False))
+    # Truncation e^4 and rounding u/e balance at e = 1e-3, times derivatives of fifth order.
+    np.testing.assert_allclose(step.tangent(x, t=0.7), difference_of(step, x), rtol=0, atol=1e-8)
+    assert np.abs(step(x) - co.stepper(system, base, h)(x)).max() > 1e-3
+
+
 def test_values_are_those_of_the_start_of_the_run():
     """Each step is off by less than what rounding may leave; from step to step that would add up."""
     base, span, step = co.ExplicitRungeKutta("rk4"), (0, 100), 2**-7
@@ -180,3 +202,12 @@ def test_a_description_says_the_base():
     described = description_of(co.Projected(co.Splitting(order=4)))
     assert from_description(described) == co.Projected(co.Splitting(order=4))
     assert co.methods.get("Projected", base={"name": "Kahan"}) == co.Projected(co.Kahan())
+
+
+def test_a_projection_that_fails_knows_the_time():
+    system = LARGE["cubic alone"]
+    for scheme in (co.Projected(co.ExplicitRungeKutta("runge2")), co.Taylor(2)):
+        for take in (scheme.step, scheme.tangent):
+            with pytest.raises(co.IntegrationError, match="the projection of a step does not converge") as failure:
+                take(system, start_of(system), 0.75, 0.8)
+            assert (failure.value.time, failure.value.step) == (0.75, 1) and failure.value.residual > 1e-12

@@ -382,3 +382,11 @@ def test_the_group_element_goes_along(name, t):
             system, x, (0.0, t), 0.125, method, attitude="coadjoint", save_every=save_every, watch=watch
         )
         assert np.array_equal(other.attitude, sol.attitude[kept])
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 3e-17, 1e-18])
+def test_a_finer_series_has_a_tolerance_that_exists(tolerance):
+    found = co.Taylor(12, tolerance=tolerance).finer(20, 1.5)
+    assert found.method.tolerance == max(tolerance / 48.0, 1e-18) and found.method.order == 14
+    assert found.left == min(0.5, found.method.tolerance / tolerance)
+    assert co.Taylor(64, tolerance=tolerance).finer(20, 1.5).method.order == 64

@@ -6,6 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.export import rebuild
 from coadjoint.files.output import write_dataset
+from coadjoint.runs.solution import Drift
 from long import long_beyond
 
 X = (0.1, 1.0, 0.2)
@@ -228,3 +229,26 @@ def test_angles_of_every_member_are_unwrapped_by_its_own_period():
             assert np.array_equal(together.casimirs[name][:, m], alone.casimirs[name])
             # Not one whole turn is lost: the invariant stays, to rounding that grows with the time.
             assert np.ptp(alone.casimirs[name]) < 2.0**12 * 2.0**-53 * 128
+
+
+@pytest.mark.parametrize("members", [None, 3])
+def test_numbers_of_a_drift_are_those_of_its_tenths(members):
+    tenths = np.random.default_rng(4).uniform(0.1, 1.0, (10,) if members is None else (members, 10))
+    drift = Drift(tenths, 2.5)
+    assert drift == tenths.max() and drift.initial == 2.5
+    assert members is None or np.array_equal(drift.members, tenths.max(axis=1))
+    assert np.array_equal(drift.growth, (tenths.T[9] / tenths.T[0]).T)
+    assert Drift(np.append(0.0, np.ones(9)), 0.0).growth == np.inf
+
+
+def test_some_members_of_a_run_keep_their_initial_attitudes():
+    """Attitudes that were prepared, one for each member, or one for all."""
+    body, x = co.systems.rigid_body((1, 2, 3)), np.random.default_rng(6).standard_normal((5, 3))
+    turned = np.linalg.qr(np.random.default_rng(7).standard_normal((5, 3, 3)))[0]
+    turned *= np.linalg.det(turned)[:, None, None]
+    for systems in (body, co.batch([co.systems.rigid_body((1, 2, third)) for third in (2.2, 2.4, 2.6, 2.8, 3.0)])):
+        for attitude in (turned, turned[3]):
+            ready = co.prepare(systems, co.Splitting(), 0.125, attitude=attitude)
+            whole, some = ready.run(x, (0.5, 1.5)), ready.among(1, 4).run(x[1:4], (0.5, 1.5))
+            assert np.array_equal(some.attitude, whole.attitude[:, 1:4]) and np.array_equal(some.x, whole.x[:, 1:4])
+            assert np.array_equal(some.attitude0, attitude[1:4] if attitude.ndim == 3 else np.tile(attitude, (3, 1, 1)))

@@ -238,6 +238,46 @@ def test_terminal_in_an_ensemble(method):
         assert sol.drift()["energy"].members[m] == alone.drift()["energy"]
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_ends_by_several_events_are_those_of_each_member(way):
+    """Whichever of the terminal events, with numbers of their own, comes first; members without an end have none."""
+    x0 = np.array([FLIPPING, (1.0, 0.1, 0.2), (0.2, -0.1, 1.0), (0.0, 0.0, 1.0), (0.2, 0.1, 1.0)])
+    ends = [
+        co.Event("x1", terminal=True, count=3),
+        co.Event("x3"),
+        co.Event("x2", terminal=True, count=3),
+        co.Event("x2", count=1, name="once"),
+    ]
+    span = (0.5, 0.5 + 60 * way)
+    together = co.integrate(BODY, x0, span, 0.125, events=ends)
+    found, by = together.events.ends(len(x0)), set()
+    for m, x in enumerate(x0):
+        alone = co.integrate(BODY, x, span, 0.125, events=ends)
+        ended = alone.t_span[1] != span[1]
+        assert found[m] == alone.t_span[1] if ended else np.isnan(found[m])
+        assert np.array_equal(alone.events.t, together.events.of(m).t)
+        by.add(alone.events.names[alone.events.which[-1]] if ended else None)
+    assert {"x1", "x2", None} <= by
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_error_of_a_run_names_the_event_and_the_step_that_come_first(way):
+    """Functions that are undefined from times of their own on; the later one is given first."""
+
+    def later(x, t):
+        return np.sqrt(9.0 - t * t) - 10.0
+
+    def first(x, t):
+        return np.sqrt(4.0 - t * t) - 10.0
+
+    events = [co.Event("x2"), co.Event(later, name="later"), co.Event(first, name="first")]
+    for x0, who in ((FLIPPING, ""), (np.tile(FLIPPING, (3, 1)), r" for 3 of 3 members \(first: member 0\)")):
+        words = rf"in step 17, the event first is not a number at t = {2.125 * way:g}; .* undefined there{who}$"
+        with pytest.raises(co.IntegrationError, match=words) as failure:
+            co.integrate(BODY, x0, (0, 8 * way), 0.125, events=events)
+        assert failure.value.step == 17 and failure.value.time == 2.0 * way
+
+
 def test_nothing_is_found_after_the_end():
     """Other events in the last step of a member: those before its end alone."""
     level = [co.Event(co.Polynomial({(0, 1, 0): 1.0, (0, 0, 0): c}), name=f"{c}") for c in (-1e-3, 1e-3)]

@@ -414,3 +414,55 @@ def test_states_at_any_time_are_those_of_the_inputs(way):
         # From a saved point four steps at most, whose iterations begin from another guess: some roundings each.
         assert np.abs(own.x - asked.x).max() < 16 * 50 * U and np.abs(own.energy - asked.energy).max() < 16 * 50 * U
         assert abs(own.energy[-1] - own.energy[0]) < 0.1 * STEP**2 < np.abs(own.energy[0] - found.energy[0, m - 1])
+
+
+def product_of_ends(x):
+    return x[0] * x[5]
+
+
+# Functions of time and state, which change sign however the state moves.
+OTHER = co.Event(lambda x, t: np.sin(4.0 * t - x[5]), name="other")
+END = co.Event(lambda x, t: np.cos(0.5 * t + x[0]), terminal=True, name="end")
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        co.Splitting(order=2),
+        co.Splitting(order=2, parts="coordinates"),
+        co.GaussLegendre(2),
+        co.ReversibleSteps(co.GaussLegendre(1), 0.1),
+        co.Projected(co.ExplicitRungeKutta("rk4")),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_events_ends_and_times_of_each_member_are_those_of_its_system(method, way):
+    """All that a run with inputs returns, beside the states at its steps, for members alone and together."""
+    x, before, linear = numbers("e(3)", 8, 3)
+    attitude = False if method.properties(system("e(3)", before)).attitude == "none" else "coadjoint"
+    observe, events = {"product": product_of_ends}, [OTHER, END]
+    ready = co.prepare(system("e(3)", before), method, STEP, inputs=True, attitude=attitude, observe=observe)
+    span, times = (0.7, 0.7 + 8 * way), 0.7 + way * np.array([0.0, 0.03, 2.125, 7.9])
+    together = ready.run(x, span, 16, linear=linear, events=events)
+    between = ready.run(x, span, t_eval=times, linear=linear)
+    stopped = 0
+    for m in range(3):
+        own = system("e(3)", linear[m])
+        options = {"attitude": attitude, "observe": observe}
+        anew = co.integrate(own, x, span, STEP, ready.method, save_every=16, events=events, **options)
+        alone = ready.run(x, span, 16, linear=linear[m], events=events)
+        for found in (alone.events, together.events.of(m)):
+            for name in ("t", "x", "which", "direction", "attitude"):
+                assert np.array_equal(getattr(found, name), getattr(anew.events, name)), name
+        assert_same(alone, anew)
+        assert alone.t_span == anew.t_span and alone.stats.steps == anew.stats.steps
+        assert np.array_equal(alone.observed["product"], anew.observed["product"])
+        stopped += len(anew.events["end"])
+        seen = co.integrate(own, x, span, STEP, ready.method, t_eval=times, **options)
+        assert np.array_equal(between.x[:, m], seen.x) and np.array_equal(between.energy[:, m], seen.energy)
+        assert np.array_equal(between.observed["product"][:, m], seen.observed["product"])
+        assert attitude is False or np.array_equal(between.attitude[:, m], seen.attitude)
+        for name, values in seen.casimirs.items():
+            assert np.array_equal(between.casimirs[name][:, m], values)
+    assert stopped == 3 and len(together.events["other"]) >= 3

@@ -236,3 +236,12 @@ def test_large_states_are_estimated(monkeypatch):
         co.MatrixAlgebra("so", 2000).read(np.zeros((2000, 2000)))
     with pytest.raises(ValueError, match="structure matrix"):
         large.structure_matrix(W)
+
+
+def test_the_spectrum_of_a_crowd_is_that_of_each_member_at_each_time():
+    fluid = co.systems.sphere_euler(N=5)
+    W = np.stack([fluid.random(seed=seed) for seed in range(3)])
+    together = co.integrate(fluid, W, (0.5, 1.0), 0.125).spectrum()
+    assert together.shape == (5, 3, 5) and np.abs(together[:, 0] - together[:, 1]).max() > 1e-3
+    for m in range(3):
+        assert np.array_equal(together[:, m], co.integrate(fluid, W[m], (0.5, 1.0), 0.125).spectrum())

@@ -203,14 +203,14 @@ def test_a_rotation_stays_one_for_as_long_as_a_run_goes(name):
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize("together", [False, True])
-def test_an_attitude_that_overflows_is_said(together, sense):
+@pytest.mark.parametrize("factors", [(1.0,), (1.0, 1e-6), (1e-6, 1.0)], ids=str)
+def test_an_attitude_that_overflows_is_said(factors, sense):
     """The momentum turns for ever; the group element is a boost that grows, and is no number in the end."""
     g = co.algebras.get("so(2,1)")
     # The Casimir is x1^2 - x2^2 - x3^2.
     M = sense * (np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0]))
-    systems = [co.LiePoissonSystem(g, co.Quadratic(f * M)) for f in ((1.0, 1e-6) if together else (1.0,))]
-    system, x0 = (co.batch(systems) if together else systems[0]), np.array([0.1, 1.0, 0.2])
+    systems = [co.LiePoissonSystem(g, co.Quadratic(f * M)) for f in factors]
+    system, x0 = (co.batch(systems) if len(factors) > 1 else systems[0]), np.array([0.1, 1.0, 0.2])
     near = co.integrate(system, x0, (0, 10), 0.1, attitude=True, save_every=10)
     assert np.isfinite(near.attitude).all()
     with pytest.raises(co.IntegrationError, match=r"the attitude at t = .* take a shorter span") as raised:

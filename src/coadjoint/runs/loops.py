@@ -299,13 +299,19 @@ class SystemLoops(Loops):
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
 
 
-def values_of_watch(watch: Any, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the invariants of a watch at a state; multivalued ones on the branch nearest to `last`."""
+def values_of_watch(
+    watch: Any, state: NDArray[np.float64], t: float, last: NDArray[np.float64], periods: Any = None
+) -> NDArray[np.float64]:
+    """Return the invariants of a watch at a state; multivalued ones on the branch nearest to `last`.
+
+    `periods` is a watch with the same periods, for one whose arrays are known by address only.
+    """
     from coadjoint.kernels.watching import values_along
 
     found = np.empty((1, 1, len(last)))
     values_along(watch, state[None, None], np.array([t]), found)
-    period = getattr(watch, "source", watch).period
+    known = watch if periods is None else periods
+    period = getattr(known, "source", known).period
     with np.errstate(divide="ignore", invalid="ignore"):
         turns = np.where(period > 0.0, np.floor((last - found[0, 0]) / period + 0.5), 0.0)
     return np.asarray(found[0, 0] + period * turns)
