@@ -94,6 +94,21 @@ def test_rotated_so5_has_its_square():
     assert found["C2"] == Polynomial({tuple(2 * (j == i) for j in range(10)): 1.0 for i in range(10)})
 
 
+@pytest.mark.parametrize("name", ["so(3)", "e(2)", "sl(2)", "so(4)", "e(3)", "heisenberg(1)"])
+def test_constants_that_are_rounding_alone_have_no_effect(name):
+    """In a rotated basis, constants that are zero become some u beside the others of their bracket."""
+    g = catalogue.get(name)
+    for seed in range(4):
+        q = orthogonal(g.dim, seed)
+        found = rotated(g, q).casimirs(2)
+        assert independent_count(list(found.values())) == len(found) == g.dim - g.generic_rank()
+        x = np.random.default_rng(seed).standard_normal(g.dim)
+        for casimir in found.values():
+            moved = q.T @ casimir.gradient(q @ x)
+            # error / pivot: about u / 2^-6, for some ten products
+            assert np.abs(g.structure_matrix(x) @ moved).max() <= 2**12 * UNIT_ROUNDOFF * np.abs(moved).max() * 10
+
+
 def test_irrational_parameters():
     a = math.sqrt(2.0)
     assert LieAlgebra([(0, 2, 0, 1.0), (1, 2, 1, a)], dim=3).casimirs(6) == {}
