@@ -144,6 +144,11 @@ def test_invariants():
     ratio = Invariant(lambda x: x[1] / x[0], period=2)
     assert ratio(np.array([2.0, 1.0])) == 0.5
     assert (ratio.gradient, ratio.period) == (None, 2.0)
+    states = np.random.default_rng(0).uniform(1, 2, (2, 3, 2))
+    for some in (states, states[0], states[:, 0], states[:, :1], states[:0], states[..., ::-1]):
+        assert ratio(some).tolist() == (some[..., 1] / some[..., 0]).tolist()
+    assert ratio(states[0].tolist()).tolist() == ratio(states[0]).tolist() and ratio([2, 1]) == 0.5
+    assert repr(ratio).endswith(", period=2)") and "period" not in repr(Invariant(abs))
     with pytest.raises(AttributeError):
         ratio.period = 1.0
     for arguments, error, message in (

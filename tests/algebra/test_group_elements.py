@@ -61,6 +61,22 @@ def test_what_is_wrong_is_said():
     assert "brackets" in why_no_element(turn[None], ALGEBRAS["su(3)"].representation)
 
 
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("place", [0, 2])
+def test_fixed_vectors_of_a_large_element_are_known_to_its_size(far, place):
+    """A motion with a large translation: its last row is (0, 0, 0, 1) to ALLOWED times the translation."""
+    motions = ALGEBRAS["e(3)"].representation
+    g = element(ALGEBRAS["e(3)"], 1)
+    g[:3, 3] *= far / np.abs(g[:3, 3]).max()
+    # Along a row that the translation does not change, so that the determinant stays 1.
+    row = np.cross(g[:3, 3], np.eye(3)[place]) @ g[:3, :3]
+    for factor, kept in ((0.2, True), (5.0, False)):
+        moved = g.copy()
+        moved[3, :3] += factor * ALLOWED * max(1.0, np.abs(g).max()) * row / np.abs(row).max()
+        why = why_no_element(np.stack([g, moved]), motions)
+        assert ("moves a vector" in (why or "")) is not kept
+
+
 @pytest.mark.parametrize("name", ["so(3)", "sl(2)", "e(3)", "A4,8", "su(3)"])
 def test_matrices_of_the_coadjoint_action_keep_brackets(name):
     algebra = ALGEBRAS.get(name) or co.algebras.get(name)
@@ -70,6 +86,10 @@ def test_matrices_of_the_coadjoint_action_keep_brackets(name):
         K = K @ expm(algebra.coadjoint(0.5 * random.normal(size=algebra.dim)))
     for g in (K, np.linalg.inv(K)):
         assert why_no_automorphism(g[None], algebra.structure_matrix) is None
+    far = K @ np.linalg.matrix_power(expm(algebra.coadjoint(np.ones(algebra.dim) / 4)), 4)
+    for factor, kept in ((1e-3 * ALLOWED, True), (1e3 * ALLOWED, False)):
+        changed = far + factor * np.abs(far).max() * random.normal(size=far.shape)
+        assert (why_no_automorphism(np.stack([K, changed]), algebra.structure_matrix) is None) == kept
     wrong = K @ (np.eye(algebra.dim) + 0.01 * random.normal(size=K.shape))
     assert "brackets" in why_no_automorphism(wrong[None], algebra.structure_matrix)
     assert why_no_automorphism(np.stack([K, wrong]), algebra.structure_matrix) is not None

@@ -113,6 +113,43 @@ def test_a_member_is_measured_by_its_own_size(size):
     assert np.array_equal(G("so", 3).read(members), members)
 
 
+@pytest.mark.parametrize("g", [G("so", 3), G("su", 2), G.sum(G("sp", 2), G("so", 3, 1))], ids=str)
+@pytest.mark.parametrize("wrong", [(1, 3), (3,), (0, 2, 4)])
+def test_the_first_of_several_wrong_members_is_named(g, wrong):
+    """With its own size and distance, by the name of the argument; what is read is a copy."""
+    members = np.stack([(k + 1.0) * random(g, k) for k in range(5)])
+    given = members.copy()
+    read = g.read(given)
+    given[:] = 7.0
+    assert np.array_equal(read, members) and np.array_equal(g.read(members[::-2]), members[::-2])
+    assert np.array_equal(g.read(np.repeat(members, 2, axis=2)[:, :, ::2]), members)
+    members[list(wrong), 0, 0] += [0.25 * (k + 1) for k in wrong]
+    one = members[wrong[0]]
+    away, size = np.abs(one - g.projected(one)).max(), np.abs(one).max()
+    with pytest.raises(ValueError, match="is not a matrix of") as refused:
+        g.read(members, "W")
+    assert str(refused.value) == (
+        f"W[{wrong[0]}] is not a matrix of {g}: it must be {g.says}, but differs by {away:.2g} where its largest entry "
+        f"is {size:.2g}"
+    )
+    with pytest.raises(ValueError, match="^W is not a matrix of"):
+        g.read(one, "W")
+    for shape in (g.shape[:1], (2, 2, *g.shape), (5, g.N, g.N + 1)):
+        with pytest.raises(ValueError, match=rf"^W has the shape .*; it must be .* or \(members, {g.N}, {g.N}\)$"):
+            g.read(np.zeros(shape), "W")
+
+
+@pytest.mark.parametrize("g", [G("so", 3), G("su", 2), G.sum(G("so", 2), G("u", 2)), G("sp(C)", 2)], ids=str)
+def test_the_numbers_of_a_matrix_are_named_by_their_places(g):
+    s = co.MatrixSystem(g, identity)
+    assert len(g.basis) == len(set(g.basis)) == s.dim
+    for k, name in enumerate(g.basis):
+        i, j = map(int, name.removeprefix("re").removeprefix("im").split(","))
+        expected = np.zeros(g.shape, dtype=complex)
+        expected[i, j] = 1j if name.startswith("im") else 1.0
+        assert np.array_equal(s.from_vector(np.eye(s.dim)[k]), expected)
+
+
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
 def test_the_trace_of_a_member_is_spared_by_its_own_size(order):
     """A mean that is round-off beside a large member is none beside a small one."""

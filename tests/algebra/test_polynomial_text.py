@@ -33,6 +33,25 @@ def test_symbols_are_grouped():
     assert p.degree == 2 and p == SymbolicPolynomial(p._polynomial, p.symbols) and hash(p) is not None
 
 
+@pytest.mark.parametrize("scale", [1, Fraction(1, 3), 0.5], ids=str)
+@pytest.mark.parametrize("value", [2, Fraction(3, 2), 0.75, 3.0], ids=str)
+def test_numbers_for_symbols_keep_their_kind(scale, value):
+    """Exact numbers stay exact, and floats are exact numbers as long as no coefficient is a float."""
+    p = SymbolicPolynomial(co.Polynomial({(1, 0, 2, 0): 3 * scale, (1, 0, 0, 1): scale, (0, 2, 0, 1): 4}), ["a", "b"])
+    assert (p.dim, p.degree, p.symbols) == (2, 2, ("a", "b"))
+    found = p.with_values({"b": value, "a": -2}).monomials
+    a_term, b_term = Fraction(scale) * (12 + Fraction(value)), 4 * Fraction(value)
+    assert found == {(1, 0): a_term, (0, 2): b_term} and list(found) == [(1, 0), (0, 2)]
+    exact = int if a_term.denominator == 1 else Fraction
+    assert type(found[1, 0]) is (float if isinstance(scale, float) else exact)
+    assert type(found[0, 2]) is (int if b_term.denominator == 1 else Fraction)
+    assert p.with_values({"a": 0, "b": 0}).monomials == {}
+    for wrong, error in ((float("nan"), ValueError), ("2", TypeError), (True, TypeError)):
+        with pytest.raises(error, match="^b is"):
+            p.with_values({"a": 1, "b": wrong})
+    assert p == SymbolicPolynomial(p._polynomial, ["a", "b"]) != SymbolicPolynomial(p._polynomial, ["b", "a"])
+
+
 @pytest.mark.skipif(importlib.util.find_spec("sympy") is None, reason="SymPy is not installed")
 def test_sympy():
     import sympy
