@@ -106,6 +106,24 @@ def test_names_and_get():
     assert list(catalogue.names()) == sorted(catalogue.names())
 
 
+@pytest.mark.parametrize("value", [1, 2.0, 0.5, Fraction(1, 3), -2 / 7, 0.1, 1e-7, 123456.789, 1.0 + 2.0**-40, -1e300])
+def test_names_have_the_numbers_that_make_the_algebra(value):
+    for name, parameters in (("A3_7", ("a",)), ("A5_33", ("a", "b")), ("A4_2", ("a",))):
+        given = dict(zip(parameters, (value, -3), strict=False))
+        g = catalogue.get(name, **given)
+        head, _, numbers = g.name.rstrip(")").partition("(")
+        read = {key: float(text) for key, _, text in (part.partition("=") for part in numbers.split(", "))}
+        assert head == name and list(read) == list(parameters) and catalogue.get(head, **read) == g
+    assert catalogue.A3_7(0.5).name == "A3_7(a=0.5)" and catalogue.get("A2,1").name == "A2_1"
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+def test_signs_that_are_all_alike_are_those_of_rotations(n):
+    for g in (catalogue.so(0, n), catalogue.so(n, 0), catalogue.get(f"so(0,{n})"), catalogue.get("so(p,q)", p=n, q=0)):
+        assert g == catalogue.so(n) and g.name == f"so({n})" and g.casimirs_known == catalogue.so(n).casimirs_known
+        assert np.array_equal(g.representation, catalogue.so(n).representation)
+
+
 @pytest.mark.parametrize(
     ("name", "parameters", "error", "message"),
     [

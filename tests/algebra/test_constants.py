@@ -313,6 +313,27 @@ def test_written_brackets_are_the_sums_of_their_terms(seed):
     assert read_written(lines, basis) == expected
 
 
+def test_lines_of_brackets_with_a_basis_and_without():
+    """The names are in order of appearance, or as they are given, with elements that no bracket has."""
+    lines = ["[h, e] = 2 e", "[f, h] = 2 f", "[e, f] = h"]
+    assert LieAlgebra.from_brackets(lines).basis == ("h", "e", "f")
+    for basis in (("h", "e", "f"), ("e", "f", "h"), ("z", "f", "h", "y", "e")):
+        g = LieAlgebra.from_brackets(lines, basis=basis)
+        assert g == LieAlgebra.from_brackets(len(basis), lines, basis=basis) and g.basis == basis
+        h, e, f = (np.eye(g.dim)[basis.index(name)] for name in "hef")
+        for one, other, expected in ((h, e, 2 * e), (h, f, -2 * f), (e, f, h)):
+            assert np.array_equal(g.bracket(one, other), expected)
+        pairs = {("h", "e"): {"e": 2.0}, ("h", "f"): {"f": -2.0}, ("e", "f"): {"h": 1.0}}
+        assert LieAlgebra.from_brackets(len(basis), pairs, basis=basis) == g
+    for again in ("[h, e] = 2 e", "[e, h] = -2 e", "[e, h] = 0"):
+        for one, other in (([lines[0], again], again), ([again, lines[0]], lines[0])):
+            i, j = other.split("]")[0].strip("[").split(", ")
+            with pytest.raises(ValueError, match=f"^the bracket of {i} and {j} is given twice"):
+                LieAlgebra.from_brackets(one)
+    with pytest.raises(ValueError, match=r"is not a bracket of h, e"):
+        LieAlgebra.from_brackets(lines, basis=("h", "e"))
+
+
 @pytest.mark.parametrize("large", [0, 1])
 def test_antisymmetry_is_measured_by_the_smaller_element(large):
     """An error that is small beside the constants of one element is not beside those of the other."""

@@ -132,7 +132,7 @@ def test_the_first_of_several_wrong_members_is_named(g, wrong):
         f"W[{wrong[0]}] is not a matrix of {g}: it must be {g.says}, but differs by {away:.2g} where its largest entry "
         f"is {size:.2g}"
     )
-    with pytest.raises(ValueError, match="^W is not a matrix of"):
+    with pytest.raises(ValueError, match=r"^W is not a matrix of"):
         g.read(one, "W")
     for shape in (g.shape[:1], (2, 2, *g.shape), (5, g.N, g.N + 1)):
         with pytest.raises(ValueError, match=rf"^W has the shape .*; it must be .* or \(members, {g.N}, {g.N}\)$"):
