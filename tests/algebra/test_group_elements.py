@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.algebra.group_elements import ALLOWED, why_no_automorphism, why_no_element
+from coadjoint.algebra.group_elements import ALLOWED, are_rotations, why_no_automorphism, why_no_element
 
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),
@@ -93,6 +93,33 @@ def test_matrices_of_the_coadjoint_action_keep_brackets(name):
     wrong = K @ (np.eye(algebra.dim) + 0.01 * random.normal(size=K.shape))
     assert "brackets" in why_no_automorphism(wrong[None], algebra.structure_matrix)
     assert why_no_automorphism(np.stack([K, wrong]), algebra.structure_matrix) is not None
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0]])
+def test_determinants_are_those_that_some_generator_changes(order):
+    """One generator with a trace is enough, wherever it is; of generators without, the determinant stays 1."""
+    general, affine = co.algebras.gl(2), co.algebras.subalgebra(co.algebras.gl(2), ["e1", "e2"])
+    for algebra in (co.algebras.change_of_basis(general, np.eye(4)[order]), affine, general):
+        for seed in range(3):
+            g = element(algebra, seed)
+            assert abs(np.linalg.det(g) - 1.0) > 1e-3 and why_no_element(g[None], algebra.representation) is None
+            turned = why_no_element((g @ np.diag([-1.0, 1.0]))[None], algebra.representation)
+            assert turned is not None and turned.endswith("that of every element is positive")
+    sheared = element(ALGEBRAS["sl(2)"], 0) @ np.diag([3.0, 1.0])
+    assert why_no_element(sheared[None], ALGEBRAS["sl(2)"].representation) == (
+        "its determinant is 3; that of every element is 1"
+    )
+
+
+def test_only_all_rotations_are_told_to_be_rotations():
+    """su(3) acts by rotations of six dimensions, but not by all of them."""
+    for name, all_of_them in (("so(3)", True), ("so(5)", True), ("su(3)", False), ("e(3)", False), ("sl(2)", False)):
+        g, rho = element(ALGEBRAS[name], 2), ALGEBRAS[name].representation
+        assert are_rotations(g, rho) is are_rotations(np.stack([np.eye(len(g)), g]), rho) is all_of_them
+        assert are_rotations(np.eye(len(g)), rho) is all_of_them
+        reflected = np.diag([-1.0, *np.ones(len(g) - 1)])
+        assert not are_rotations(reflected, rho) and not are_rotations(np.stack([g, g @ reflected]), rho)
+        assert not are_rotations(g * (1 + 1e-6), rho)
 
 
 @pytest.mark.parametrize("kind", [True, "coadjoint"])

@@ -247,6 +247,8 @@ def test_wrong_arguments_are_refused():
             call(np.array(list("abcdef")))
     with pytest.raises(TypeError, match="real floats"):
         g.structure_operator(exact(range(6)))
+    with pytest.raises(TypeError, match="real floats, not complex128"):
+        g.structure_operator(1j * np.arange(6))
     for wrong in (-1, 6, 1.0):
         with pytest.raises(ValueError, match=f"an index of u must be a whole number from 0 to 5, not {wrong}"):
             g.coadjoint_entries({0: 2.0, wrong: 1.0})

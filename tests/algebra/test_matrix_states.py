@@ -55,6 +55,28 @@ def test_projections_are_nearest(g):
     assert np.array_equal(g.read(near), near)
 
 
+@pytest.mark.parametrize("g", KINDS, ids=str)
+def test_members_are_paired_one_by_one(g):
+    A, B = (np.stack([random(g, 3 * k + first) for k in range(6)]).reshape(2, 3, *g.shape) for first in (0, 1))
+    pairs, brackets, duals = g.pairing(A, B), g.bracket(A, B), g.dual(A)
+    assert pairs.shape == (2, 3) and np.isrealobj(pairs)
+    for k in np.ndindex(2, 3):
+        assert pairs[k] == g.pairing(A[k], B[k]) and np.array_equal(duals[k], g.dual(A[k]))
+        # Both are sums of N products; their order may differ.
+        size = g.N * np.abs(A[k]).max() * np.abs(B[k]).max()
+        assert np.abs(brackets[k] - g.bracket(A[k], B[k])).max() <= 8 * 2.0**-53 * g.N * size
+
+
+def test_descriptions():
+    for g, says in (
+        (G("so", 5, 2), "real and skew, times the signs of 3 and 2"),
+        (G("su", 3, 1), "skew-Hermitian, of trace zero, times the signs of 2 and 1"),
+        (G("u", 3), "skew-Hermitian"),
+        (G.sum(G("so", 3, 1), G("gl", 2)), "block by block of so(2, 1), of gl(2, R), and zero beside"),
+    ):
+        assert g.says == says and g.name == str(g)
+
+
 def test_forms_of_any_signature():
     g, J = G("so", 4, 1), np.diag([1.0, 1.0, 1.0, -1.0])
     W = random(g, 0)
