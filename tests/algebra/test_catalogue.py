@@ -148,6 +148,7 @@ def test_signs_that_are_all_alike_are_those_of_rotations(n):
         ("so(0,1)", {}, ValueError, r"p of so\(p, q\) must be a whole number from 1 up, not 0"),
         ("so(p,q)", {"p": 3}, ValueError, "needs the parameter 'q'"),
         ("su(2,1)", {}, ValueError, "unknown algebra 'su\\(2,1\\)'"),
+        ("A5-23", {"b": 1}, ValueError, "unknown algebra 'A5-23'"),
         ("A5,41", {}, ValueError, "unknown algebra 'A5,41'"),
         ("A4,9", {"b": 2}, ValueError, "it needs -1 < b <= 1, not b = 2"),
         (3, {}, TypeError, "must be a string"),
