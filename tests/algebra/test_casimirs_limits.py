@@ -1,6 +1,7 @@
 """Casimirs in floats, of direct sums, in canonical form, and what is refused."""
 
 import math
+import pickle
 import subprocess
 import sys
 
@@ -94,6 +95,21 @@ def test_rotated_so5_has_its_square():
     assert found["C2"] == Polynomial({tuple(2 * (j == i) for j in range(10)): 1.0 for i in range(10)})
 
 
+@pytest.mark.parametrize("name", ["so(3)", "e(2)", "sl(2)", "so(4)", "e(3)", "heisenberg(1)"])
+def test_constants_that_are_rounding_alone_have_no_effect(name):
+    """In a rotated basis, constants that are zero become some u beside the others of their bracket."""
+    g = catalogue.get(name)
+    for seed in range(4):
+        q = orthogonal(g.dim, seed)
+        found = rotated(g, q).casimirs(2)
+        assert independent_count(list(found.values())) == len(found) == g.dim - g.generic_rank()
+        x = np.random.default_rng(seed).standard_normal(g.dim)
+        for casimir in found.values():
+            moved = q.T @ casimir.gradient(q @ x)
+            # error / pivot: about u / 2^-6, for some ten products
+            assert np.abs(g.structure_matrix(x) @ moved).max() <= 2**12 * UNIT_ROUNDOFF * np.abs(moved).max() * 10
+
+
 def test_irrational_parameters():
     a = math.sqrt(2.0)
     assert LieAlgebra([(0, 2, 0, 1.0), (1, 2, 1, a)], dim=3).casimirs(6) == {}
@@ -115,6 +131,24 @@ def test_algebras_without_polynomial_casimirs():
     assert LieAlgebra([(0, 1, 1, 1.0)], dim=2).casimirs() == {}
     assert catalogue.A3_7(2.0).casimirs(8) == {}
     assert catalogue.A3_7(math.e).casimirs(4) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("A3_7", {"a": 2}), ("A4_2", {"a": 3}), ("A5_7", {"a": 0.5, "b": 0.3, "c": 0.2})]
+)
+@pytest.mark.parametrize("degree", [1, 3])
+def test_an_empty_result_says_what_there_is(name, parameters, degree):
+    g = catalogue.get(name, **parameters)
+    count, found = g.dim - g.generic_rank(), g.casimirs(degree)
+    there = f"of Casimirs of any kind there {'is' if count == 1 else 'are'} {count}"
+    known = ", ".join(g.casimirs_known)
+    assert repr(found) == f"{{}} (no polynomial up to degree {degree}; {there}; casimirs_known has: {known})"
+    alone = LieAlgebra(g.triples, dim=g.dim).casimirs(degree)
+    assert repr(alone) == f"{{}} (no polynomial up to degree {degree}; {there})" and alone == found == {}
+    again = pickle.loads(pickle.dumps(found))
+    assert repr(again) == repr(found) and type(again) is type(found)
+    none = "{} (there is no Casimir of any kind: the rank of J is the dimension)"
+    assert repr(catalogue.get("A2,1").casimirs(degree)) == repr(catalogue.get("A4,7").casimirs(degree)) == none
 
 
 def test_unclear_ranks_are_refused():

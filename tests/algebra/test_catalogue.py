@@ -106,6 +106,24 @@ def test_names_and_get():
     assert list(catalogue.names()) == sorted(catalogue.names())
 
 
+@pytest.mark.parametrize("value", [1, 2.0, 0.5, Fraction(1, 3), -2 / 7, 0.1, 1e-7, 123456.789, 1.0 + 2.0**-40, -1e300])
+def test_names_have_the_numbers_that_make_the_algebra(value):
+    for name, parameters in (("A3_7", ("a",)), ("A5_33", ("a", "b")), ("A4_2", ("a",))):
+        given = dict(zip(parameters, (value, -3), strict=False))
+        g = catalogue.get(name, **given)
+        head, _, numbers = g.name.rstrip(")").partition("(")
+        read = {key: float(text) for key, _, text in (part.partition("=") for part in numbers.split(", "))}
+        assert head == name and list(read) == list(parameters) and catalogue.get(head, **read) == g
+    assert catalogue.A3_7(0.5).name == "A3_7(a=0.5)" and catalogue.get("A2,1").name == "A2_1"
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+def test_signs_that_are_all_alike_are_those_of_rotations(n):
+    for g in (catalogue.so(0, n), catalogue.so(n, 0), catalogue.get(f"so(0,{n})"), catalogue.get("so(p,q)", p=n, q=0)):
+        assert g == catalogue.so(n) and g.name == f"so({n})" and g.casimirs_known == catalogue.so(n).casimirs_known
+        assert np.array_equal(g.representation, catalogue.so(n).representation)
+
+
 @pytest.mark.parametrize(
     ("name", "parameters", "error", "message"),
     [
@@ -130,6 +148,7 @@ def test_names_and_get():
         ("so(0,1)", {}, ValueError, r"p of so\(p, q\) must be a whole number from 1 up, not 0"),
         ("so(p,q)", {"p": 3}, ValueError, "needs the parameter 'q'"),
         ("su(2,1)", {}, ValueError, "unknown algebra 'su\\(2,1\\)'"),
+        ("A5-23", {"b": 1}, ValueError, "unknown algebra 'A5-23'"),
         ("A5,41", {}, ValueError, "unknown algebra 'A5,41'"),
         ("A4,9", {"b": 2}, ValueError, "it needs -1 < b <= 1, not b = 2"),
         (3, {}, TypeError, "must be a string"),
@@ -144,6 +163,11 @@ def test_invariants():
     ratio = Invariant(lambda x: x[1] / x[0], period=2)
     assert ratio(np.array([2.0, 1.0])) == 0.5
     assert (ratio.gradient, ratio.period) == (None, 2.0)
+    states = np.random.default_rng(0).uniform(1, 2, (2, 3, 2))
+    for some in (states, states[0], states[:, 0], states[:, :1], states[:0], states[..., ::-1]):
+        assert ratio(some).tolist() == (some[..., 1] / some[..., 0]).tolist()
+    assert ratio(states[0].tolist()).tolist() == ratio(states[0]).tolist() and ratio([2, 1]) == 0.5
+    assert repr(ratio).endswith(", period=2)") and "period" not in repr(Invariant(abs))
     with pytest.raises(AttributeError):
         ratio.period = 1.0
     for arguments, error, message in (

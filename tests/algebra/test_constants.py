@@ -255,6 +255,42 @@ def test_wrong_constants_are_refused(constants, dim, error, message):
         LieAlgebra(constants, dim=dim)
 
 
+@pytest.mark.parametrize("column", range(4))
+def test_columns_of_triples_have_one_length(column):
+    columns = [np.array([0, 1]), np.array([2, 2]), np.array([0, 1]), np.array([1.0, -1.0])]
+    assert LieAlgebra(Triples(*columns), dim=3).triples.c.tolist() == [1.0, -1.0]
+    for wrong in (columns[column][:1], np.append(columns[column], 0), columns[column][:, None]):
+        given = [wrong if k == column else values for k, values in enumerate(columns)]
+        with pytest.raises(ValueError, match="columns i, j, k, c of the triples must be one-dimensional and of equal"):
+            LieAlgebra(Triples(*given), dim=3)
+
+
+@pytest.mark.parametrize("column", range(3))
+def test_the_first_wrong_index_is_named(column):
+    rows = np.array([(0, 1, 1, 1.0), (0, 2, 2, 1.0), (0, 3, 3, 1.0), (0, 4, 4, 1.0)])
+    rows[1, column], rows[3, column] = 7, -2
+    with pytest.raises(ValueError, match=f"^index {'ijk'[column]} = 7 in row 1 of the structure constants"):
+        LieAlgebra(rows, dim=5)
+    rows[1:3, 3] = np.nan, np.inf
+    rows[1, column], rows[3, column] = 1, 1
+    place = ", ".join(str(int(entry)) for entry in rows[1, :3])
+    with pytest.raises(ValueError, match=rf"^structure constant \(i, j, k\) = \({place}\) is nan; it must be finite"):
+        LieAlgebra(rows, dim=5)
+
+
+def test_brackets_come_with_everything_that_an_algebra_has():
+    g = catalogue.so(3)
+    brackets = ({(0, 1): {2: 1.0}, (1, 2): {0: 1.0}, (2, 0): {1: 1.0}}, ["[a, b] = c", "[b, c] = a", "[c, a] = b"])
+    given = {"basis": ("a", "b", "c"), "name": "turns", "representation": g.representation}
+    for first in ((3, brackets[0]), (3, brackets[1]), (brackets[1],)):
+        made = LieAlgebra.from_brackets(*first, **given, casimirs=g.casimirs_known)
+        assert made == g and made.name == "turns" and made.basis == ("a", "b", "c")
+        assert np.array_equal(made.representation, g.representation)
+        assert dict(made.casimirs_known) == dict(g.casimirs_known)
+        with pytest.raises(ValueError, match="representation violates the commutator"):
+            LieAlgebra.from_brackets(*first, **{**given, "representation": -g.representation})
+
+
 def test_one_order_only_in_a_dense_array_is_refused():
     c = np.zeros((2, 2, 2))
     c[0, 1, 1] = 1.0
@@ -311,6 +347,27 @@ def test_written_brackets_are_the_sums_of_their_terms(seed):
         lines.append(f"[{basis[i]}, {basis[j]}] ={text}")
         expected[i, j] = total
     assert read_written(lines, basis) == expected
+
+
+def test_lines_of_brackets_with_a_basis_and_without():
+    """The names are in order of appearance, or as they are given, with elements that no bracket has."""
+    lines = ["[h, e] = 2 e", "[f, h] = 2 f", "[e, f] = h"]
+    assert LieAlgebra.from_brackets(lines).basis == ("h", "e", "f")
+    for basis in (("h", "e", "f"), ("e", "f", "h"), ("z", "f", "h", "y", "e")):
+        g = LieAlgebra.from_brackets(lines, basis=basis)
+        assert g == LieAlgebra.from_brackets(len(basis), lines, basis=basis) and g.basis == basis
+        h, e, f = (np.eye(g.dim)[basis.index(name)] for name in "hef")
+        for one, other, expected in ((h, e, 2 * e), (h, f, -2 * f), (e, f, h)):
+            assert np.array_equal(g.bracket(one, other), expected)
+        pairs = {("h", "e"): {"e": 2.0}, ("h", "f"): {"f": -2.0}, ("e", "f"): {"h": 1.0}}
+        assert LieAlgebra.from_brackets(len(basis), pairs, basis=basis) == g
+    for again in ("[h, e] = 2 e", "[e, h] = -2 e", "[e, h] = 0"):
+        for one, other in (([lines[0], again], again), ([again, lines[0]], lines[0])):
+            i, j = other.split("]")[0].strip("[").split(", ")
+            with pytest.raises(ValueError, match=f"^the bracket of {i} and {j} is given twice"):
+                LieAlgebra.from_brackets(one)
+    with pytest.raises(ValueError, match=r"is not a bracket of h, e"):
+        LieAlgebra.from_brackets(lines, basis=("h", "e"))
 
 
 @pytest.mark.parametrize("large", [0, 1])

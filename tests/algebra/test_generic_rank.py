@@ -43,6 +43,34 @@ def test_rounded_constants_are_not_taken_for_exact():
     assert LieAlgebra(np.einsum("ai,bj,ijk,ck->abc", rotation, rotation, c, rotation)).generic_rank() == 8
 
 
+@pytest.mark.parametrize("sizes", [(1.0, 1e-12), (1e-12, 1.0), (1e9, 1.0, 1e-9), (2.0**-300, 2.0**300)])
+def test_rounded_constants_of_each_summand_have_their_own_size(sizes):
+    """Summands in rotated bases, in units of very different sizes, their coordinates mixed with one another."""
+    rng = np.random.default_rng(3)
+    parts, begin = [], 0
+    for g, size in zip((catalogue.so(4), catalogue.e(3), catalogue.so(3)), sizes, strict=False):
+        i, j, k, value = g.triples
+        c = np.zeros((g.dim,) * 3)
+        c[i, j, k], c[j, i, k] = value, -value
+        q = np.linalg.qr(rng.standard_normal((g.dim, g.dim)))[0]
+        i, j, k, value = LieAlgebra(np.einsum("ai,bj,ijk,ck->abc", q, q, c, q)).triples
+        parts.append((i + begin, j + begin, k + begin, size * value))
+        begin += g.dim
+    i, j, k, value = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = rng.permutation(begin)
+    whole = LieAlgebra(Triples(order[i], order[j], order[k], value), dim=begin)
+    assert rational_constants(whole.triples, begin) is None
+    assert whole.generic_rank() == sum((4, 4, 2)[: len(sizes)])
+    found = whole.casimirs(2)
+    assert list(found) == [f"C2_{number + 1}" for number in range(sum((2, 2, 1)[: len(sizes)]))]
+    x = rng.standard_normal(begin)
+    J = whole.structure_matrix(x)
+    for casimir in found.values():
+        gradient = casimir.gradient(x)
+        # The coefficients have errors of some u, divided by the smallest pivots and singular values.
+        assert (np.abs(J @ gradient) <= 2.0**-35 * np.abs(J) @ np.abs(gradient)).all()
+
+
 def test_elimination_agrees_with_itself():
     rng = np.random.default_rng(0)
     prime = random_prime(rng)

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.algebra.group_elements import ALLOWED, why_no_automorphism, why_no_element
+from coadjoint.algebra.group_elements import ALLOWED, are_rotations, why_no_automorphism, why_no_element
 
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),
@@ -61,6 +61,22 @@ def test_what_is_wrong_is_said():
     assert "brackets" in why_no_element(turn[None], ALGEBRAS["su(3)"].representation)
 
 
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("place", [0, 2])
+def test_fixed_vectors_of_a_large_element_are_known_to_its_size(far, place):
+    """A motion with a large translation: its last row is (0, 0, 0, 1) to ALLOWED times the translation."""
+    motions = ALGEBRAS["e(3)"].representation
+    g = element(ALGEBRAS["e(3)"], 1)
+    g[:3, 3] *= far / np.abs(g[:3, 3]).max()
+    # Along a row that the translation does not change, so that the determinant stays 1.
+    row = np.cross(g[:3, 3], np.eye(3)[place]) @ g[:3, :3]
+    for factor, kept in ((0.2, True), (5.0, False)):
+        moved = g.copy()
+        moved[3, :3] += factor * ALLOWED * max(1.0, np.abs(g).max()) * row / np.abs(row).max()
+        why = why_no_element(np.stack([g, moved]), motions)
+        assert ("moves a vector" in (why or "")) is not kept
+
+
 @pytest.mark.parametrize("name", ["so(3)", "sl(2)", "e(3)", "A4,8", "su(3)"])
 def test_matrices_of_the_coadjoint_action_keep_brackets(name):
     algebra = ALGEBRAS.get(name) or co.algebras.get(name)
@@ -70,9 +86,40 @@ def test_matrices_of_the_coadjoint_action_keep_brackets(name):
         K = K @ expm(algebra.coadjoint(0.5 * random.normal(size=algebra.dim)))
     for g in (K, np.linalg.inv(K)):
         assert why_no_automorphism(g[None], algebra.structure_matrix) is None
+    far = K @ np.linalg.matrix_power(expm(algebra.coadjoint(np.ones(algebra.dim) / 4)), 4)
+    for factor, kept in ((1e-3 * ALLOWED, True), (1e3 * ALLOWED, False)):
+        changed = far + factor * np.abs(far).max() * random.normal(size=far.shape)
+        assert (why_no_automorphism(np.stack([K, changed]), algebra.structure_matrix) is None) == kept
     wrong = K @ (np.eye(algebra.dim) + 0.01 * random.normal(size=K.shape))
     assert "brackets" in why_no_automorphism(wrong[None], algebra.structure_matrix)
     assert why_no_automorphism(np.stack([K, wrong]), algebra.structure_matrix) is not None
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0]])
+def test_determinants_are_those_that_some_generator_changes(order):
+    """One generator with a trace is enough, wherever it is; of generators without, the determinant stays 1."""
+    general, affine = co.algebras.gl(2), co.algebras.subalgebra(co.algebras.gl(2), ["e1", "e2"])
+    for algebra in (co.algebras.change_of_basis(general, np.eye(4)[order]), affine, general):
+        for seed in range(3):
+            g = element(algebra, seed)
+            assert abs(np.linalg.det(g) - 1.0) > 1e-3 and why_no_element(g[None], algebra.representation) is None
+            turned = why_no_element((g @ np.diag([-1.0, 1.0]))[None], algebra.representation)
+            assert turned is not None and turned.endswith("that of every element is positive")
+    sheared = element(ALGEBRAS["sl(2)"], 0) @ np.diag([3.0, 1.0])
+    assert why_no_element(sheared[None], ALGEBRAS["sl(2)"].representation) == (
+        "its determinant is 3; that of every element is 1"
+    )
+
+
+def test_only_all_rotations_are_told_to_be_rotations():
+    """su(3) acts by rotations of six dimensions, but not by all of them."""
+    for name, all_of_them in (("so(3)", True), ("so(5)", True), ("su(3)", False), ("e(3)", False), ("sl(2)", False)):
+        g, rho = element(ALGEBRAS[name], 2), ALGEBRAS[name].representation
+        assert are_rotations(g, rho) is are_rotations(np.stack([np.eye(len(g)), g]), rho) is all_of_them
+        assert are_rotations(np.eye(len(g)), rho) is all_of_them
+        reflected = np.diag([-1.0, *np.ones(len(g) - 1)])
+        assert not are_rotations(reflected, rho) and not are_rotations(np.stack([g, g @ reflected]), rho)
+        assert not are_rotations(g * (1 + 1e-6), rho)
 
 
 @pytest.mark.parametrize("kind", [True, "coadjoint"])

@@ -80,8 +80,74 @@ def test_sparse_entries_are_the_nonzero_entries_of_the_matrix(drawn):
         assert np.array_equal(where, np.stack([rows, columns], axis=1))
         assert all(values == matrix[rows, columns])
         chosen = {i: value for i, value in enumerate(vector) if value}
-        for one, other in zip(g.coadjoint_entries(chosen), (rows, columns, values), strict=True):
-            assert np.array_equal(one, other)
+        backward = {np.int64(i): vector[i] for i in reversed(range(g.dim))}  # with zeros, in descending order
+        outward = dict(sorted(chosen.items(), key=lambda entry: abs(2 * entry[0] - g.dim)))
+        for mapping in (chosen, backward, outward):
+            for one, other in zip(g.coadjoint_entries(mapping), (rows, columns, values), strict=True):
+                assert np.array_equal(one, other)
+
+
+KINDS = {
+    "int": lambda rng, n: rng.integers(-9, 10, n),
+    "int8": lambda rng, n: rng.integers(-9, 10, n).astype(np.int8),
+    "float32": lambda rng, n: (rng.integers(-9, 10, n) / 4).astype(np.float32),
+    "float": lambda rng, n: rng.integers(-9, 10, n) / 4,
+    "complex": lambda rng, n: (rng.integers(-9, 10, n) + 1j * rng.integers(-9, 10, n)) / 4,
+    "fraction": lambda rng, n: np.array([Fraction(int(a), 3) for a in rng.integers(-9, 10, n)], dtype=object),
+}
+RESULTS = {"complex": np.complex128, "fraction": object}
+# Their constants are small multiples of powers of two, so that all products of the numbers above are exact.
+DYADIC = [catalogue.so(4), catalogue.e(3), catalogue.sl(2), catalogue.A3_7(0.25), LieAlgebra([], dim=2)]
+
+
+def by_constants(g, u, v):
+    """Return [u, v], constant by constant, with exact numbers where both are real."""
+    found = [0] * g.dim
+    real = not np.iscomplexobj(u) and not np.iscomplexobj(v)
+    u, v = ([Fraction(value) for value in w] if real else list(w) for w in (u.tolist(), v.tolist()))
+    for i, j, k, c in zip(*(column.tolist() for column in g.triples), strict=True):
+        found[k] += (Fraction(c) if real else c) * (u[i] * v[j] - u[j] * v[i])
+    return found
+
+
+@pytest.mark.parametrize("g", DYADIC, ids=str)
+@pytest.mark.parametrize("first", KINDS)
+@pytest.mark.parametrize("second", KINDS)
+def test_operations_in_each_kind_of_numbers(g, first, second):
+    """Brackets and actions on vectors of any two kinds, strided ones and lists, against the sum over the constants."""
+    if {first, second} == {"fraction", "complex"}:
+        return  # there are no exact complex numbers
+    rng = np.random.default_rng(g.dim)
+    u, v = (np.repeat(KINDS[kind](rng, g.dim), 2)[::2] for kind in (first, second))
+    wanted = RESULTS.get("fraction" if "fraction" in (first, second) else "complex")
+    if "complex" not in (first, second) and "fraction" not in (first, second):
+        wanted = np.float64
+    expected = by_constants(g, u, v)
+    for found in (g.bracket(u, v), -g.bracket(v, u), g.bracket(u.tolist(), v.tolist())):
+        assert found.tolist() == expected and found.dtype == wanted
+    if first != second:
+        return
+    e = np.eye(g.dim, dtype=int).astype(object)
+    structure = [[sum(b * x for b, x in zip(by_constants(g, p, q), u.tolist(), strict=True)) for q in e] for p in e]
+    assert g.structure_matrix(u).tolist() == structure
+    # D_u x = J(x) u for every x, here for those of the basis
+    rows = [[sum(w * by_constants(g, e[j], e[i])[k] for i, w in enumerate(u.tolist())) for k in range(g.dim)]
+            for j in range(g.dim)]  # fmt: skip
+    assert g.coadjoint(u).tolist() == rows
+    for matrix in (g.structure_matrix(u), g.coadjoint(u)):
+        assert matrix.dtype == RESULTS.get(first, np.float64)
+
+
+@pytest.mark.parametrize("g", DYADIC, ids=str)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "fraction"])
+def test_the_operator_acts_on_each_kind_of_numbers(g, kind):
+    rng = np.random.default_rng(7)
+    x, v = KINDS["float"](rng, g.dim), np.repeat(KINDS[kind](rng, g.dim), 2)[::2]
+    J, operator = g.structure_matrix(x), g.structure_operator(x)
+    assert np.array_equal(operator @ v, J @ v) and np.array_equal(operator.T @ v, -J @ v)
+    assert np.array_equal(operator.H @ v, -J @ v) and np.array_equal(operator.rmatvec(v), -J @ v)
+    assert np.array_equal(operator @ np.stack([v, 2 * v], axis=1), np.stack([J @ v, 2 * J @ v], axis=1))
+    assert (operator @ v).dtype == (J @ v).dtype and operator.shape == J.shape
 
 
 @pytest.mark.parametrize("g", ALGEBRAS, ids=str)
@@ -181,12 +247,16 @@ def test_wrong_arguments_are_refused():
             call(np.array(list("abcdef")))
     with pytest.raises(TypeError, match="real floats"):
         g.structure_operator(exact(range(6)))
-    with pytest.raises(ValueError, match="an index of u must be a whole number from 0 to 5, not 6"):
-        g.coadjoint_entries({6: 1.0})
+    with pytest.raises(TypeError, match="real floats, not complex128"):
+        g.structure_operator(1j * np.arange(6))
+    for wrong in (-1, 6, 1.0):
+        with pytest.raises(ValueError, match=f"an index of u must be a whole number from 0 to 5, not {wrong}"):
+            g.coadjoint_entries({0: 2.0, wrong: 1.0})
+        for pair in ((0, wrong), (wrong, 0)):
+            with pytest.raises(ValueError, match=f"of a basis element must be a whole number from 0 to 5, not {wrong}"):
+                g.commuting(*pair)
     with pytest.raises(TypeError, match=r"u is .*; it must be an array of real numbers"):
         g.coadjoint_entries({5: "a"})
-    with pytest.raises(ValueError, match="index of a basis element must be a whole number from 0 to 5, not 6"):
-        g.commuting(0, 6)
     with pytest.raises(TypeError, match="casimirs must be a mapping"):
         LieAlgebra([], dim=1, casimirs=[1])
     with pytest.raises(TypeError, match="name of a Lie algebra"):
@@ -207,6 +277,15 @@ def test_equality_is_by_value_and_repr_is_short():
     )
     shown = str(catalogue.so(6)).splitlines()
     assert shown[0] == "so(6), of dimension 15" and len(shown) == 32 and shown[-1].strip() == "and 30 more"
+    assert "and 30 more" in catalogue.so(6)._repr_html_() and "<td>15</td>" in catalogue.so(6)._repr_html_()
+    for count in range(12):
+        rows = [(0, k, k, float(k)) for k in range(1, count + 1)]
+        g = LieAlgebra(rows, dim=12, basis=tuple("hijklmnopqrs"))
+        lines = [f"[h, {g.basis[k]}] = {'' if k == 1 else f'{k} '}{g.basis[k]}" for k in range(1, count + 1)]
+        assert str(g).splitlines() == ["a Lie algebra, of dimension 12", *(f"  {line}" for line in lines)]
+        assert (", ".join(lines) or "none") in g._repr_html_() and "more" not in g._repr_html_() + str(g)
+        short = f": {', '.join(lines)}" if 0 < count <= 6 else f", {count} brackets" if count else ", commutative"
+        assert repr(g) == f"LieAlgebra(dim=12{short})"
     assert len(repr(catalogue.copies(catalogue.so(3), 1000))) < 60
 
 

@@ -55,6 +55,28 @@ def test_projections_are_nearest(g):
     assert np.array_equal(g.read(near), near)
 
 
+@pytest.mark.parametrize("g", KINDS, ids=str)
+def test_members_are_paired_one_by_one(g):
+    A, B = (np.stack([random(g, 3 * k + first) for k in range(6)]).reshape(2, 3, *g.shape) for first in (0, 1))
+    pairs, brackets, duals = g.pairing(A, B), g.bracket(A, B), g.dual(A)
+    assert pairs.shape == (2, 3) and np.isrealobj(pairs)
+    for k in np.ndindex(2, 3):
+        assert pairs[k] == g.pairing(A[k], B[k]) and np.array_equal(duals[k], g.dual(A[k]))
+        # Both are sums of N products; their order may differ.
+        size = g.N * np.abs(A[k]).max() * np.abs(B[k]).max()
+        assert np.abs(brackets[k] - g.bracket(A[k], B[k])).max() <= 8 * 2.0**-53 * g.N * size
+
+
+def test_descriptions():
+    for g, says in (
+        (G("so", 5, 2), "real and skew, times the signs of 3 and 2"),
+        (G("su", 3, 1), "skew-Hermitian, of trace zero, times the signs of 2 and 1"),
+        (G("u", 3), "skew-Hermitian"),
+        (G.sum(G("so", 3, 1), G("gl", 2)), "block by block of so(2, 1), of gl(2, R), and zero beside"),
+    ):
+        assert g.says == says and g.name == str(g)
+
+
 def test_forms_of_any_signature():
     g, J = G("so", 4, 1), np.diag([1.0, 1.0, 1.0, -1.0])
     W = random(g, 0)
@@ -111,6 +133,43 @@ def test_a_member_is_measured_by_its_own_size(size):
         G("so", 3).read(members)
     members[1] = size * skew
     assert np.array_equal(G("so", 3).read(members), members)
+
+
+@pytest.mark.parametrize("g", [G("so", 3), G("su", 2), G.sum(G("sp", 2), G("so", 3, 1))], ids=str)
+@pytest.mark.parametrize("wrong", [(1, 3), (3,), (0, 2, 4)])
+def test_the_first_of_several_wrong_members_is_named(g, wrong):
+    """With its own size and distance, by the name of the argument; what is read is a copy."""
+    members = np.stack([(k + 1.0) * random(g, k) for k in range(5)])
+    given = members.copy()
+    read = g.read(given)
+    given[:] = 7.0
+    assert np.array_equal(read, members) and np.array_equal(g.read(members[::-2]), members[::-2])
+    assert np.array_equal(g.read(np.repeat(members, 2, axis=2)[:, :, ::2]), members)
+    members[list(wrong), 0, 0] += [0.25 * (k + 1) for k in wrong]
+    one = members[wrong[0]]
+    away, size = np.abs(one - g.projected(one)).max(), np.abs(one).max()
+    with pytest.raises(ValueError, match="is not a matrix of") as refused:
+        g.read(members, "W")
+    assert str(refused.value) == (
+        f"W[{wrong[0]}] is not a matrix of {g}: it must be {g.says}, but differs by {away:.2g} where its largest entry "
+        f"is {size:.2g}"
+    )
+    with pytest.raises(ValueError, match=r"^W is not a matrix of"):
+        g.read(one, "W")
+    for shape in (g.shape[:1], (2, 2, *g.shape), (5, g.N, g.N + 1)):
+        with pytest.raises(ValueError, match=rf"^W has the shape .*; it must be .* or \(members, {g.N}, {g.N}\)$"):
+            g.read(np.zeros(shape), "W")
+
+
+@pytest.mark.parametrize("g", [G("so", 3), G("su", 2), G.sum(G("so", 2), G("u", 2)), G("sp(C)", 2)], ids=str)
+def test_the_numbers_of_a_matrix_are_named_by_their_places(g):
+    s = co.MatrixSystem(g, identity)
+    assert len(g.basis) == len(set(g.basis)) == s.dim
+    for k, name in enumerate(g.basis):
+        i, j = map(int, name.removeprefix("re").removeprefix("im").split(","))
+        expected = np.zeros(g.shape, dtype=complex)
+        expected[i, j] = 1j if name.startswith("im") else 1.0
+        assert np.array_equal(s.from_vector(np.eye(s.dim)[k]), expected)
 
 
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])

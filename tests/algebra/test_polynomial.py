@@ -75,6 +75,34 @@ def test_many_states_at_once_are_those_one_by_one(polynomials, points):
         assert np.abs(p(x.astype(float)) - p(x).astype(float)).max() <= 64 * 2.0**-53 * 6 * 9 * 72 * 3.0**9
 
 
+@pytest.mark.parametrize("kind", [int, np.int8, np.float32, float, complex, Fraction])
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3), (0,), (5, 0, 2)])
+def test_states_of_each_kind_of_numbers_and_shape(kind, shape):
+    """Small multiples of a quarter, whose products are exact; contiguous in memory or not."""
+    p = Polynomial(
+        {(2, 1, 0): 3, (0, 0, 2): Fraction(1, 2), (1, 1, 1): -0.25, (0, 1, 0): 1, (0, 0, 0): Fraction(-5, 4)}
+    )
+    rng = np.random.default_rng(2)
+    x = rng.integers(-4, 5, (*shape, 3)).astype(object)
+    if kind is complex:
+        x = (x + 1j * rng.integers(-4, 5, x.shape)) / 4
+    elif kind not in (int, np.int8):
+        x = x * Fraction(1, 4)
+    x = x if kind is Fraction else x.astype(kind)
+    dtype = {complex: np.complex128, Fraction: object}.get(kind, np.float64)
+    rows = [[value if kind in (Fraction, complex) else Fraction(float(value)) for value in row]
+            for row in x.reshape(-1, 3).tolist()]  # fmt: skip
+    for points in (x, np.asfortranarray(x), np.repeat(x, 2, axis=-1)[..., ::2], x[::-1][::-1] if shape else x):
+        value, gradient = p(points), p.gradient(points)
+        assert np.shape(value) == shape and gradient.shape == x.shape and gradient.dtype == dtype
+        assert np.ravel(value).tolist() == [by_definition(p, row) for row in rows]
+        slopes = [[by_definition(p.derivative(i), row) for i in range(3)] for row in rows]
+        assert gradient.reshape(-1, 3).tolist() == slopes
+    if shape == ():
+        second = [[by_definition(p.derivative(i).derivative(j), rows[0]) for j in range(3)] for i in range(3)]
+        assert p.hessian(x).tolist() == second and p.hessian(x).dtype == dtype
+
+
 def test_more_states_than_are_held_at_once(monkeypatch):
     monkeypatch.setattr("coadjoint.algebra.product_sums.MOST_NUMBERS", 10)
     p = Polynomial({(2, 1): 0.5, (0, 3): 0.25, (2, 0): 1})
@@ -119,6 +147,11 @@ def test_equality_and_hash():
     assert hash(p) == hash(Polynomial({(0, 1): 1.0, (1, 0): Fraction(2)}))
     assert p != Polynomial({(1, 0, 0): 2, (0, 1, 0): 1})
     assert p != 3
+    constants = [Polynomial({(0,) * dim: value}, dim=dim) for dim in (1, 2, 3) for value in (0, 1, -1)]
+    variables = [Polynomial.variable(i, dim) for dim in (1, 2, 3) for i in range(dim)]
+    for k, one in enumerate(constants + variables):
+        assert [one == other for other in constants + variables] == [k == m for m in range(15)]
+    assert len({*constants, *variables}) == 15
     assert Polynomial.variable(0, 2) * 2 + Polynomial.variable(1, 2) == p
 
 
@@ -189,12 +222,25 @@ def test_wrong_operations_are_refused():
     for power in (-1, 0.5, True):
         with pytest.raises(ValueError, match="power of a Polynomial must be a whole number"):
             p**power
-    with pytest.raises(ValueError, match="index of a coordinate must be a whole number from 0 to 1, not 2"):
-        p.derivative(2)
-    with pytest.raises(ValueError, match="index of a coordinate must be a whole number from 0 to 2, not 3"):
-        Polynomial.variable(3, 3)
-    with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
-        p([1.0, 2.0, 3.0])
+    for wrong in (-1, 2, 1.0):
+        for call in (p.derivative, lambda i: Polynomial.variable(i, 2)):
+            with pytest.raises(ValueError, match=f"of a coordinate must be a whole number from 0 to 1, not {wrong}"):
+                call(wrong)
+    for call in (p, p.gradient, p.hessian):
+        with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
+            call([1.0, 2.0, 3.0])
+    for call in (p, p.gradient):
+        with pytest.raises(ValueError, match=r"shape \(..., 2\), not \(2, 3\)"):
+            call(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match=r"shape \(2,\), not \(4, 2\)"):
+        p.hessian(np.zeros((4, 2)))
+    for divisor in (0, 0.0, Fraction(0)):
+        with pytest.raises(ValueError, match="divided by a number other than 0"):
+            p / divisor
+    for dim, basis in ((3, ("a", "b")), (2, ("a", "b", "c"))):
+        with pytest.raises(ValueError, match=f"dim is {dim}, and basis has {len(basis)} names"):
+            Polynomial("a*b", dim=dim, basis=basis)
+    assert Polynomial("a*b", dim=2, basis=("b", "a")) == Polynomial({(1, 1): 1})
     with pytest.raises(TypeError, match="must be an array of real numbers"):
         p(["a", "b"])
     with pytest.raises(ValueError, match="constant is nan"):

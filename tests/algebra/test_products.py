@@ -183,6 +183,63 @@ def test_quotients():
     assert lattice == copies(so(3), 999)
 
 
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_quotient_is_what_remains(place, mixed):
+    """By one summand of three whose coordinates are interleaved, given by names or by other vectors that span it."""
+    parts = [so(3), e(2), get("A3,7", a=0.5)]
+    whole = direct_sum(*parts)
+    order = [0, 3, 6, 7, 4, 1, 2, 8, 5]  # number in the sum of each element of the basis
+    owner = np.array([k // 3 for k in order])
+    acting = np.array(whole.representation)
+    acting[3 * place : 3 * place + 3] = 0.0
+    g = co.LieAlgebra(
+        change_of_basis(whole, np.eye(9)[order]).triples,
+        dim=9,
+        basis=[f"{'abc'[k // 3]}{k % 3}" for k in order],
+        representation=acting[order],
+        casimirs=change_of_basis(whole, np.eye(9)[order]).casimirs_known,
+    )
+    kept, gone = np.flatnonzero(owner != place), np.flatnonzero(owner == place)
+    ideal = [g.basis[k] for k in gone]
+    if mixed:
+        ideal = np.array([[1, 2, 0], [0, 1, -1], [3, 0, 1]]) @ np.eye(9, dtype=int)[gone]
+    rest = quotient(g, ideal)
+    assert rest.basis == tuple(g.basis[k] for k in kept) and rest.name is None
+    assert np.array_equal(rest.representation, g.representation[kept])
+    u, v, y = (rational(np.random.default_rng(seed), 6) for seed in range(3))
+    lifted = np.zeros((3, 9), dtype=object)
+    lifted[:, kept] = u, v, y
+    assert np.array_equal(rest.bracket(u, v), g.bracket(*lifted[:2])[kept])
+    polynomials = {name for name, c in g.casimirs_known.items() if isinstance(c, co.Polynomial)}
+    assert set(rest.casimirs_known) == {name for name in polynomials if not name.endswith(f"[{place + 1}]")}
+    for name, casimir in rest.casimirs_known.items():
+        assert casimir(y) == g.casimirs_known[name](lifted[2])
+    inside = subalgebra(g, [g.basis[k] for k in kept])
+    assert inside == rest and inside.basis == rest.basis and np.array_equal(inside.representation, acting[order][kept])
+    assert not inside.casimirs_known
+
+
+def test_names_of_what_is_made():
+    """Of algebras with names and without; each number in a name is that of the summand, or of the dimension."""
+    plain = co.LieAlgebra([(0, 1, 1, 1.0)], dim=2, representation=np.array([[[1, 0], [0, 0]], [[0, 1], [0, 0]]]))
+    named = co.LieAlgebra(plain.triples, dim=2, basis=("p1", "v1"), name="line", representation=plain.representation)
+    assert direct_sum(so(3), plain, named, plain).name == "so(3) + g2 + line + g4"
+    assert (copies(plain, 3).name, copies(named, 3).name) == ("3 g", "3 line")
+    assert (semidirect(sl(2)).name, semidirect(so(4)).name) == ("sl(2) ⋉ R^2", "so(4) ⋉ R^4")
+    assert (semidirect(plain).name, semidirect(named).name) == ("g ⋉ R^2", "line ⋉ R^2")
+    assert semidirect(plain).basis == ("e1", "e2", "p1", "p2") and semidirect(named).basis == ("p1", "v1", "w1", "w2")
+    still = np.zeros((2, 3, 3))
+    assert semidirect(plain, still, ideal=heisenberg(1)).name == "g ⋉ heisenberg(1)"
+    assert semidirect(named, np.zeros((2, 2, 2)), ideal=plain).name == "line ⋉ h"
+    assert semidirect(plain, still, ideal=so(3)).basis == ("e1[1]", "e2[1]", "e1[2]", "e2[2]", "e3[2]")
+    for made in (change_of_basis(plain, np.eye(2)), subalgebra(plain, ["e2"]), quotient(plain, ["e2"])):
+        assert made.name is None
+    assert subalgebra(named, ["v1"]).name == "subalgebra of line" and quotient(named, ["v1"]).name == "line / ideal"
+    assert subalgebra(named, ["v1"]).basis == ("v1",) and quotient(named, ["v1"]).basis == ("p1",)
+    assert subalgebra(named, [[0, 1]]).basis == change_of_basis(named, np.eye(2)).basis[:1] == ("e1",)
+
+
 @pytest.mark.parametrize(
     ("build", "error", "message"),
     [

@@ -1,9 +1,18 @@
 """Properties of every choice: the schemes that were given, the parts of its error, copies of a state, arguments."""
 
+import re
+from dataclasses import fields
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.choosing import accuracy as choosing
+from coadjoint.choosing import remembered
+from coadjoint.choosing.accuracy import PROCESSED, SCHEMES, Choice
+from coadjoint.choosing.growth import Growth
+from coadjoint.choosing.remembered import loops_of
 
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
 SO4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.5, 0.3, 0.2, 0.7, 0.9]), sign=-1)
@@ -88,3 +97,122 @@ def test_arguments_that_are_changed_in_place(accuracy):
     if accuracy:
         with pytest.raises(ValueError, match=r"direction|prepared"):
             run.run(x0, span)
+
+
+def test_the_sentence_has_every_number_of_a_choice():
+    """Each field with a value of its own, in its place; with other schemes and without."""
+    other = Choice(co.GaussLegendre(3), 0.5, 1e-5, 1e-6, 1e-9, 700.0)
+    choice = Choice(co.Splitting(order=4), 0.0123456789, 2.5e-5, 3.75e-6, 4.25e-9, 200.0, (other, choice_of(900.0)))
+    numbers = (
+        r"with step (\S+): expected error (\S+) for the wanted (\S+) \((\S+) of it rounding\), at the cost of (\S+)"
+    )
+    wanted = ("0.0123457", "3.8e-06", "2.5e-05", "4.2e-09", "2e+02")
+    for one, rest in ((choice, f"; next {other.method} at 3.5 times that"), (Choice(*values(choice)[:-1]), "")):
+        text = str(one)
+        found = re.search(numbers, text).groups()
+        assert text.startswith(f"{choice.method} with") and text.endswith(f" rotations{rest}")
+        assert [float(a) for a in found] == pytest.approx([float(b) for b in wanted], rel=0.03)
+    free = Choice(co.Splitting(order=4), 1.0, 1e-6, 0.0, 0.0, 0.0, (other,))
+    assert "; next " in str(free)
+
+
+def choice_of(cost):
+    return Choice(co.Taylor(12), 0.25, 1e-5, 1e-6, 1e-9, cost)
+
+
+def values(choice):
+    return [getattr(choice, field.name) for field in fields(choice)]
+
+
+@pytest.mark.parametrize("t0", [0.0, -3.5])
+def test_a_span_of_no_length_has_the_first_scheme_and_no_error(t0):
+    for first, second in ((co.GaussLegendre(4), co.Splitting(order=4)), (co.Splitting(order=4), co.Taylor(12))):
+        choice = co.choose(BODY, (1.0, 0.2, 0.5), (t0, t0), 1e-7, methods=[first, second])
+        assert values(choice) == [first, 1.0, 1e-7, 0.0, 0.0, 0.0, ()]
+
+
+ROUND_NUMBERS = [1.0, 9.99e-7, 1.0000001e-9, 2.5e-9, 2.51e-13, 9.91e-3, 1e-16]
+
+
+@pytest.mark.parametrize("value", [*ROUND_NUMBERS, *10.0 ** np.linspace(-17, -1, 40)])
+def test_the_least_accuracy_of_a_message_is_rounded_up(value):
+    """To two digits, which are a tenth of the number at most, and some u of it."""
+    assert value <= float(choosing._rounded_up(value)) * (1.0 + 2.0**-50) <= 1.1 * value * (1.0 + 2.0**-48)
+    assert re.fullmatch(r"\d\.\de[+-]\d\d", choosing._rounded_up(value))
+
+
+@pytest.mark.parametrize(
+    ("written", "schemes"),
+    [
+        ("GaussLegendre", co.GaussLegendre()),
+        ({"name": "Splitting", "order": 6}, co.Splitting(order=6)),
+        (["Splitting", {"name": "GaussLegendre", "stages": 4}], [co.Splitting(), co.GaussLegendre(4)]),
+        ((co.Taylor(14), {"name": "Taylor", "order": 8}), [co.Taylor(14), co.Taylor(8)]),
+    ],
+    ids=str,
+)
+def test_schemes_are_given_in_every_form(written, schemes):
+    expected = co.choose(BODY, (1.0, 0.2, 0.5), (0.0, 10.0), 1e-6, methods=schemes)
+    found = co.choose(BODY, (1.0, 0.2, 0.5), (0.0, 10.0), 1e-6, methods=written)
+    assert found == expected and found.others == expected.others
+
+
+@pytest.mark.parametrize("processed", [False, True])
+def test_default_schemes_are_those_that_carry_the_dimension(processed):
+    known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
+    limits = {each.largest for each in known if np.isfinite(each.largest)}
+    for dim in (3, 64, *(int(limit) + more for limit in limits for more in (-1, 0, 1))):
+        found = choosing._schemes(None, processed, dim)
+        assert list(found) == [each for each in known if not each.largest < dim]
+    assert choosing._schemes(co.Splitting(), processed, 10**6) == (co.Splitting(),)
+
+
+@pytest.mark.parametrize("span", [(0.0, 40.0), (100.0, 60.0), (-3.0, -43.0)])
+def test_refusals_have_the_length_of_the_span(span, monkeypatch):
+    x0, splitting = (1.0, 0.2, 0.5), co.Splitting(order=4)
+    with monkeypatch.context() as none, pytest.raises(ValueError) as refused:
+        none.setattr(choosing, "fit", lambda *given: None)
+        co.choose(BODY, x0, span, 1e-6, methods=splitting)
+    assert str(refused.value).startswith(
+        f"no step of {splitting} reaches the accuracy 1e-06 over the time 40 at an acceptable cost"
+    )
+    for methods, name in ((splitting, str(splitting)), (None, "any scheme")):
+        with monkeypatch.context() as lost, pytest.raises(ValueError) as refused:
+            lost.setattr(choosing, "least_roundoff", lambda pilot: 0.5)
+            co.choose(BODY, x0, span, 1e-6, methods=methods)
+        assert f"no accuracy is reached in float64 with {name} over the time 40: " in str(refused.value)
+
+
+@pytest.mark.parametrize("quarter", [0.0, 1e-12, 1.0, 5.0, 40.0])
+@pytest.mark.parametrize("half", [0.0, 1e-12, 1.0, 6.0, 50.0])
+@pytest.mark.parametrize("whole", [0.0, 1e-12, 1.0, 35.0, 400.0])
+def test_growth_is_extrapolated_alike_for_all_units_and_never_falls(quarter, half, whole):
+    growth, small = Growth(quarter, half, whole), Growth(*(2.0**-60 * value for value in (quarter, half, whole)))
+    windows = (1.0, 1.5, 2.0, 10.0, 1e3, 1e9)
+    for least in (1.0, 2.0):
+        factors = [growth.factor(count, least) for count in windows]
+        assert factors == sorted(factors) == [small.factor(count, least) for count in windows] and factors[0] == 1.0
+        if whole > 0.0:
+            assert all(found >= count**least * (1 - 1e-12) for found, count in zip(factors, windows, strict=True))
+            # An error that appears only now is no growth, unless it grows much in the last half.
+            if half == 0.0 or (quarter == 0.0 and whole <= 16.0 * half):
+                assert factors == [count**least for count in windows]
+        else:
+            assert set(factors) == {1.0}
+
+
+def test_loops_are_kept_for_schemes_and_energies_without_state(monkeypatch):
+    """Not where tables depend on the step, nor with functions of the user, which may change."""
+    monkeypatch.setattr(remembered, "SystemLoops", lambda *given, **options: [given])
+    monkeypatch.setattr(remembered, "_known_of", lru_cache(lambda system: {}))
+    called = co.LiePoissonSystem(
+        co.algebras.so(3), co.Hamiltonian(lambda x: 0.5 * (x @ x), lambda x: 1.0 * x), name="called"
+    )
+    free = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
+    gauss, splitting = co.GaussLegendre(2), co.Splitting(order=2)
+    cases = [(BODY, gauss, True), (BODY, splitting, False), (called, gauss, False), (free, gauss, False)]
+    for system, method, kept in cases:
+        assert method.tables_of_any_step is (method is gauss)
+        assert (loops_of(system, method, 0.1) is loops_of(system, method, 0.2)) is kept
+    assert loops_of(BODY, gauss, 0.1) is not loops_of(BODY, co.GaussLegendre(3), 0.1)
+    assert loops_of(BODY, gauss, 0.1) is not loops_of(SO4, gauss, 0.1)

@@ -2,6 +2,7 @@
 
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 from coadjoint.choosing.sampling import sample_of
+from coadjoint.kernels.description import limit
 from coadjoint.methods.work import CROWD, newton_work
 
 X0 = (1.0, 0.2, 0.5)
@@ -232,6 +234,25 @@ def test_the_linear_systems_of_newtons_method_are_counted():
     assert added == pytest.approx(newton_work(3, 4.0)) and added > 0.0
 
 
+def test_a_trial_tells_whether_newtons_method_was_used(monkeypatch):
+    pilot = Pilot(BODY, np.array([X0]), 0.0, 4.0)
+    for used in (False, True):
+        monkeypatch.setattr(co.GaussLegendre, "took_newton", lambda self, memory, used=used: used)
+        assert pilot.trial(co.GaussLegendre(2), 48).newton is used
+        assert not pilot.trial(co.Taylor(8), 48).newton
+
+
+@pytest.mark.parametrize("members", [1, CROWD - 1, CROWD, 3 * CROWD])
+def test_members_go_side_by_side_where_they_are_many_and_not_too_wide(members):
+    widest = limit("WIDEST")
+    for copies in (1, widest // 3, widest // 3 + 1):
+        many = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), copies), co.Quadratic(np.ones(3 * copies)))
+        x0 = np.ones((members, 3 * copies))
+        (candidate,) = admitted(many, [co.GaussLegendre(2)], x0, False, strict=True)
+        assert candidate.crowd is (members >= CROWD and 3 * copies <= widest)
+        assert candidate.share == (candidate.work.in_a_crowd if candidate.crowd else 1.0)
+
+
 # The last confirmation
 
 
@@ -282,6 +303,20 @@ def test_rounding_of_splittings_is_bounded_for_both_kinds_of_sums(order, compens
     assert 0.0 < found <= 2.0 * pilot.sensitivity.whole * expected
     other = roundoff(pilot, round(span / step), int(rows[2] - rows[1]), not compensated, pilot.windows)
     assert (other > expected) == compensated
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_rounded_coefficients_change_the_time_like_the_root_of_their_number(compensated):
+    """As many flows in all, in longer compositions: three roundings along the path, times the root of their number."""
+    pilot = SimpleNamespace(noise=0.0, speed=2.0, window=5.0, sensitivity=Growth(1.0, 1.0, 1.0))
+    for windows in (1.0, 10.0):
+        one, four, nine = (
+            roundoff(pilot, 36_000 // flows, flows, compensated, windows) * 2.0**53 for flows in (1, 4, 9)
+        )
+        path = 2.0 * 5.0 * windows
+        assert four - one == pytest.approx(3.0 * path) and nine - one == pytest.approx(6.0 * path)
+        stages = roundoff(pilot, 36_000, 0, compensated, windows) * 2.0**53
+        assert stages == pytest.approx(1.0 + path + 0.1 * math.sqrt(36_000) * windows)
 
 
 def test_rounding_grows_with_steps_and_time():

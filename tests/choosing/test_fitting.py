@@ -9,6 +9,7 @@ import coadjoint as co
 from coadjoint.choosing.fitting import Fit, confirmed, fit
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Trial
+from coadjoint.choosing.roundoff import MARGIN, roundoff
 
 pytestmark = pytest.mark.sensitive
 
@@ -157,3 +158,19 @@ def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():
     candidate = SimpleNamespace(**{**vars(found_of(None, 1).candidate), "method": co.GaussLegendre(6), "cost": cost})
     found = fit(pilot, candidate, 1e-6, 300.0, 40.0)
     assert found is not None and not found.given_up and found.cost <= 300.0
+
+
+@pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
+@pytest.mark.parametrize("seen", [1e-9, 1e-16])
+@pytest.mark.parametrize("own", [True, False])
+def test_the_rounding_of_variable_steps_contains_what_the_trial_shows(own, seen, windows):
+    """The excess of its error over that of the tolerance, if that is above the rounding of the model."""
+    fit = found_of(None, 40, windows)
+    method = co.Taylor(tolerance=1e-12) if own else co.Taylor(16)
+    candidate = SimpleNamespace(**{**vars(fit.candidate), "method": method})
+    trial = fit.trial._replace(growth=Growth(0.1 * seen, 0.5 * seen, seen))
+    found = Fit(fit.pilot, candidate, 40, 0.25 * seen * windows, trial)
+    model = roundoff(fit.pilot, 40, 0, True, windows, MARGIN)
+    assert found.end == pytest.approx(seen * windows)
+    assert found.roundoff == pytest.approx(max(0.75 * seen * windows, model) if own else model)
+    assert (0.75 * seen * windows > model) == (seen == 1e-9)

@@ -41,6 +41,18 @@ def test_algebra(degree):
         assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
 
 
+@pytest.mark.parametrize("degree", [2, 8, 10, 12])
+def test_moments_are_named_by_their_powers(degree):
+    """With a comma where a power has two digits."""
+    names, powers = moments(degree).basis, powers_of(degree)
+    assert names == tuple(f"x{i},{j}" if i > 9 or j > 9 else f"x{i}{j}" for i, j in powers)
+    assert len(set(names)) == len(names) == degree // 2 * (degree // 2 + 2)
+    assert moments(degree).name == f"moments({degree})"
+    assert list(moments(degree).casimirs_known) == (
+        ["emittance^2"] if degree == 2 else [f"(form, form)_{degree}"] + ["catalecticant"] * (degree <= 10)
+    )
+
+
 def test_algebra_of_degree_4_and_2():
     assert moments(4) == moments_by_brackets()
     assert moments(4).generic_rank() == 6

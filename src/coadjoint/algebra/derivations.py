@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.connected import connected, parts
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.joins import DEFECT_FACTOR, Integers, expand, groups
+from coadjoint.algebra.joins import DEFECT_FACTOR, Integers, expand, groups, largest_alike
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient is 1
@@ -75,7 +75,8 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     """Assemble J(x) grad C(x) = 0, sum_jk c_ij^k x_k dC/dx_j = 0 for all i, monomial by monomial.
 
     Indices are those of `triples` (i < j), constants `values` (integer objects or floats), `basis` (N, degree) from
-    `monomials`. A sum of floats below 64 u times its absolute terms counts as zero (u = 2^-53).
+    `monomials`. A sum of floats below 64 u times its absolute terms counts as zero (u = 2^-53), each constant taken as
+    the largest in its bracket, as in the Jacobi check.
 
     Examples
     --------
@@ -89,10 +90,12 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     added, constants = np.concatenate([triples.k, triples.k]), np.concatenate([values, -values])
     if constants.dtype == object and max(map(abs, constants.tolist()), default=0) * degree * dim < 2**62:
         constants = constants.astype(np.int64)
+    rounded = constants.dtype.kind == "f"
+    sizes = np.tile(largest_alike(triples.i * dim + triples.j, values), 2) if rounded else constants
     order = np.argsort(removed, kind="stable")
-    acting, added, constants = acting[order], added[order], constants[order]
+    acting, added, constants, sizes = acting[order], added[order], constants[order], sizes[order]
     begin = np.searchsorted(removed[order], np.arange(dim + 1)).astype(np.int64)
-    positions, terms = [], []
+    positions, terms, bounds = [], [], []
     for place in range(degree):
         variable = basis[:, place]
         column, at = expand(begin[variable], begin[variable + 1])
@@ -101,12 +104,14 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
         changed.sort(axis=1)
         positions.append((acting[at] * count + places(changed, dim)) * count + column)
         terms.append(constants[at])
+        if rounded:
+            bounds.append(sizes[at])
     position, term = np.concatenate(positions), np.concatenate(terms)
     order, starts = groups(position)
     value = np.add.reduceat(term[order], starts) if order.size else term
     least: Any = 0
-    if term.dtype.kind == "f" and order.size:
-        least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(np.abs(term[order]), starts)
+    if rounded and order.size:
+        least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(np.concatenate(bounds)[order], starts)
     kept = np.asarray(np.abs(value) > least, dtype=bool)
     row, column = np.divmod(position[order[starts]][kept], count)
     along, target = np.divmod(row, count)
