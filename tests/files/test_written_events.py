@@ -97,3 +97,21 @@ def test_events_that_are_functions():
     ended = co.integrate(BODY, X0, events=co.Event(lambda x: x[1], name="mine", terminal=True), **options)
     with pytest.raises(ValueError, match="may have been ended by an event, and mine is a function"):
         rebuild(ended.to_xarray())
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+@pytest.mark.parametrize("first", [True, False])
+def test_loaded_crossings_keep_their_names_beside_functions(tmp_path, first, terminal):
+    mine = co.Event(lambda x: x[0] - 0.25, name="mine", count=3, terminal=terminal)
+    events = [mine, co.Event("x2")] if first else [co.Event("x2"), mine]
+    sol = co.integrate(BODY, [X0, (0.2, 1.0, 0.1)], (0.5, 40.5), 0.125, events=events)
+    sol.to_xarray().to_netcdf(tmp_path / "body.nc")
+    loaded = co.load(tmp_path / "body.nc")
+    assert loaded.events.names == sol.events.names
+    for name in sol.events.names:
+        assert len(sol.events[name]) > 1 and np.array_equal(loaded.events[name].t, sol.events[name].t)
+    assert np.array_equal(loaded.events.ends(2), sol.events.ends(2), equal_nan=True)
+    asked = loaded.events.asked[loaded.events.names.index("mine")]
+    assert (asked.count, asked.terminal, asked.direction) == (3, terminal, 0)
+    with pytest.raises(ValueError, match="not stored"):
+        asked.g(np.ones(3), 0.0)

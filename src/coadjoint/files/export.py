@@ -17,8 +17,9 @@ from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, system_of
 from coadjoint.files.state_arrays import DIMENSIONS, state_of
 from coadjoint.files.variables import CONVENTIONS, coordinates_of, over_time, parameters_of, starts_of, summaries_of
-from coadjoint.files.written_events import events_of, variables_of, written_events
+from coadjoint.files.written_events import events_of, not_stored, variables_of, written_events
 from coadjoint.methods import registry
+from coadjoint.runs.events import Event
 from coadjoint.runs.times import times_of
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
@@ -183,6 +184,11 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     return inputs
 
 
+def asked_events(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]:
+    """Return the events of a stored run, with `not_stored` for functions."""
+    return events_of(Entry(dataset.attrs["events"], "events"), system) if "events" in dataset.attrs else ()
+
+
 def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
     """Return the arguments of `solution_inputs`, also where the initial coadjoint matrix is none of them."""
     attributes = getattr(dataset, "attrs", None)
@@ -216,7 +222,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     if system is None:
         system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
     if events is None:
-        events = events_of(Entry(attributes["events"], "events"), system) if "events" in attributes else ()
+        events = tuple(event for event in asked_events(dataset, system) if event.g is not not_stored)
     return {
         "system": system,
         "x0": x0,

@@ -18,11 +18,11 @@ from coadjoint.files.archive_store import HIDDEN
 from coadjoint.files.archived_solution import open_archive
 from coadjoint.files.checked_files import check_hdf5, check_zarr
 from coadjoint.files.content_checksum import CHECKSUM, checksum_of
-from coadjoint.files.export import ENDED, NEEDED, stored_inputs
+from coadjoint.files.export import ENDED, NEEDED, asked_events, stored_inputs
 from coadjoint.files.read_solution import ReadSolution
 from coadjoint.given import read_path
 from coadjoint.memory import check_room
-from coadjoint.runs.events import Ending, Event, Events
+from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
@@ -119,7 +119,7 @@ class LoadedSolution(ReadSolution):
         """Crossings found in the run, or None if it had no events."""
         if "event_time" not in self._arrays:
             return None
-        asked: tuple[Event, ...] = stored_inputs(self.dataset, self._given, None)["events"]
+        asked = asked_events(self.dataset, self._system)
         moved: Any = unforced(self._system)
         named = () if isinstance(moved, MatrixSystem) else tuple(coordinate_names(moved, moved.dim))
         t, x, which, member, direction = (

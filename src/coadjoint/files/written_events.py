@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from numpy.typing import NDArray
+
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.record_entries import Entry, made_of
@@ -46,12 +48,14 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
 
 
 def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return events as JSON, and the names of those whose functions cannot be stored.
+    """Return events as JSON, and the names of those that are functions, whose g is null since it cannot be stored.
 
     Examples
     --------
-    >>> written_events([Event("x2", terminal=True), Event(abs)], ["x2", "mine"])
-    ('{"x2": {"g": "x2", "direction": 0, "count": null, "terminal": true}}', ['mine'])
+    >>> written_events([Event("x2", terminal=True)], ["x2"])
+    ('{"x2": {"g": "x2", "direction": 0, "count": null, "terminal": true}}', [])
+    >>> written_events([Event(abs)], ["mine"])
+    ('{"mine": {"g": null, "direction": 0, "count": null, "terminal": false}}', ['mine'])
     """
     tables, missing = {}, []
     for event, name in zip(events, names, strict=True):
@@ -60,7 +64,7 @@ def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, 
             g = invariants_record({name: g})[name]
         if not isinstance(g, int | str | dict):
             missing.append(name)
-            continue
+            g = None
         tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
     return json.dumps(tables), missing
 
@@ -80,12 +84,19 @@ def variables_of(events: Events) -> dict[str, Any]:
     return found
 
 
+def not_stored(x: NDArray[Any], t: float) -> float:
+    """Raise an error in place of the function of an event, which datasets do not contain."""
+    raise ValueError("the function of this event was not stored; give the events again")
+
+
 def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
-    """Parse the events of `written_events`; ValueError if damaged."""
+    """Parse the events of `written_events`, with `not_stored` for functions; ValueError if damaged."""
     found = []
     with made_of(entry):
         for name, table in json.loads(entry.text()).items():
-            if isinstance(table["g"], dict):
+            if table["g"] is None:
+                found.append(Event(**{**table, "g": not_stored}, name=name))
+            elif isinstance(table["g"], dict):
                 g = invariants_of(Entry({name: table["g"]}, entry.place), system.dim)[name]
                 found.append(Event(**{**table, "g": g}, name=name))
             else:
