@@ -349,7 +349,7 @@ def test_wrong_input(change, error, said):
 
 
 def test_names_with_a_meaning_are_not_those_of_coordinates(tmp_path):
-    """Neither the variables of any run nor its dimensions, also where this run has none of them; all others are read."""
+    """Neither the variables of any run nor its dimensions, also where this run has none of them; others are read."""
     fluid = co.systems.sphere_euler(3)
     damped = BODY.with_forces(co.forces.LinearDamping(0.1))
     options = {"attitude": True, "observe": {"q": co.Polynomial({(1, 1, 0): 1.0})}, "events": [co.Event("x2")]}
