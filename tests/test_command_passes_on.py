@@ -86,9 +86,11 @@ def test_movies_of_systems_with_forces(folder, monkeypatch, capsys):
     assert made == ["a.gif"] and capsys.readouterr().out.endswith("written: a.gif\n")
 
 
-@pytest.mark.parametrize("times", [["--t-end", "2.0"], []])
-def test_options_of_resume_reach_it(folder, capsys, monkeypatch, times):
-    (folder / "many.toml").write_text(ENSEMBLE)
+@pytest.mark.parametrize("end", [None, 2.0, 0.0])
+def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
+    """An end at the time zero is an end like any other."""
+    times = [] if end is None else ["--t-end", str(end)]
+    (folder / "many.toml").write_text(ENSEMBLE.replace("[0.0, 1.0]", "[-1.0, -0.5]"))
     assert cli.main(["run", "many.toml", "--archive", "a.zarr", "--quiet"]) == 0
     calls, own = [], resume
 
@@ -100,18 +102,50 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, times):
 
     monkeypatch.setattr("coadjoint.files.archives.resume", spy)
     assert cli.main(["resume", "a.zarr", *times, "--threads", "3", "--workers", "2", "--progress"]) == 0
-    end = 2.0 if times else None
     assert {key: calls[0][key] for key in ("t_end", "threads", "workers", "progress")} == {
         "t_end": end, "threads": 3, "workers": 2, "progress": True
     }  # fmt: skip
     assert calls[0]["system"] is None, "rebuilt from its record"
     assert capsys.readouterr().out.endswith("written: a.zarr\n")
-    assert co.open_archive("a.zarr").t[-1] == (end or 1.0)
+    assert co.open_archive("a.zarr").t[-1] == (-0.5 if end is None else end)
     assert cli.main(["resume", "a.zarr", "--quiet"]) == 0
     assert {key: calls[1][key] for key in ("t_end", "threads", "workers", "progress")} == {
         "t_end": None, "threads": None, "workers": None, "progress": False
     }  # fmt: skip
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "run.toml", "--out", ""], ": the suffix sets the format; it must be .nc or .zarr"),
+        (["run", "run.toml", "--archive", ""], "archive is ''; it must be the path of a folder"),
+        (["run", "run.toml", "--figure", ""], ": the suffix sets the format; it must be .png, .pdf or .svg"),
+        (["run", "run.toml", "--movie", ""], ": the suffix sets the format; it must be .mp4 or .gif"),
+        (["certify", "run.toml", "--json", ""], ": the suffix sets the format; it must be .json"),
+        (["certify", "run.toml", "--plot", ""], ": the suffix sets the format; it must be .png, .pdf or .svg"),
+        (["certify", "run.toml", "--steps", "0"], "steps must be a whole number from 1 to 10000000, not 0"),
+        (["resume", "held.zarr", "--t-end", "0"], "t_end is 0, and the run has reached t = 1 on its way to 1"),
+        (["resume", "held.zarr", "--t-end", "2", "--threads", "0"], "must be a whole number from 1 up, not 0"),
+        (["resume", "held.zarr", "--workers", "0"], "is the archive of one run; client and workers are for ensembles"),
+        (["systems", "toda", "--json", ""], ": the suffix sets the format; it must be .json"),
+        (["systems", ""], "unknown system ''"),
+        (["methods", ""], "unknown method ''"),
+        (["algebras", ""], "unknown algebra ''"),
+        (["gallery", "", "--out", "seen"], "unknown system ''"),
+    ],
+)
+def test_an_option_that_is_zero_or_empty_is_given(folder, capsys, monkeypatch, arguments, said):
+    """It is refused, and neither the default nor what the file says takes its place."""
+    text = BODY + '[output]\nfile = "a.nc"\nfigure = "a.png"\n'
+    (folder / "run.toml").write_text(text)
+    co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.5), (0, 1), 0.1, archive="held.zarr")
+    if arguments[0] != "resume":  # which repeats the first step before
+        monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
+    assert cli.main(arguments) == 2
+    found = capsys.readouterr()
+    assert found.out == "" and said in found.err and found.err.count("\n") == 1, found.err
+    assert sorted(path.name for path in folder.iterdir()) == ["body.toml", "held.zarr", "run.toml"]
 
 
 @pytest.mark.parametrize("span", [(0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (3.0, 2.0), (-1.0, -2.0)])
@@ -321,7 +355,11 @@ def test_numbers_of_parameters(text, value):
     assert commands._parameter(text) == ("b", value)
 
 
-@pytest.mark.parametrize("text", ["b", "b=", "b=x", "b=1/0", "b=1e400", "b=nan", f"b={'1' * 60}", "b=0x10", "b=1e-x"])
+@pytest.mark.parametrize(
+    "text",
+    ["b", "b=", "b=x", "b=1/0", "b=1e400", "b=1E400", "b=-1E+400", "b=1e1/2", "b=nan", f"b={'1' * 60}", "b=0x10",
+     "b=1e-x"],
+)  # fmt: skip
 def test_parameters_that_are_none(text):
     with pytest.raises(ValueError, match="is not a parameter; give name and number"):
         commands._parameter(text)

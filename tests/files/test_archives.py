@@ -15,6 +15,7 @@ from coadjoint.files.archives import archive_run
 from coadjoint.files.content_checksum import CHECKSUM
 from coadjoint.files.fingerprints import fingerprint_of, same_fingerprint
 from coadjoint.files.output import write_dataset
+from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from verification.test_archived_runs import assert_same
 
@@ -517,3 +518,66 @@ def test_deviations_are_named_for_where_they_were_looked_for(tmp_path, watch, ov
         for found in (co.integrate(*run, watch=watch), co.integrate(*run, watch=watch, archive=tmp_path / f"{k}.zarr")):
             for name in names:
                 assert found.to_xarray()[name].attrs["long_name"].endswith(f"in each tenth of the run, {over}")
+
+
+def runs_to_continue():
+    """Runs of every kind, each with members of which the first is not special."""
+    x0 = np.array([(0.3, -1.0, 0.7), (1.0, 0.2, -0.4), (-0.1, 0.7, 0.3)])
+    product = {"q": co.Polynomial({(1, 1, 0): 2.0})}
+    fluid = co.systems.sphere_euler(4)
+    W = np.stack([fluid.random(seed=seed, degrees=(1, 3)) for seed in (1, 2)])
+    damped = BODY.with_forces(co.forces.LinearDamping((0.1, 0.2, 0.3)), co.forces.Torque((0.0, 0.05, 0.1)))
+    bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, c)) for c in (2.5, 2.75, 2.25)])
+    yield "members", BODY, x0, co.GaussLegendre(2), {"attitude": True, "observe": product}
+    yield "forces", damped, x0, co.GaussLegendre(2), {"observe": product}
+    yield "a batch", bodies, x0, co.Splitting(order=2), {"attitude": "coadjoint"}
+    yield "complex matrices", fluid, W, co.IsospectralGauss(1), {}
+    yield "one of them", fluid, W[1], co.IsospectralGauss(1), {"watch": False}
+
+
+@pytest.mark.parametrize(("direction", "rows"), [(1, None), (-1, 1)])
+@pytest.mark.parametrize(
+    ("system", "x0", "method", "options"), [pytest.param(*run, id=name) for name, *run in runs_to_continue()]
+)
+def test_a_later_end_of_every_kind_of_run(tmp_path, monkeypatch, system, x0, method, options, direction, rows):
+    """The drifts in each tenth of the longer run are those of each member, and of forces their balances.
+
+    Steps 1 to 4 lie in one tenth of 31, and those of the other pieces in several; or each step is a piece.
+    """
+    ready, path, every = PreparedRun(system, method, STEP, **options), tmp_path / "run.zarr", rows or 3
+    for name in ("FEWEST_ROWS", "MOST_ROWS") if rows else ():
+        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{name}", rows)
+    first, last = (0.7 + direction * STEP * steps for steps in (16, 31))
+    archive_run(ready, x0, (0.7, first), every, path, until=None if rows else 4)
+    for cut_at in () if rows else (11, None):
+        co.resume(path, until=cut_at)
+    assert_same(
+        co.open_archive(path), co.integrate(system, x0, (0.7, first), STEP, method, save_every=every, **options)
+    )
+    assert_same(co.resume(path, last), co.integrate(system, x0, (0.7, last), STEP, method, save_every=every, **options))
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_states_that_fill_a_chunk(tmp_path, monkeypatch, every):
+    """Of many members or large matrices every saved point has chunks of its own; the first one is the start."""
+    advance, calls = PiecewiseRun.advance, []
+
+    def bounded(self, until):
+        calls.append(until)
+        assert len(calls) < 200, "no step is taken"
+        advance(self, until)
+
+    monkeypatch.setattr(PiecewiseRun, "advance", bounded)
+    monkeypatch.setattr("coadjoint.files.stored_arrays.BYTES", 8)
+    x0 = np.multiply.outer([1.0, 0.5, -0.25], X)
+    for name, start in (("one", X), ("members", x0)):
+        whole = co.integrate(BODY, start, SPAN, STEP, co.GaussLegendre(2), save_every=every)
+        run = {"x0": start, "every": every}
+        cut(tmp_path / name, until=0, **run)
+        for until in (1, 6, None):
+            found = co.resume(tmp_path / name, until=until)
+        assert_same(found, whole)
+    found = co.ensemble(
+        BODY, x0, SPAN, STEP, co.GaussLegendre(2), save_every=every, archive=tmp_path / "many", members_per_block=1
+    )
+    assert_same(found, whole)

@@ -437,6 +437,8 @@ def test_a_stranger_reaches_nothing_while_workers_run(tmp_path, monkeypatch):
         ("tcp://[2001:db8::7]:8786", True),
         ("ucx://192.0.2.7:8786", True),
         ("tcp://somewhere:8786", True),
+        ("tcp://localhost.somewhere:8786", True),
+        ("tcp://127.0.0.1.somewhere:8786", True),
         ("tls://192.0.2.7:8786", False),
         ("tcp://127.0.0.1:8786", False),
         ("tcp://127.1.2.3:8786", False),

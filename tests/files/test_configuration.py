@@ -27,6 +27,21 @@ def written(tmp_path, monkeypatch):
     return write
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "mixed"])
+def test_line_ends_of_all_machines(tmp_path, end):
+    """They give one text, which is stored with the results, and the same line in errors."""
+    for text in (READY_MADE, f"{READY_MADE}wrong"):
+        ends = ["\n", "\r\n", "\r"] if end == "mixed" else [end]
+        lines = text.split("\n")
+        joined = "".join(line + ends[k % len(ends)] for k, line in enumerate(lines[:-1])) + lines[-1]
+        (tmp_path / "run.toml").write_bytes(joined.encode())
+        if text == READY_MADE:
+            assert load(tmp_path / "run.toml").text == READY_MADE
+        else:
+            with pytest.raises(ConfigurationError, match=f"line {len(lines)}, column 6: expected '=' after a key"):
+                load(tmp_path / "run.toml")
+
+
 def test_ready_made_system(written):
     found = load(written(READY_MADE))
     assert found.system.parameters == {"inertia": (1.0, 2.0, 2.5)}

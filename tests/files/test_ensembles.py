@@ -11,6 +11,7 @@ import xarray
 
 import coadjoint as co
 from coadjoint.files import run_in_blocks as ensembles
+from coadjoint.files.archive_checks import CROSSINGS, RESERVED, SERIES
 from coadjoint.files.archive_folder import ArchiveFolder
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
 from coadjoint.files.block_run import BlockRun
@@ -24,6 +25,7 @@ from coadjoint.files.blocks import (
     write_marker,
 )
 from coadjoint.files.ensemble_archive import left_of
+from coadjoint.files.output import write_dataset
 from coadjoint.files.run_in_blocks import Team
 from coadjoint.files.unfinished import locked
 from coadjoint.runs.prepared_run import PreparedRun
@@ -344,6 +346,37 @@ def test_wrong_input(change, error, said):
     given = {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.125}
     with pytest.raises(error, match=said):
         co.ensemble(**{**given, **change})
+
+
+def test_names_with_a_meaning_are_not_those_of_coordinates(tmp_path):
+    """Neither the variables of any run nor its dimensions, also where this run has none of them; others are read."""
+    fluid = co.systems.sphere_euler(3)
+    damped = BODY.with_forces(co.forces.LinearDamping(0.1))
+    options = {"attitude": True, "observe": {"q": co.Polynomial({(1, 1, 0): 1.0})}, "events": [co.Event("x2")]}
+    runs = [
+        co.integrate(damped, X[:2], (0, 1), 0.125, co.GaussLegendre(2), **options),
+        co.integrate(fluid, [fluid.random(seed=1)], (0, 1), 0.125),
+        co.ensemble(BODY, X[:2], (0, 1), 0.125),
+    ]
+    datasets = [sol.to_xarray() for sol in runs]
+    names = {str(name) for data in datasets for name in (*data.variables, *data.dims)} - {"member"}
+    assert {"drift", "change", "work", "attitude0", "observed_q", "event_x", "part", "crossing", "status"} < names
+    prefixes = (*SERIES, CROSSINGS)
+    assert {name for name in names if not name.startswith(prefixes)} <= RESERVED
+    for name in ("attitude", "layer", "casimir_", "observed_rate", "event_rate"):
+        with pytest.raises(ValueError, match=f"coordinates has the name '{name}', which is reserved"):
+            co.ensemble(
+                BODY, X, (0, 1), 0.125, archive=tmp_path / "many.zarr", coordinates={"a": X[:, 0], name: X[:, 1]}
+            )
+    assert not list(tmp_path.iterdir())
+    others = {name: X[:, k % 3] for k, name in enumerate(("rate", "casimirs", "event", "observed", "member", "rows"))}
+    found = co.ensemble(BODY, X, (0, 1), 0.125, archive=tmp_path / "many.zarr", coordinates=others)
+    write_dataset(found.to_xarray(), tmp_path / "many.nc")
+    for again in (co.open_archive(tmp_path / "many.zarr"), co.load(tmp_path / "many.nc")):
+        data = again.to_xarray()
+        for name, numbers in others.items():
+            assert name in data.coords and np.array_equal(data[name], numbers), name
+        assert again.drift() == found.drift()
 
 
 def test_the_attributes_say_what_was_run(tmp_path):

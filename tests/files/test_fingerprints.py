@@ -8,6 +8,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.files.fingerprints import fingerprint_of, functions_in, made_of_system, same_fingerprint
+from coadjoint.systems.matrices.streams import Inverse, Weights
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 NEW = {"python": "3.12", "code": "a", "text": "b", "contents": "c", "written": "d", "unknown": []}
 OLD = {name: NEW[name] for name in ("python", "code", "text")}
@@ -184,7 +186,15 @@ def steeper(y):
 
 
 SO3, SL2 = co.algebras.so(3), co.algebras.sl(2)
-FLUID = co.systems.torus_euler(3)
+FLUID, SPHERE = co.systems.torus_euler(3), co.systems.sphere_euler(3)
+
+
+class OwnStream(Weights):
+    """A stream of another package, which a record does not have."""
+
+
+def layers(second):
+    return TwoLayerSystem(SPHERE.algebra, SPHERE.stream, second)
 
 
 def matrices(linear=None, energy_sign=1, stream=None):
@@ -229,6 +239,11 @@ def systems():
     yield matrices()
     yield matrices(linear=FLUID.random(seed=1))
     yield matrices(energy_sign=-1)
+    yield layers(None)
+    yield layers(SPHERE.stream)
+    yield layers(Inverse(SPHERE.stream))
+    yield layers(OwnStream(np.full((3, 3), 2.0)))
+    yield layers(OwnStream(np.full((3, 3), 3.0)))
 
 
 def test_every_part_of_a_system_counts():
@@ -244,4 +259,4 @@ def test_names_of_functions_that_are_not_stored():
     hamiltonians = [["hamiltonian: well"]] * 2 + [["hamiltonian: <lambda>"]] + [["hamiltonian: well"]] * 7
     for k in (7, 8):
         hamiltonians[k] = [*hamiltonians[k], "casimir: C"]
-    assert known == hamiltonians + [[]] * (len(known) - 10)
+    assert known == [*hamiltonians, *[[]] * (len(known) - 12), *[["stream: OwnStream"]] * 2]

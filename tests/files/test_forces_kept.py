@@ -11,6 +11,8 @@ from coadjoint.cli import main
 from coadjoint.files.configuration import load
 from coadjoint.files.configuration_parts import ConfigurationError
 from coadjoint.files.export import dataset_of, rebuild
+from coadjoint.files.loaded_solution import LoadedSolution
+from coadjoint.files.output import write_dataset
 from coadjoint.files.records import record_of, system_of
 
 X = (0.6, 0.0, 0.8)
@@ -143,3 +145,27 @@ def test_fluids_with_forces_are_read_as_fluids(tmp_path, capsys):
         place.write_text(FLUID.format(x=pairs) + table)
         with pytest.raises(ConfigurationError, match=said):
             load(place)
+
+
+def test_names_with_the_separator_of_accounts(tmp_path):
+    """In files the account of a force is one text; a name may have what separates it from the other, or end in one."""
+    square = co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})
+    casimirs = {"b": square, "a: b": 2 * square, "": 3 * square, "b: energy": square**2}
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), casimirs=casimirs)
+    forces = co.forces.LinearDamping(0.1), co.forces.DoubleBracketDamping(0.1), co.forces.LinearDamping(0.2)
+    sol = co.integrate(body.with_forces(*forces), X, (0.7, 1.7), 0.125, co.GaussLegendre(2))
+    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    co.integrate(body.with_forces(*forces), X, (0.7, 1.7), 0.125, co.GaussLegendre(2), archive=tmp_path / "run.zarr")
+    for name in ("run.nc", "run.zarr"):
+        found = co.load(tmp_path / name)
+        assert {force: list(done) for force, done in found.work.items()} == {
+            "LinearDamping": ["energy", *casimirs],
+            "DoubleBracketDamping": ["energy"],
+            "LinearDamping 2": ["energy", *casimirs],
+        }
+        for force, done in sol.work.items():
+            assert all(np.array_equal(found.work[force][each], values) for each, values in done.items())
+        assert found.balance() == sol.balance() and list(found.balance()) == ["energy", *casimirs]
+    renamed = sol.to_xarray()
+    renamed["account"] = [str(each).replace("LinearDamping", "drag: on x") for each in renamed["account"].values]
+    assert list(LoadedSolution(tmp_path, renamed).work) == ["drag: on x", "DoubleBracketDamping", "drag: on x 2"]

@@ -78,10 +78,14 @@ def edit_root(path, change):
     (path / ROOT).write_text(json.dumps(root))
 
 
-@pytest.mark.parametrize("k", range(5))
-def test_names_of_arrays_are_plain(run, k, capsys):
+@pytest.mark.parametrize(
+    "name", [0, 1, 2, 3, 4, "..", ".", "...", "", " ", "a b", "a-b", "1x", ".hidden", "x.0", "x\0", "x" * 256]
+)
+def test_names_of_arrays_are_plain(run, name, capsys):
+    """Neither a way out of the archive, each of them by its number, nor any other name that is no identifier."""
     path, outside = run
-    edit_root(path, lambda _, arrays: arrays.update({outside_names(outside)[k]: arrays.pop("energy")}))
+    name = outside_names(outside)[name] if isinstance(name, int) else name
+    edit_root(path, lambda _, arrays: arrays.update({name: arrays.pop("energy")}))
     before = seen(outside)
     for ask in (co.open_archive, co.resume, co.load):
         with pytest.raises(ArchiveError, match="which is no plain name"):

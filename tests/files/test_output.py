@@ -193,6 +193,25 @@ def test_store_with_something_else_in_it_is_not_replaced(tmp_path, add):
     assert [path.name for path in tmp_path.iterdir()] == ["run.zarr"]
 
 
+@pytest.mark.parametrize("there", ["nothing", "a file", "an empty folder", "a store", "itself"])
+def test_a_link_in_the_place_of_a_store(tmp_path, there):
+    """What it leads to is never changed; the link is replaced only where a store of the library is behind it."""
+    target, behind = tmp_path / "run.zarr", tmp_path / "behind"
+    target.symlink_to(target if there == "itself" else behind)
+    if there == "a file":
+        behind.write_text("dear")
+    elif there == "an empty folder":
+        behind.mkdir()
+    elif there == "a store":
+        write_dataset(SMALL, tmp_path / "behind.zarr")
+        (tmp_path / "behind.zarr").rename(behind)
+    before = sorted((path, path.is_symlink()) for path in tmp_path.rglob("*"))
+    with pytest.raises(OutputError if there != "a store" else OSError):
+        check_target(target)
+        write_dataset(SMALL, target)
+    assert sorted((path, path.is_symlink()) for path in tmp_path.rglob("*")) == before
+
+
 @pytest.mark.parametrize("version", [2, 3])
 def test_store_of_another_program_is_not_replaced(tmp_path, version):
     target = tmp_path / "run.zarr"

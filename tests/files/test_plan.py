@@ -64,7 +64,12 @@ def test_what_runs_is_what_was_said(folder, text):
     found = planned(folder, text)
     before = {path.name for path in folder.iterdir()}
     sol = found.configuration.integrate()
-    assert before == {"run.toml"}
+    assert before == {"run.toml"} and not found.failed
+    *_, written, taken = str(found).splitlines()
+    assert written.startswith("output ") and "the trial failed" not in written
+    assert taken.startswith("time          about ") and f"from a trial of all its {found.tried} steps" in taken.replace(
+        "of all its steps", f"of all its {found.tried} steps"
+    )
     assert (found.steps, found.points) == (sol.stats.steps, len(sol.t))
     assert found.members == (sol.x.shape[1] if sol.failed is not None else 1)
     assert found.written == found.configuration.dataset(sol).nbytes

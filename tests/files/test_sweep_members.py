@@ -96,6 +96,24 @@ def test_components_of_one_state_are_independent(swept):
     assert len(set(found.x0[:, :2].ravel().tolist())) == 16 and np.all(found.x0[:, 2] == 3.0)
 
 
+def test_settings_that_are_zero_are_given(swept, tmp_path):
+    """A seed, a column, a value, an end, a mean and a deviation; the first and the last of the settings among them."""
+    np.save(tmp_path / "table.npy", [[2.5, 9.0], [2.75, 9.0]])
+    over = '"initial.x[0]" = { normal = [0, 1] }\n"initial.x[1]" = { uniform = [0, 2] }\n"initial.x[2]" = [0, 5, 0.0]'
+    column = '\n"system.parameters.inertia[2]" = { file = "table.npy", column = 0 }'
+    states = {}
+    for seed in (0, 1):
+        found = swept(over + column, f"samples = 2\nseed = {seed}")
+        states[seed] = found.x0.reshape(2, 3, 2, 3)
+        for place, (kind, spread) in enumerate((("normal", [0.0, 1.0]), ("uniform", [0.0, 2.0]))):
+            wanted = drawn(kind, spread, f"initial.x[{place}]", seed, 2, ())
+            np.testing.assert_array_equal(states[seed][:, 0, 0, place], wanted)
+        assert states[seed][0, :, 0, 2].tolist() == [0.0, 5.0, 0.0]
+        assert [body.parameters["inertia"][2] for body in found.system] == [2.5, 2.75] * 6
+    assert not np.any(states[0][..., :2] == states[1][..., :2])
+    assert np.all(swept('"initial.x[0]" = { normal = [7, 0] }', "samples = 3\nseed = 0").x0[:, 0] == 7.0)
+
+
 def test_orbits_and_spheres_are_made_of_the_normal_numbers():
     normal = drawn("normal", [0.0, 1.0], "initial.x", 7, 5, (4,))
     np.testing.assert_array_equal(drawn("orbit", 0.5, "initial.x", 7, 5, (4,)), 0.5 * normal)

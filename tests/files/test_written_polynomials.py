@@ -32,6 +32,10 @@ def test_highest_degree_and_largest_coefficient():
     assert read_polynomial("x1^1000*x2^24", 2).degree == 1024
     with pytest.raises(ValueError, match="'x1\\^1000\\*x2\\^25' has the degree 1025; there are degrees up to 1024"):
         read_polynomial("x1^1000*x2^25", 2)
+    assert read_polynomial([[1, [1000, 24]]], 2).degree == 1024
+    for exponents in ([1000, 25], [25, 1000], [1025, 0], [0, 1025], [600, 425]):
+        with pytest.raises(ValueError, match="has the degree 1025; there are degrees up to 1024"):
+            read_polynomial([[1, exponents]], 2)
     largest = int(1.7976931348623157e308)
     assert read_polynomial(f"{largest}*x1", 1).monomials == {(1,): largest}
     for text in (f"{largest + 10**300}*x1", f"{largest}*x1 + {largest}*x1", f"{largest}*2*x1", f"1/{largest}*1/2*x1"):

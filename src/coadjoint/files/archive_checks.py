@@ -28,6 +28,9 @@ KINDS = {"invariant": "string", "failed": "bool", STATUS: "int64", "tenth": "int
 FLOATS = (TIME, "x", "x0", "attitude", "attitude0", "energy", "drift", "change", "balance", "work")
 OWN_LENGTH = ("row", "column", "layer")
 """Dimensions whose length may differ between arrays."""
+SERIES, CROSSINGS = ("casimir_", "observed_"), "event_"
+RESERVED = frozenset({*FLOATS, *KINDS, *OWN_LENGTH, "part", "component", "account", "crossing"})
+"""Names that have a meaning in archives and datasets, beside those that begin with `SERIES` or `CROSSINGS`."""
 
 
 @contextmanager
@@ -99,7 +102,7 @@ def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) 
         raise ValueError(f"the array {min(missing)} is missing")
     sizes = dict[str, int]()
     for name, array in arrays.items():
-        series = name.startswith(("casimir_", "observed_"))
+        series = name.startswith(SERIES)
         if array.kind != ("float64" if series or name in FLOATS else KINDS.get(name, array.kind)):
             raise ValueError(f"the array {name} is of {array.kind}")
         if series and not isinstance(array.attributes.get("long_name"), str):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from coadjoint.files.archive_checks import CROSSINGS, RESERVED, SERIES
 from coadjoint.files.archive_store import HIDDEN, ArchiveError, ArchiveStore
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STEPS, first_step
 from coadjoint.files.archives import check_new, unmade
@@ -99,7 +100,7 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     times = times_of_points(ensemble.times.seen)
     fixed: Variables = {**starts_of(piece), **about.coordinates, **coordinates_of(piece), **times}
     later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
-    taken = sorted(about.coordinates.keys() & (starts_of(piece).keys() | coordinates_of(piece).keys() | later.keys()))
+    taken = sorted(name for name in about.coordinates if name in RESERVED or name.startswith((*SERIES, CROSSINGS)))
     if taken:
         raise ValueError(f"coordinates has the name {taken[0]!r}, which is reserved")
     points = ensemble.times.every_point

@@ -60,7 +60,8 @@ class LoadedSolution(ReadSolution):
             str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
             for name, values in dataset.variables.items()
         }
-        told = [str(each).rpartition(": ") for each in dataset["account"].values] if "account" in arrays else []
+        told = list(map(str, dataset["account"].values)) if "account" in arrays else []
+        names = list(map(str, dataset["invariant"].values)) if told else []
         self.__dict__.update(
             path=path,
             dataset=dataset,
@@ -70,7 +71,7 @@ class LoadedSolution(ReadSolution):
             _given=system,
             _arrays=arrays,
             attributes=dict(dataset.attrs),
-            _accounts=tuple((force, name) for force, _, name in told),
+            _accounts=tuple(_account(each, names) for each in told),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -131,6 +132,19 @@ class LoadedSolution(ReadSolution):
 
     def to_xarray(self) -> xarray.Dataset:
         return self.dataset.copy()
+
+
+def _account(text: str, invariants: list[str]) -> tuple[str, str]:
+    """Split the label of an account into force and invariant; both names may contain the separator.
+
+    Examples
+    --------
+    >>> _account("drag: on x: C: 2", ["energy", "2", "C: 2"])
+    ('drag: on x', 'C: 2')
+    """
+    ending = text.rpartition(": ")[2]
+    name = max((name for name in invariants if text.endswith(f": {name}")), key=len, default=ending)
+    return text[: -len(name) - 2], name
 
 
 def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:

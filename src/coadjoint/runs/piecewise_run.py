@@ -42,7 +42,8 @@ class PiecewiseRun:
             state = None  # no step yet: begin at the start
         self._most = most
         passed = 0 if state is None else times.after(state.number).passed
-        self.run = ready.begun(times._replace(most=most - passed % most), start, state=state)
+        held = most - passed % most if passed else max(2, most)  # the start alone would leave no place for a step
+        self.run = ready.begun(times._replace(most=held), start, state=state)
         worst = self.run.state["worst"]
         self._earlier: NDArray[np.float64] = np.zeros_like(worst)
         self._undefined = {"energy": NEVER, "attitude": NEVER}
