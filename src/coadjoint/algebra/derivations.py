@@ -90,12 +90,10 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     added, constants = np.concatenate([triples.k, triples.k]), np.concatenate([values, -values])
     if constants.dtype == object and max(map(abs, constants.tolist()), default=0) * degree * dim < 2**62:
         constants = constants.astype(np.int64)
-    rounded = constants.dtype.kind == "f"
-    sizes = np.tile(largest_alike(triples.i * dim + triples.j, values), 2) if rounded else constants
-    order = np.argsort(removed, kind="stable")
-    acting, added, constants, sizes = acting[order], added[order], constants[order], sizes[order]
-    begin = np.searchsorted(removed[order], np.arange(dim + 1)).astype(np.int64)
-    positions, terms, bounds = [], [], []
+    by_removed = np.argsort(removed, kind="stable")
+    acting, added, constants = acting[by_removed], added[by_removed], constants[by_removed]
+    begin = np.searchsorted(removed[by_removed], np.arange(dim + 1)).astype(np.int64)
+    positions, entries = [], []
     for place in range(degree):
         variable = basis[:, place]
         column, at = expand(begin[variable], begin[variable + 1])
@@ -103,15 +101,15 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
         changed[:, place] = added[at]
         changed.sort(axis=1)
         positions.append((acting[at] * count + places(changed, dim)) * count + column)
-        terms.append(constants[at])
-        if rounded:
-            bounds.append(sizes[at])
-    position, term = np.concatenate(positions), np.concatenate(terms)
+        entries.append(at)
+    position, entry = np.concatenate(positions), np.concatenate(entries)
+    term = constants[entry]
     order, starts = groups(position)
     value = np.add.reduceat(term[order], starts) if order.size else term
     least: Any = 0
-    if rounded and order.size:
-        least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(np.concatenate(bounds)[order], starts)
+    if constants.dtype.kind == "f" and order.size:
+        sizes = np.tile(largest_alike(triples.i * dim + triples.j, values), 2)[by_removed]
+        least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(sizes[entry][order], starts)
     kept = np.asarray(np.abs(value) > least, dtype=bool)
     row, column = np.divmod(position[order[starts]][kept], count)
     along, target = np.divmod(row, count)

@@ -78,7 +78,8 @@ def asked_again(
         if list(observe) != observed["names"]:
             raise ArchiveError(f"{path}: the run observes {observed['names']}, and observe has {list(observe)}")
         _check(path, "observe", observe, wanted, observe)
-        changed = [name for name in observe if not _is_stored_as(observed["stored"].get(name), observe, name)]
+        records = json.loads(json.dumps(invariants_record(observe)))  # functions have none
+        changed = [name for name in observe if records.get(name) != observed["stored"].get(name)]
         if changed:
             raise ArchiveError(
                 f"{path}: observe[{short(changed[0])}] is {short(observe[changed[0]])}, which is not the quantity that "
@@ -111,12 +112,6 @@ def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: A
             UserWarning,
             stacklevel=4,
         )
-
-
-def _is_stored_as(record: Any, observe: Mapping[str, Any], name: str) -> bool:
-    """Whether an observed quantity has this stored record; functions have none."""
-    found = json.loads(json.dumps(invariants_record({name: observe[name]})))
-    return bool(found.get(name) == record)
 
 
 def _missing(path: Path, what: str, wanted: Mapping[str, Any]) -> ArchiveError:

@@ -60,8 +60,8 @@ class LoadedSolution(ReadSolution):
             str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
             for name, values in dataset.variables.items()
         }
-        told = list(map(str, dataset["account"].values)) if "account" in arrays else []
-        names = list(map(str, dataset["invariant"].values)) if told else []
+        accounts = list(map(str, dataset["account"].values)) if "account" in arrays else []
+        names = list(map(str, dataset["invariant"].values)) if accounts else []
         self.__dict__.update(
             path=path,
             dataset=dataset,
@@ -71,7 +71,7 @@ class LoadedSolution(ReadSolution):
             _given=system,
             _arrays=arrays,
             attributes=dict(dataset.attrs),
-            _accounts=tuple(_account(each, names) for each in told),
+            _accounts=tuple(_account(label, names) for label in accounts),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:

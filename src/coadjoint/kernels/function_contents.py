@@ -159,10 +159,9 @@ class _Walk:
                 self._say(*map(str, value.nopython_signatures))
         elif numba and isinstance(getattr(value, "_pyfunc", None), types.FunctionType):  # a callback
             compiler = getattr(value, "_compiler", None)
-            options = dict(sorted(getattr(compiler, "targetoptions", {}).items()))
-            if options:
-                self.add(options)
-            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *_types_of_locals(compiler)])
+            options = sorted(getattr(compiler, "targetoptions", {}).items())
+            more = [*options, *_types_of_locals(compiler)]
+            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *more])
         elif isinstance(value, functools.partial):
             self.add(["partial", value.func, value.args, value.keywords])
         elif isinstance(value, types.MethodType):

@@ -89,7 +89,7 @@ class LoopsOfCall(Loops):
         return [(Tables(loop, own[0], watch or own[1]), np.array([m])) for m, own in enumerate(self._given)]
 
     def values_at(self, state: Floats, t: float, last: Floats) -> Floats:
-        return values_of_watch(self._given[0][1], state, t, last, self._base.watch)  # inputs change no period
+        return values_of_watch(self._given[0][1], self._base.period, state, t, last)  # inputs change no period
 
     def raised(self) -> BaseException | None:
         """Return the exception that a user's function raised in the loop."""

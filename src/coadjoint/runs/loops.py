@@ -264,7 +264,12 @@ class SystemLoops(Loops):
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         if self._matrices is not None:
             return self._values(state[None], t)[0]
-        return values_of_watch(self.watch, state, t, last)
+        return values_of_watch(self.watch, self.period, state, t, last)
+
+    @property
+    def period(self) -> NDArray[np.float64]:
+        """Periods of the invariants; 0 for those with one value."""
+        return np.asarray(getattr(self.watch, "source", self.watch).period)
 
     def measured_at(self, states: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return the energy and the invariants of matrices."""
@@ -300,18 +305,13 @@ class SystemLoops(Loops):
 
 
 def values_of_watch(
-    watch: Any, state: NDArray[np.float64], t: float, last: NDArray[np.float64], periods: Any = None
+    watch: Any, period: NDArray[np.float64], state: NDArray[np.float64], t: float, last: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the invariants of a watch at a state; multivalued ones on the branch nearest to `last`.
-
-    `periods` is a watch with the same periods, for one whose arrays are known by address only.
-    """
+    """Return the invariants of a watch at a state; those with a period > 0 on the branch nearest to `last`."""
     from coadjoint.kernels.watching import values_along
 
     found = np.empty((1, 1, len(last)))
     values_along(watch, state[None, None], np.array([t]), found)
-    known = watch if periods is None else periods
-    period = getattr(known, "source", known).period
     with np.errstate(divide="ignore", invalid="ignore"):
         turns = np.where(period > 0.0, np.floor((last - found[0, 0]) / period + 0.5), 0.0)
     return np.asarray(found[0, 0] + period * turns)
