@@ -1,8 +1,10 @@
 """What a file would run and cost, beside what it runs and costs."""
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from configuration_files import OWN, READY_MADE
 
@@ -76,6 +78,71 @@ def test_what_runs_is_what_was_said(folder, text):
     assert found.memory >= sol.x.nbytes
     first = sol.system[0] if isinstance(sol.system, Batch) else sol.system
     assert found.properties == found.configuration.method.properties(first)
+
+
+def output_times(kind, end):
+    """Return times from 0 to an end, ten steps away, in the order of a run."""
+    between = np.sort(np.random.default_rng(int(8 * abs(end))).uniform(0.02, 0.98, 60))
+    of_steps = np.arange(11) / 10
+    times = {
+        "between steps": between[::20],
+        "several in a step": between,
+        "repeated": np.repeat(between[::15], 3),
+        "of steps": of_steps[1::3],
+        "of the end": of_steps[-1:],
+        "of and between steps": np.union1d(of_steps, between[::7]),
+    }[kind]
+    return [float(time) for time in end * times]
+
+
+SPLITTING, OWN_STEPS = 'name = "Splitting"', 'name = "Taylor"\norder = 12\ntolerance = 1e-9'
+
+
+@pytest.mark.parametrize(
+    ("kind", "system", "x0", "end", "method"),
+    [
+        ("between steps", "heavy_top", [[0.5, 0.2, 1.0, 0.6, 0.0, 0.8]], 2.0, SPLITTING),
+        ("several in a step", "paper_a37", [[1.0, 0.5, 0.7]], -1.0, SPLITTING),
+        ("repeated", "rigid_body", [[1.0, 0.1, 0.5], [0.2, 1.0, 0.3]], 1.0, SPLITTING),
+        ("of steps", "heavy_top", [[0.5, 0.2, 1.0, 0.6, 0.0, 0.8], [0.1, 1.0, 0.3, 0.0, 0.6, 0.8]], -2.0, SPLITTING),
+        ("of the end", "paper_a37", [[1.0, 0.5, 0.7]], 1.0, OWN_STEPS),
+        ("several in a step", "heavy_top", [[0.5, 0.2, 1.0, 0.6, 0.0, 0.8]], 1.0, OWN_STEPS),
+        ("of and between steps", "rigid_body", [[1.0, 0.1, 0.5]], -1.0, OWN_STEPS),
+    ],
+)
+def test_output_times_are_counted_one_by_one(folder, monkeypatch, kind, system, x0, end, method):
+    """Points are output times, and not the steps from which they are reached, which are held in memory with them.
+
+    A scheme with its own steps halves the step of the run until there are as many steps as output times.
+    """
+    times, tried = output_times(kind, end), []
+
+    def short_run(*given, short=planning._short):
+        tried.append(short(*given))
+        return tried[-1]
+
+    monkeypatch.setattr(planning, "_short", short_run)
+    found = planned(
+        folder,
+        f"[system]\nname = {system!r}\n[initial]\nx = {x0 if len(x0) > 1 else x0[0]}\n[method]\n{method}\n"
+        f"[run]\nt_span = [0, {end}]\nstep = {abs(end) / 10}\nt_eval = {times}\n",
+    )
+    sol = found.configuration.integrate()
+    assert not found.failed and found.points == len(times) == len(sol.t)
+    halvings = 0 if method is SPLITTING else max(0, math.ceil(math.log2(len(times) / 10)))
+    assert found.steps == sol.stats.steps == 10 * 2**halvings
+    # The trial takes the same steps; a machine that is busy may not reach the end.
+    assert max(abs(trial.t[-1]) for trial in tried) == pytest.approx(found.tried * abs(end) / found.steps)
+    assert found.written == found.configuration.dataset(sol).nbytes
+    reached = len(np.union1d(np.floor(np.array(times) / end * found.steps + 1e-9), 0.0))
+    invariants = 1 + len(sol.system.casimirs)
+    row = 8 * len(x0) * (len(x0[0]) + invariants)
+    # Beside the saved points there are the working arrays of a run, of which none grows with their number.
+    assert (len(times) + reached) * row <= found.memory <= (len(times) + reached) * (row + 24) + 8 * 400 * len(x0)
+    lines = dict(line.split(maxsplit=1) for line in str(found).splitlines())
+    of_members = f" of {len(x0)} members" if len(x0) > 1 else ""
+    assert lines["saved"] == f"{len(times)} points{of_members}"
+    assert lines["steps"] == f"{found.steps} of {abs(end) / found.steps:g}, from t = 0 to {end:g}"
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

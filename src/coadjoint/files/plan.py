@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from coadjoint.errors import IntegrationError, in_one_line
 from coadjoint.extras import installed
+from coadjoint.kernels.arrays import Layout
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import declared_by
 from coadjoint.methods.forced import serving
 from coadjoint.methods.properties import Properties
+from coadjoint.runs.events import read_events
 from coadjoint.runs.room import bytes_of_run
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
@@ -87,7 +87,8 @@ class Plan:
         yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {run.method.order}{chosen}"
         yield "keeps", kept(self.properties)
         start, end = run.t_span
-        yield "steps", f"{self.steps} of {run.step:g}, from t = {start:g} to {end:g}"
+        size = abs(end - start) / self.steps if self.steps else run.step
+        yield "steps", f"{self.steps} of {size:g}, from t = {start:g} to {end:g}"
         yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
         yield "memory", f"{in_bytes(self.memory)}, {in_words(available())} are free"
         if self.written is None:
@@ -192,6 +193,11 @@ def plan(configuration: Configuration) -> Plan:
     made = time.perf_counter() - begun
     marked = times if moments is None else times.marking(moments.marks)
     layout = loops.plan(len(start.momenta), marked.points, start.groups.shape[1] ** 2, 1).layout
+    memory, points = bytes_of_run(layout, marked), marked.points
+    if moments is not None:
+        # Output times are filled in while the steps from which they are reached are still in memory.
+        points = len(moments.t)
+        memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=moments.ends))
     one = configuration.system[0] if isinstance(configuration.system, Batch) else configuration.system
     seconds, tried, failed, written = None, 0, "", None
     try:
@@ -205,8 +211,8 @@ def plan(configuration: Configuration) -> Plan:
         len(start.momenta),
         declared_by(serving(one, configuration.method), one),
         times.steps,
-        marked.points if moments is None else len(moments.t),
-        bytes_of_run(layout, marked),
+        points,
+        memory,
         written,
         made,
         seconds,
@@ -217,8 +223,9 @@ def plan(configuration: Configuration) -> Plan:
 
 def _short(configuration: Configuration, ready: PreparedRun, times: Times, steps: int, every: int) -> Solution:
     """Run the first steps."""
-    span = configuration.t_span[0], float(times.at(np.array([steps]))[0])
-    return ready.run(configuration.x0, span, every, events=configuration.events)
+    # Not `run`, whose step is the prepared one: output times may shorten that of a scheme with its own steps.
+    first = times._replace(steps=steps, save_every=min(every, max(1, steps)))
+    return ready.follow(first, ready.start(configuration.x0), events=read_events(configuration.events))
 
 
 def _seconds(configuration: Configuration, ready: PreparedRun, times: Times) -> tuple[float, int]:
