@@ -25,6 +25,8 @@ ENTRY_POINTS = "coadjoint.methods"
 """Group of entry points with which other packages register schemes: name = "package.module:Scheme"."""
 
 _registered: dict[str, type[Method]] = {}
+_loaded: dict[str, type[Method]] = {}
+"""Schemes of the entry points that have been loaded."""
 
 
 def register(scheme: Scheme) -> Scheme:
@@ -71,7 +73,7 @@ def register(scheme: Scheme) -> Scheme:
     if not dataclasses.is_dataclass(scheme):
         raise TypeError(f"{scheme.__name__} is not a dataclass, so its parameters cannot be stored; make it one")
     name = scheme.__name__
-    known = _own().get(name) or _registered.get(name)
+    known = _own().get(name) or _loaded.get(name) or _registered.get(name)
     if known is not None and (known.__module__, known.__qualname__) != (scheme.__module__, scheme.__qualname__):
         raise ValueError(f"there is another scheme {name}, in {known.__module__}; give this one another name")
     _registered[name] = scheme
@@ -102,16 +104,15 @@ def _schemes() -> dict[str, type[Method]]:
 
 @cache
 def _of_entry_points() -> dict[str, type[Method]]:
-    found: dict[str, type[Method]] = {}
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
         try:
             scheme = point.load()
             register(scheme)
-            found[scheme.__name__] = _registered.pop(scheme.__name__)
+            _loaded[scheme.__name__] = _registered.pop(scheme.__name__)
         except Exception as error:
             # A broken package must not prevent the use of the others.
             warnings.warn(f"the scheme {point.name} ({point.value}) is skipped: {error}", RuntimeWarning, stacklevel=2)
-    return found
+    return _loaded
 
 
 @cache
