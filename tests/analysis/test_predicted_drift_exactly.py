@@ -29,3 +29,28 @@ def test_a_clock_and_a_turn_about_the_momentum(monkeypatch, sign, x0):
     assert fast.precession == pytest.approx(-sign * e * (start @ gradient(start)) / size, abs=1e-7 * size)
     assert fast.period == pytest.approx((1.0 + e) * fast.modified_period, rel=1e-7)
     assert fast.period == pytest.approx(turned.period, rel=1e-7) == turned.modified_period
+
+
+@pytest.mark.parametrize("turn", [3.0, -3.0])
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("seed", range(3))
+def test_less_than_half_a_turn_per_period_has_its_size_and_sense(monkeypatch, seed, sign, turn):
+    """The gradient (1 + e) u + c x turns the attitude by c |x| + e x.u/|x| more, whatever the turn of one period is.
+
+    Here c |x| is 3 radians in a period: with one of both signs the angles of the exact and the computed motion lie on
+    either side of half a turn, unless the exact one is within 0.14 of whole turns.
+    """
+    monkeypatch.setattr(periods, "RELATIVE", 1e-10)
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    body = so3_body(axes @ np.diag([3.0, 1.0, 0.3]) @ axes.T, sign=sign, name="body", parameters={})
+    # Near the first or the last axis, where no separatrix is near.
+    start = rng.uniform(0.5, 2.0) * axes @ np.array([(1.0, 0.3, 0.2), (0.2, 0.3, -1.0)][seed % 2])
+    gradient, size, e = body.hamiltonian.gradient, np.linalg.norm(start), 1e-3
+    own = periods.period(body.vector_field, start).time
+    ahead = e * (start @ gradient(start)) / size
+    c = (turn * (1.0 + e) / own) / size
+    found = predicted_drift(body, start, gradient=lambda x: (1.0 + e) * gradient(x) + c * x, attitude=True)
+    # Periods and angles are known to some 1e-8 of a turn.
+    assert found.slope == pytest.approx(e, abs=1e-7)
+    assert found.precession == pytest.approx(-sign * (c * size + ahead), abs=1e-6 / own)
