@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from drawn_runs import made
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -324,3 +325,47 @@ def test_movies_begin_at_the_start_whatever_time_a_picture_has():
     pictures = [Picture("spins", at=at) for at in (0.0, 0.5, 1.0)]
     first = [bytes(next(iter(frames_of(run, picture, frames=2, size=(320, 180))))) for picture in pictures]
     assert first[0] == first[1] == first[2]
+
+
+def area(polygon):
+    X, Y = polygon.T
+    return 0.5 * abs(np.sum(X * np.roll(Y, -1) - Y * np.roll(X, -1)))
+
+
+WIDE = 6.0
+RAMPS = {
+    "values": lambda system, x: np.broadcast_to(x[0] * np.linspace(-1.0, 1.0, 41), (5, 41)),
+    "modes": lambda system, X, Y: np.stack([2.0 * X / WIDE - 1.0, 0.0 * X, 0.0 * X]),
+}
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 3.0, 0.5, -2.0, 1.0), (-0.5, 4.0, -4.0, 0.2, 1.0), (0.0, 2.0, 1.0, -3.0, 0.0)])
+@pytest.mark.parametrize("given", list(RAMPS))
+def test_each_frame_of_a_field_covers_the_square(given, sizes):
+    """The field is a ramp, s (2 X / width - 1): each band is a strip along Y, the outermost ones reach the edges."""
+    x = np.outer(sizes, [1.0, 0.0, 0.0])
+    run, axes = made(np.linspace(0.0, 2.0, len(sizes)), x, co.systems.rigid_body((1, 2, 3))), Figure().add_subplot()
+    kind, options = kinds()["field"], {"width": lambda system: WIDE, given: RAMPS[given]}
+    update = kind.prepare(Drawn(run), **options)(axes)
+    # Values of a function have the scale of start and end, sums of modes that of all times.
+    scale = max(map(abs, sizes)) if given == "modes" else max(abs(sizes[0]), abs(sizes[-1])) or 1.0
+    for j in (0, 1, 2, 3, 4, 1):
+        update(j)
+        (field,) = axes.collections
+        levels, bands = field.levels, [path.to_polygons() for path in field.get_paths()]
+        assert levels[0] == -scale and levels[-1] == scale
+        # Products and sums of a few numbers below 6, for each corner of the strips.
+        assert sum(area(polygon) for band in bands for polygon in band) == pytest.approx(WIDE**2, rel=1e-12)
+        assert axes.get_title() == f"field at $t$ = {run.t[j]:.4g}"
+        if not sizes[j]:
+            continue
+        ends = np.array([-np.inf, *levels[1:-1], np.inf]) / sizes[j]
+        for k, band in enumerate(bands):
+            wanted = np.clip(0.5 * WIDE * (1.0 + np.sort(ends[k : k + 2])), 0.0, WIDE)
+            corners = np.concatenate([np.empty((0, 2)), *band])
+            if wanted[1] > wanted[0]:
+                # Between points of the grid, 41 or more, values are linear.
+                assert np.abs([corners[:, 0].min(), corners[:, 0].max()] - wanted).max() <= WIDE / 40
+                assert [corners[:, 1].min(), corners[:, 1].max()] == pytest.approx([0.0, WIDE], rel=1e-12)
+            else:
+                assert sum(map(area, band)) < 1e-12 * WIDE**2

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
@@ -235,3 +236,70 @@ def test_an_attitude_overflows_whatever_the_signs(x0, members, way):
     if members > 1:
         calm = co.integrate(system, crowd[:-1], (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
         assert np.isfinite(calm.attitude).all()
+
+
+def motion_of(system, x0, g0, kind, end):
+    """Return the state and group element at times since the start, from x' = f(x), g' = -sign g rho(grad H(x))."""
+    n, d = system.dim, len(g0)
+
+    def field(t, y):
+        x, g = y[:n], y[n:].reshape(d, d)
+        slope = system.hamiltonian.gradient(x)
+        A = system.algebra.coadjoint(slope) if kind == "coadjoint" else np.tensordot(slope, system.representation, 1)
+        return np.append(system.vector_field(x), -system.sign * (g @ A))
+
+    start = np.append(x0, g0)
+    found = solve_ivp(field, (0.0, end), start, method="DOP853", rtol=1e-11, atol=1e-12, dense_output=True).sol
+    return lambda t: (found(t)[:n], found(t)[n:].reshape(d, d))
+
+
+def passing(motion, elapsed, **options):
+    """Return an event at the time when a motion passes the plane across its way."""
+    x, later = motion(elapsed)[0], motion(1.01 * elapsed)[0]
+    w = (later - x) / np.linalg.norm(later - x)
+    return co.Event(co.Quadratic(0.0, linear=w, constant=-float(w @ x)), **options)
+
+
+# Over a time of 1, with frequencies of at most 1, the error of a scheme of order 4 is below h^4.
+EVENT_STEP = 1 / 32
+EVENT_ERROR = EVENT_STEP**4
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("t0", [0.0, 3.0, -40.0])
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_the_attitude_at_events_solves_its_equation_from_the_start_of_the_run(name, t0, way):
+    system, method = SHIFTED[name], co.Splitting(order=4)
+    assert decompose(system, "auto").shift
+    kind = "coadjoint" if system.representation is None else "representation"
+    x0 = 0.3 * np.random.default_rng(5).standard_normal((3, system.dim))
+    attitude, starts = given(system, kind, 3)
+    starts = np.broadcast_to(starts, (3, *starts.shape[-2:]))
+    motions = [motion_of(system, x, g, kind, way) for x, g in zip(x0, starts, strict=True)]
+    events = [passing(motion, way * part) for motion, part in zip(motions, (0.3, 0.9, 0.6), strict=True)]
+    span = (t0, t0 + way)
+    found = co.integrate(system, x0, span, EVENT_STEP, method, attitude=attitude, events=events).events
+    assert {(m, m) for m in range(3)} <= set(zip(found.member.tolist(), found.which.tolist(), strict=True))
+    for row, (member, t) in enumerate(zip(found.member, found.t, strict=True)):
+        x, g = motions[member](t - t0)
+        assert np.abs(found.x[row] - x).max() < EVENT_ERROR and np.abs(found.attitude[row] - g).max() < EVENT_ERROR
+    last = passing(motions[1], way * 0.9, terminal=True)
+    single = attitude if kind == "coadjoint" else attitude[1]
+    ended = co.integrate(system, x0[1], span, EVENT_STEP, method, attitude=single, events=last)
+    assert np.abs(ended.attitude[-1] - motions[1](ended.t[-1] - t0)[1]).max() < EVENT_ERROR
+
+
+@pytest.mark.parametrize("t0", [2.0, -7.0])
+def test_members_of_a_batch_have_the_attitude_at_events_of_their_own_hamiltonian(t0):
+    """With factors of their own of the Casimir, and one without."""
+    systems = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 2.5), (1.5, 2, 2.75), (1.25, 1.75, 3))]
+    systems.append(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((0.0, 0.0, 0.5)), sign=-1))
+    x0 = 0.6 * np.random.default_rng(6).standard_normal((4, 3))
+    attitude, starts = given(systems[0], True, 4)
+    motions = [motion_of(s, x, g, "representation", 1.0) for s, x, g in zip(systems, x0, starts, strict=True)]
+    events = [passing(motion, 0.2 * (m + 1)) for m, motion in enumerate(motions)]
+    method = co.Splitting(order=4)
+    found = co.integrate(co.batch(systems), x0, (t0, t0 + 1), EVENT_STEP, method, attitude=attitude, events=events)
+    assert set(found.events.member.tolist()) == {0, 1, 2, 3}
+    for row, (member, t) in enumerate(zip(found.events.member, found.events.t, strict=True)):
+        assert np.abs(found.events.attitude[row] - motions[member](t - t0)[1]).max() < EVENT_ERROR
