@@ -1,11 +1,21 @@
 """The check sum of a dataset: every entry and name counts, and nothing of how the content is laid out in memory."""
 
+import random
+import signal
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import xarray
 
+import coadjoint as co
+from coadjoint import cli
+from coadjoint.files.configuration import Configuration
+from coadjoint.files.configuration import load as load_configuration
 from coadjoint.files.content_checksum import CHECKSUM, checksum_of, with_checksum
 from coadjoint.files.export import mark_failed
+from coadjoint.files.output import write_dataset
+from coadjoint.interruption import Told
 
 PIECE, LENGTH = 4, 11
 VALUES = {
@@ -95,8 +105,6 @@ def test_files_of_earlier_versions_keep_their_sum(monkeypatch):
 
 
 def test_the_sum_is_made_again_where_attributes_are_added():
-    import coadjoint as co
-
     once = with_checksum(dataset())
     assert once.attrs[CHECKSUM] == checksum_of(once) == checksum_of(dataset())
     error = co.IntegrationError("overflow", step=3, time=0.25, residual=0.5)
@@ -105,3 +113,112 @@ def test_the_sum_is_made_again_where_attributes_are_added():
     said = {name: marked.attrs[name] for name in ("run_failed", "failed_step", "failed_time", "failed_residual")}
     assert said == {"run_failed": 1, "failed_step": 3, "failed_time": 0.25, "failed_residual": 0.5}
     assert marked.attrs["failed_reason"] == str(error)
+
+
+CONFIGURED = """
+[system]
+name = "heavy_top"
+[initial]
+x = [[0.1, 0.3, 2.0, 0.6, 0.0, 0.8], [0.2, -0.3, 1.5, 0.0, 0.6, 0.8]]
+attitude = true
+[method]
+name = "Splitting"
+order = 4
+[run]
+t_span = [0.5, 2.0]
+step = 0.125
+save_every = 2
+[observe]
+"x1 x2" = "x1*x2"
+"""
+SWEPT = """
+[system]
+name = "rigid_body"
+[system.parameters]
+inertia = [1.0, 2.0, 2.5]
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.125
+[sweep.over]
+"system.parameters.inertia[2]" = [2.25, 2.5, 2.75]
+"""
+# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78.
+FAILING = """
+sign = -1
+[algebra]
+dim = 2
+brackets = ["[e1, e2] = e2"]
+[hamiltonian]
+linear = [1.0, 0.0]
+[initial]
+x = [1.0, 1.0]
+[run]
+t_span = [0.0, 1000.0]
+step = 1.0
+save_every = 100
+"""
+COMMANDS = {"members": (CONFIGURED, 0), "sweep": (SWEPT, 0), "failure": (FAILING, 1), "interrupt": (CONFIGURED, 130)}
+ENGINE = {"nc": "h5netcdf", "zarr": "zarr"}
+
+
+def written_by_the_command(text, status, path, monkeypatch):
+    (path.parent / "run.toml").write_text(text)
+    with monkeypatch.context() as patch:
+        if status == 130:
+            told = Told(signal.SIGINT)
+            told.partial = load_configuration(path.parent / "run.toml").integrate()
+            patch.setattr(Configuration, "integrate", lambda *given, **more: (_ for _ in ()).throw(told))
+        assert cli.main(["run", str(path.parent / "run.toml"), "--out", str(path), "--quiet"]) == status
+
+
+def another(value):
+    """Floats may be NaN, or too large for a sum to be another number."""
+    if isinstance(value, str):
+        return f"{value}z"
+    if isinstance(value, bool | np.bool_):
+        return not value
+    return value + 1 if isinstance(value, int | np.integer) else 0.375
+
+
+def changed_in_each_way(found):
+    """A dataset with one change: the last entry of each variable, and each attribute."""
+    for name in found.variables:
+        numbers = found[name].dtype.kind in "iubf"
+        values = found[name].values.copy() if numbers else found[name].values.astype(object)
+        values[(-1,) * values.ndim] = another(values[(-1,) * values.ndim])
+        other = {name: (found[name].dims, values, found[name].attrs)}
+        yield name, found.assign_coords(other) if name in found.coords else found.assign(other)
+    for name in [name for name in found.attrs if name != CHECKSUM]:
+        yield name, found.assign_attrs({name: f"{found.attrs[name]} "})
+
+
+@pytest.mark.parametrize("suffix", ENGINE)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_file_of_the_command_is_refused_once_anything_in_it_is_changed(tmp_path, monkeypatch, command, suffix):
+    """Each change has a sum of its own, and one of them, which is drawn, is loaded."""
+    monkeypatch.undo()
+    path = tmp_path / f"run.{suffix}"
+    written_by_the_command(*COMMANDS[command], path, monkeypatch)
+    with xarray.open_dataset(path, engine=ENGINE[suffix]) as opened:
+        found = opened.load()
+    assert co.load(path).x.shape == found["x"].shape
+    changes = dict(changed_in_each_way(found))
+    assert len({found.attrs[CHECKSUM], *map(checksum_of, changes.values())}) == len(changes) + 1
+    drawn = list(changes)[random.Random(f"{command} {suffix}").randrange(len(changes))]
+    monkeypatch.setattr(xarray, "open_dataset", lambda *given, **options: nullcontext(changes[drawn]))
+    with pytest.raises(ValueError, match="its content does not match its check sum"):
+        co.load(path)
+
+
+@pytest.mark.parametrize("suffix", ENGINE)
+@pytest.mark.parametrize("stale", [{}, {CHECKSUM: "0" * 64}, {CHECKSUM: GOLDEN}], ids=["none", "of nothing", "another"])
+def test_a_file_has_the_sum_of_what_is_written(tmp_path, suffix, stale):
+    """Whatever sum the dataset came with, and although files have no types of their own for text and flags."""
+    first = dataset().drop_vars("object").assign_attrs(step=0.25, **stale)
+    write_dataset(first, tmp_path / f"run.{suffix}")
+    with xarray.open_dataset(tmp_path / f"run.{suffix}", engine=ENGINE[suffix]) as found:
+        assert found.attrs[CHECKSUM] == checksum_of(found) != GOLDEN
+        changed = found.load().assign(number=found["number"] + 1.0)
+    assert checksum_of(changed) != changed.attrs[CHECKSUM]

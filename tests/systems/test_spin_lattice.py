@@ -9,6 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from spins_by_hand import by_hand, energy_by_hand
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
@@ -24,22 +25,6 @@ TOTALS = ["total S1", "total S2", "total S3"]
 
 def spins_of(seed, count):
     return np.random.default_rng(seed).standard_normal(3 * count)
-
-
-def by_hand(x, edges, J, T, D, K, B):
-    """S_i' = S_i x B_i, the field of each spin summed edge by edge."""
-    S = x.reshape(-1, 3)
-    seen = B + np.einsum("iab,ib->ia", 2 * K, S)
-    for e, (i, j) in enumerate(edges):
-        seen[i] += J[e] * T[e] @ S[j] - np.cross(S[j], D[e])
-        seen[j] += J[e] * T[e].T @ S[i] - np.cross(D[e], S[i])
-    return np.cross(S, seen).ravel()
-
-
-def energy_by_hand(x, edges, J, T, D, K, B):
-    S = x.reshape(-1, 3)
-    bonds = sum(-J[e] * S[i] @ T[e] @ S[j] + D[e] @ np.cross(S[i], S[j]) for e, (i, j) in enumerate(edges))
-    return bonds - np.einsum("ia,iab,ib->", S, K, S) - np.sum(B * S)
 
 
 def disordered(seed):

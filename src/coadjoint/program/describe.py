@@ -55,7 +55,7 @@ class Description:
     functions: int
 
     def __str__(self) -> str:
-        off = "".join(f" - {factor:.6g} {name}" for name, factor in self.shift.items())
+        off = "".join(_subtracted(name, factor) for name, factor in self.shift.items())
         lines = [f"{self.method} on {self.system}: H{off} in {len(self.parts)} parts"]
         for number, part in enumerate(self.parts, start=1):
             shown = list(part.generators[:MOST_SHOWN])
@@ -67,6 +67,18 @@ class Description:
             f"  a step: {self.flows} flows, {self.multiplications} multiplications, {self.functions} sines and the like"
         )
         return "\n".join(lines)
+
+
+def _subtracted(name: str, factor: float) -> str:
+    """Return the text that subtracts a multiple of a Casimir, whose name may be a sum.
+
+    Examples
+    --------
+    >>> _subtracted("C2", -1.5), _subtracted("x1*x3 + x2^2", 1.0)
+    (' + 1.5 C2', ' - 1 (x1*x3 + x2^2)')
+    """
+    shown = f"({name})" if " + " in name or " - " in name else name
+    return f" {'+' if factor < 0 else '-'} {abs(factor):.6g} {shown}"
 
 
 def describe(system: LiePoissonSystem, method: Swept) -> Description:
