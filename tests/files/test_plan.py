@@ -78,6 +78,7 @@ def test_what_runs_is_what_was_said(folder, text):
     assert found.properties == found.configuration.method.properties(first)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_every_example(folder, capsys, example):
     assert cli.main(["check", str(example)]) == 0
