@@ -28,8 +28,8 @@ def thin(items: Iterable[pytest.Item]) -> None:
     """Mark all but about one of k cases of each test marked `thinned(k)` as long, whatever the number of parameters.
 
     Cases stay as in a Latin square: the ranks of their values among those of each parameter add up to a multiple of k.
-    Each value of each parameter stays in at least one case. The nearest mark counts: that of a test before that of its
-    module.
+    Each value of a parameter that has no more values than cases stay is in at least one of them. The nearest mark
+    counts: that of a test before that of its module.
     """
     tests: dict[str, list[Any]] = {}
     for item in items:
@@ -56,7 +56,8 @@ def _thin_one(cases: Sequence[Any], share: int) -> None:
             ranks[key] = counts.get(key[0], 0)
             counts[key[0]] = ranks[key] + 1
     stays = [sum(ranks[key] for key in keys) % share == 0 for keys in values]
-    missing = ranks.keys() - {key for keys, stay in zip(values, stays, strict=True) if stay for key in keys}
+    few = {key for key in ranks if counts[key[0]] * share <= len(cases)}
+    missing = few - {key for keys, stay in zip(values, stays, strict=True) if stay for key in keys}
     while missing:
         most = max(range(len(cases)), key=lambda k: len(values[k] & missing))
         stays[most] = True

@@ -64,6 +64,7 @@ def refused(capsys, *arguments):
     return said.err[:-1]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_run(example, folder, capsys):
     target = folder / "run.zarr"
@@ -92,6 +93,7 @@ def test_run_prints_the_drift_and_is_quiet(folder, capsys):
     assert (folder / "run.nc").is_file()
 
 
+@pytest.mark.long
 def test_outputs_that_the_file_names(folder, capsys):
     (folder / "body.toml").write_text(BODY + '[output]\nfile = "named.zarr"\nfigure = "named.png"\n')
     assert cli.main(["run", "body.toml"]) == 0
@@ -196,6 +198,7 @@ def test_folder_that_cannot_be_written_to(folder, capsys):
     assert said.startswith("/proc/run.zarr: cannot be written (") and said.endswith("); give another folder")
 
 
+@pytest.mark.long
 def test_certify_prints_writes_and_draws(folder, capsys):
     arguments = ["certify", "body.toml", "--steps", "40", "--json", "found.json", "--plot", "found.png"]
     assert cli.main(arguments) == 0

@@ -115,6 +115,7 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

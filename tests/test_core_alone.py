@@ -66,6 +66,7 @@ def test_a_scheme_is_chosen():
     assert printed(code) == ["True True"]
 
 
+@pytest.mark.long
 def test_every_ready_made_system_and_every_known_algebra_runs():
     """Also those whose Casimirs are no polynomials: their formulas are compiled with the kernels."""
     code = """
@@ -106,6 +107,7 @@ def test_exact_algebra():
     assert printed(code) == ["C2 C4 8 2"]
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     ("code", "said"),
     [

@@ -335,6 +335,7 @@ def test_near_a_blow_up_the_rule_says_so_without_warnings(x0):
         co.choose(system, x0, (0, 1), 1e-6)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("size", [1e3, 1e20, 1e155, 1e300])
 @pytest.mark.parametrize("name", ["so(3)", "so(2,1)", "sl(2)", "so(4)", "su(3)"])
 def test_an_attitude_near_a_blow_up_does_not_warn(name, size):

@@ -337,7 +337,7 @@ def patience():
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(152)
 @pytest.mark.filterwarnings("ignore:.*no body has:UserWarning")
 @pytest.mark.parametrize(
     ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])

@@ -128,6 +128,7 @@ os.replace = full
 """
 
 
+@pytest.mark.long
 def test_a_full_disk(folder):
     """One line, status 1 while the run goes on and 2 before its first step."""
     end = "could not be written (No space left on device); it holds the run up to step"
@@ -160,6 +161,7 @@ archive = "run.zarr"
 )
 
 
+@pytest.mark.long
 def test_an_ensemble_with_workers(folder):
     states = [[1.0, 0.1 * k, 0.5, 0.25, 0.5, 1.0] for k in range(12)]
     Path("many.toml").write_text(MANY.format(states=states))

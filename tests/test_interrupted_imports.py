@@ -122,6 +122,7 @@ def test_an_interrupt_at_any_statement_of_an_import_leaves_complete_modules(tmp_
     assert found == [[True, [5, 1, 3, 4], executed, True]] * count
 
 
+@pytest.mark.long
 def test_a_call_works_after_an_interrupt_of_its_imports():
     found = printed(REAL)
     assert all(said is not None and said[1:] == [True, True] for said in found), found

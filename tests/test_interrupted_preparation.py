@@ -126,6 +126,7 @@ step = 0.1
 """
 
 
+@pytest.mark.long
 def test_the_command_ends_in_one_line_while_it_prepares_a_run(tmp_path):
     n = 14**2 - 1
     A = np.random.default_rng(1).normal(size=(n, n)).round(2)

@@ -120,6 +120,7 @@ def test_an_archive_goes_on(folder, capsys, name, status, said):
     assert np.array_equal(found.drift()["energy"].tenths, whole.drift()["energy"].tenths)
 
 
+@pytest.mark.long
 def test_a_second_interrupt_ends_it_at_once(folder):
     code = SIGNAL.format(name="SIGINT", arguments=["run", "long.toml", "--out", "run.nc"])
     twice = "import coadjoint.files.output as output, os, signal\n"

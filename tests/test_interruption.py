@@ -69,6 +69,7 @@ def is_old(target):
         return list(found) == ["old"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 @pytest.mark.parametrize(
     ("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")], ids=["int", "term"]
@@ -102,6 +103,7 @@ def test_interrupt_that_comes_too_late_changes_nothing(folder):
     assert sorted(os.listdir(folder)) == ["body.toml", "run.nc"]
 
 
+@pytest.mark.long
 def test_signals_that_were_ignored_stay_so(folder):
     ignored = "import os, signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
     done = child(
@@ -111,6 +113,7 @@ def test_signals_that_were_ignored_stay_so(folder):
     assert sorted(os.listdir(folder)) == ["body.toml", "run.nc"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 def test_what_a_killed_run_leaves_is_removed_by_the_next_to_the_same_target(folder, target):
     done = child(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=target))
@@ -124,6 +127,7 @@ def test_what_a_killed_run_leaves_is_removed_by_the_next_to_the_same_target(fold
     assert sorted(os.listdir(folder)) == ["body.toml", "run.nc", "run.zarr"]
 
 
+@pytest.mark.long
 def test_what_a_run_that_lives_is_writing_is_not_removed(folder):
     wait = "print('waiting', flush=True) or sys.stdin.readline()"
     code = AT_PIECE.format(piece=3, act=wait) + RUN.format(target="run.zarr")
@@ -137,6 +141,7 @@ def test_what_a_run_that_lives_is_writing_is_not_removed(folder):
     assert sorted(os.listdir(folder)) == ["body.toml", "run.zarr"]
 
 
+@pytest.mark.long
 def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
     old_result("run.zarr")
     act = "\n".join(
@@ -156,6 +161,7 @@ def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
     assert sorted(os.listdir(folder)) == ["body.toml", "run.zarr"]
 
 
+@pytest.mark.long
 def test_what_is_left_of_another_target_with_a_like_name_stays(folder):
     one, other = ("a" * 60 + end for end in ("1.nc", "2.nc"))
     child(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=one))
@@ -166,6 +172,7 @@ def test_what_is_left_of_another_target_with_a_like_name_stays(folder):
     assert os.listdir(folder) == ["body.toml"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 @pytest.mark.parametrize("dropped", [False, True])
 def test_interrupted_in_a_program_that_hears_interrupts_itself(folder, target, dropped):
@@ -181,6 +188,7 @@ def test_interrupted_in_a_program_that_hears_interrupts_itself(folder, target, d
     assert is_old(target)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_output_that_nobody_can_read(folder):
     code = "import sys\nfrom coadjoint.cli import run\nsys.argv = ['coadjoint', 'systems']\nrun()"

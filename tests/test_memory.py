@@ -75,6 +75,7 @@ TOO_LARGE = {
 }  # fmt: skip
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", TOO_LARGE)
 def test_what_does_not_fit_is_refused_at_once(name, little):
     with bounded_work(), pytest.raises(ValueError) as refusal:
@@ -96,6 +97,7 @@ def test_the_estimate_is_said():
     )
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(
     "make",
     [
@@ -122,6 +124,7 @@ def test_an_algebra_needs_no_more_than_is_estimated(make):
     assert peak > 0.2 * estimate
 
 
+@pytest.mark.long
 def test_large_algebras_are_made_in_seconds():
     with bounded_work():  # minutes, when their identities were checked
         so, sl = co.algebras.so(150), co.algebras.sl(100)

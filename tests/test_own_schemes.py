@@ -126,6 +126,7 @@ def told(folder, *command):
     return done.stdout, done.stderr
 
 
+@pytest.mark.long
 def test_a_package_brings_schemes_to_the_command_and_to_files(installed):
     listed, warned = told(installed, "-m", "coadjoint", "methods")
     assert "Kutta3(part=1.0)\n    A scheme of another package." in listed

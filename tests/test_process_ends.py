@@ -50,6 +50,7 @@ import atexit; atexit.register(follow)
 """
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "members, options, before",
     [
@@ -85,6 +86,7 @@ threading.Thread(target=work).start()
     assert (done.returncode, done.stdout, done.stderr) == (0, "integrated\n", "")
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(
     "arguments, streams, status, said",
     [

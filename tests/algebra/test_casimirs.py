@@ -15,6 +15,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from long import long_where
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["so(3)", "so(5)", "sl(3)", "sl(4)", "su(3)", "su(4)"])
 def test_classical_algebras_have_the_traces(name):
     g, known = classical(name) if name != "so(3)" else (catalogue.so(3), [catalogue.so(3).casimirs_known["|x|^2"]])
@@ -156,6 +157,7 @@ CHANGED = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["so(5)", "sp(4)"], CHANGED))
 def test_random_rational_changes_of_basis(name):
     g, known = CHANGED[name]()

@@ -159,6 +159,7 @@ def test_unclear_ranks_are_refused():
         rotated(LieAlgebra(both, dim=6), orthogonal(6, 0)).casimirs()
 
 
+@pytest.mark.long
 def test_sizes_are_refused_by_name():
     with pytest.raises(
         ValueError, match="degree 6 on dimension 21 has 230230 monomials, above the limit of 40000; low"

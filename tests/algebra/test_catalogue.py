@@ -30,6 +30,7 @@ def test_polynomial_casimirs_commute_with_everything_exactly(g):
         assert len(g.casimirs_known) == g.dim - g.generic_rank()
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(st.floats(-20, 20), st.lists(st.floats(0.1, 5), min_size=3, max_size=3), st.sampled_from([1, -1]))
 def test_the_casimir_of_a37(a, x, side):
@@ -53,6 +54,7 @@ def test_the_casimir_of_a37_jumps_by_its_period():
     assert abs(jump) == casimir.period
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("a", [0.0, 2.0])
 def test_the_casimir_of_a37_compiles(a):
     import numba

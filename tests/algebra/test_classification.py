@@ -152,6 +152,7 @@ CHANGES = {"left out": 0, "with the other sign": -1, "twice as large": 2}
 FIRST = {name: (parameters, expected) for name, parameters, expected in reversed(ROWS)}
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("name", FIRST)
 def test_no_term_can_change_unnoticed(name):
     """Each term left out, negated, doubled: the second typing differs, and so does what no basis alters.

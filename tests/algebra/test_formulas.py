@@ -112,6 +112,7 @@ def test_gradients_take_any_number():
 SMALL = st.fractions(-3, 3, max_denominator=3)
 
 
+@pytest.mark.long
 @given(
     st.lists(st.lists(SMALL, min_size=4, max_size=4), min_size=1, max_size=4), st.lists(SMALL, min_size=4, max_size=4)
 )

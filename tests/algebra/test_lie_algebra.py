@@ -37,6 +37,7 @@ def exact(values):
     return np.array([Fraction(v) for v in values], dtype=object)
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=80)
 @given(WITH_VECTORS)
 def test_identities_hold_exactly_in_fractions(drawn):
@@ -69,6 +70,7 @@ def test_floats_agree_with_fractions(drawn):
         assert np.abs(there - here.astype(float)).max() <= bound
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=80)
 @given(WITH_VECTORS)
 def test_sparse_entries_are_the_nonzero_entries_of_the_matrix(drawn):

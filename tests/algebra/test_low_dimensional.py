@@ -95,6 +95,7 @@ def test_there_are_62():
     assert {name for name in entries() if parameters_of(name)} == set(CHOSEN)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("name", "chosen"), CASES, ids=label)
 def test_constants_are_those_of_a_lie_algebra_exactly(name, chosen):
     n, c, _ = everything(name, chosen)

@@ -23,6 +23,7 @@ def by_definition(p, x):
     return sum((c * x[0] ** a * x[1] ** b * x[2] ** d for (a, b, d), c in p.monomials.items()), Fraction(0))
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(POLYNOMIALS, POLYNOMIALS, POLYNOMIALS, POINTS)
 def test_ring_operations_are_exact(p, q, r, x):
@@ -41,6 +42,7 @@ def test_ring_operations_are_exact(p, q, r, x):
     assert p**0 == Polynomial({(0, 0, 0): 1})
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(POLYNOMIALS, POLYNOMIALS, POINTS)
 def test_derivatives_are_exact(p, q, x):
@@ -169,6 +171,7 @@ def test_powers_at_zero():
     assert p.hessian([0.0, 0.0]).tolist() == [[2.0, 1.0], [1.0, 0.0]]
 
 
+@pytest.mark.long
 def test_ten_thousand_monomials():
     rng = np.random.default_rng(0)
     monomials = {tuple(e): int(c) for *e, c in rng.integers(0, 12, (12_000, 7)).tolist() if c}

@@ -117,6 +117,7 @@ def test_semidirect():
     assert nested.basis[0] == "e1[1]" and nested == direct_sum(so(3), so(3))
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.fractions(-3, 3, max_denominator=4), min_size=36, max_size=36), st.data())
 def test_change_of_basis(entries, data):

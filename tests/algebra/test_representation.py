@@ -161,6 +161,7 @@ def in_drawn_bases(g, seed):
     return np.linalg.inv(basis) @ rho @ basis
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("per_fold", [1, 2, 4, 100])
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("g", [catalogue.so(4), catalogue.so(5), catalogue.sl(2)], ids=str)

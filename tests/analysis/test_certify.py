@@ -87,6 +87,7 @@ def test_a_function_with_true_and_false_claims():
     assert [row.key for row in certified(euler, order=1, properties=SPLIT).failures] == ["poisson", "casimir |x|^2"]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("step", [0.1, -0.1])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_forward_and_backward_and_both_signs(step, sign):
@@ -104,6 +105,7 @@ def test_a_sample_is_taken_as_it_is():
     assert found.passed and np.array_equal(found.subject["states"], sample)
 
 
+@pytest.mark.long
 def test_hamiltonians_that_depend_on_time_have_no_energy_row():
     timed = co.Hamiltonian(
         lambda x, t: 0.5 * x[0] ** 2 + x[1] ** 2 + math.sin(t) * x[2],
@@ -134,6 +136,7 @@ def test_hamiltonians_that_depend_on_time_have_no_energy_row():
     assert {"order", "symmetry"} <= {row.key for row in wrong.failures}
 
 
+@pytest.mark.long
 def test_without_second_derivatives_the_step_itself_is_differentiated():
     """The compiled loop takes no complex numbers: differences, with their floor; a declared property is held to it."""
     H = co.Hamiltonian(lambda x: 0.5 * x[0] ** 2 + x[1] ** 2, lambda x: np.array([x[0], 2.0 * x[1], 0.0]))
@@ -185,6 +188,7 @@ def test_a_run_that_fails_is_a_row():
     assert not found.passed
 
 
+@pytest.mark.long
 def test_a_motion_that_leaves_float64_is_no_fault_of_the_scheme():
     algebra = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
     growing = co.LiePoissonSystem(algebra, co.Quadratic([0.0, 0.0], linear=[1.0, 0.0]), sign=-1)
@@ -291,6 +295,7 @@ def test_slopes_are_those_of_the_smallest_steps_above_round_off():
     assert abs(found.value - 4) < 1e-9
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.SphericalMidpoint()], ids=repr)
 @pytest.mark.parametrize("step", [0.1, -0.1])
 def test_schemes_of_a_driven_system_are_symmetric(method, step):

@@ -105,6 +105,7 @@ def test_the_norm_of_a_tangent_by_directions():
     assert given.condition(x, 0.05) == given._condition(x, 0.05)
 
 
+@pytest.mark.long
 def test_matrices_that_would_be_too_large_are_not_needed_for_dear_steps(dear, monkeypatch):
     """Neither J nor P is made as a matrix; a lattice of more coordinates is not read flow by flow."""
     for module in (poisson, symmetry):

@@ -29,6 +29,7 @@ def spreads(system, scheme, x0, h, count):
     return better, np.ptp(run.energy), np.ptp(output)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", list(systems()))
 def test_the_energy_of_the_output_wanders_less(name):
     """By the part that remains, up to the next term, which is of two orders higher: so at a small step."""

@@ -25,6 +25,7 @@ def random_lines(seed: int, count: int) -> tuple[np.ndarray, ...]:
             return t, w, 10.0 ** -np.linspace(0.0, 6.0, count), rng.uniform(0.0, 2 * np.pi, count)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("count", [1, 2, 4, 6])
 def test_lines_over_six_decades(seed: int, count: int) -> None:
@@ -170,6 +171,7 @@ def test_what_is_not_there_is_no_line() -> None:
     assert np.isnan(constant.frequency).all() and constant.mean == pytest.approx(2.5)
 
 
+@pytest.mark.long
 def test_uncertainty_covers_white_noise() -> None:
     members, samples = 150, 512
     rng = np.random.default_rng(5)
@@ -183,6 +185,7 @@ def test_uncertainty_covers_white_noise() -> None:
     assert np.mean(np.abs(z) < 2) > 0.93
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("complex_signal", [False, True])
 @pytest.mark.parametrize("power", [1, 3, 5])

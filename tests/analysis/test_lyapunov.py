@@ -264,6 +264,7 @@ class Euler(co.methods.StepMethod):
         return x + h * system.vector_field(x, t)
 
 
+@pytest.mark.long
 def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
     """They give what products of their tangents give; complex steps and differences have some nine digits at least."""
     from coadjoint.runs import stretching
@@ -289,6 +290,7 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
         assert found.by in by and np.max(np.abs(found.stretches[1:] - wanted)) < 1e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("span", [(0.0, 2.0), (3.5, 5.5), (3.5, 1.5)])
 @pytest.mark.parametrize("method", [Euler(), co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
 def test_tangents_of_a_driven_system_are_those_at_the_time_of_each_step(method, span):

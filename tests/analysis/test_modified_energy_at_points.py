@@ -26,6 +26,7 @@ def real_curvature(y):
     return -math.cos(y)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("order", [2, 3, 4, 5, 6])
 def test_a_polynomial_as_functions_is_the_polynomial(order, sign):

@@ -63,6 +63,7 @@ class Kahan(co.methods.StepMethod):
         return x + linear_solve(matrix, h * field[:, None])[:, 0]
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_midpoint_rule_has_its_known_series(name: str, sign: int) -> None:
@@ -111,6 +112,7 @@ def test_iterated_schemes_have_one_order_more_than_iterations(stages: int) -> No
         assert found.first_error == min(m + 1, 2 * stages) == scheme.order
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -> None:
@@ -126,6 +128,7 @@ def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -
             assert found.keeps(C) is None
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "moments"])
 def test_what_is_frozen_is_what_is_kept(name: str) -> None:
     system = whole(name, -1)
@@ -160,6 +163,7 @@ def skew_systems():
     }
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("which", long_between(3, skew_systems()))
 def test_modified_midpoint_is_skew_to_every_order(which: str) -> None:
     system = skew_systems()[which]
@@ -208,6 +212,7 @@ def test_splitting_has_the_formula_of_so3() -> None:
     assert difference == square * square * factor, "up to a Casimir"
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
 def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
@@ -277,6 +282,7 @@ def kinds_of_fields():
     return [whole("A3,7", -1, seed=8, linear=True), co.LiePoissonSystem(co.algebras.so(3), cubic, sign=-1)]
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("which", long_beyond(1, [0, 1]))
 @pytest.mark.parametrize("scheme", long_between(3, SCHEMES), ids=str)
 def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
@@ -311,6 +317,7 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
 SHORT = [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Splitting(order=4)][::2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", long_beyond(1, SHORT), ids=str)
 def test_the_two_ways_agree(scheme) -> None:
     system = whole("e(3)", -1, seed=11, linear=True)

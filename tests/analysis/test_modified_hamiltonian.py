@@ -88,6 +88,7 @@ def linear(algebra, seed, sign):
     return co.LiePoissonSystem(algebra, co.Quadratic(0.0, linear=b), sign=sign), b
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(
     ("algebra", "sign"), [(co.algebras.so(3), -1), (co.algebras.e(3), 1), (co.algebras.A3_7(1.5), -1)], ids=str
 )
@@ -118,6 +119,7 @@ def test_logarithm_of_matrices(algebra, name, sign):
     assert sizes[1] < 1e-9
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_term_at_points_agrees(name):
     """`second_order_term` nests pairs by gradients and Hessians; here it is a polynomial."""
@@ -133,6 +135,7 @@ def test_the_term_at_points_agrees(name):
 # --- against motions
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_step_is_its_flow(name, method):
@@ -157,6 +160,7 @@ def field_of(system, kept, h, t, x):
     return system.sign * system.structure_matrix(x) @ kept.gradient(x, h)
 
 
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("parts", ["auto", "coordinates"])
 def test_kept_along_runs(name, parts):
@@ -172,6 +176,7 @@ def test_kept_along_runs(name, parts):
         assert order > 4 or largest[0] > 1e-12
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["so(3)", "e(3), cubic", "A3,7, body", "moments"])
 def test_order_eight_in_many_digits(name):
     system, x0 = SYSTEMS[name]
@@ -183,6 +188,7 @@ def test_order_eight_in_many_digits(name):
         assert slope_of(defects) > 8.4 and defects[0] > 1e-25, defects
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("order", [1, 2, 4, "blanes_moan4", "processed", "composition"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_rational_rotations(order, sign):
@@ -219,6 +225,7 @@ def test_one_rational_rotation_is_integrated_exactly():
 # --- error terms
 
 
+@pytest.mark.thinned(19)
 @pytest.mark.parametrize("name", long_where(["blanes_casas_murua10", "kahan_li10a", "kahan_li10d"], sorted(SCHEMES)))
 def test_every_scheme_has_its_first_term_at_its_order(name):
     system, _ = SYSTEMS["so(3)"]
@@ -265,6 +272,7 @@ def test_sizes_of_error_terms_compare_schemes():
         assert measured == pytest.approx(predicted, abs=0.1 * np.max(np.abs(measured)))
 
 
+@pytest.mark.long
 def test_a_kernel_and_its_processor():
     """P K P^-1: the Hamiltonian of K at the unprocessed state is that of the scheme at the processed one."""
     system, x0 = SYSTEMS["so(3)"]

@@ -83,6 +83,7 @@ def test_backward_runs_and_other_start_times(body, run) -> None:
     assert back.slope == pytest.approx(co.phase_drift(run).slope, rel=2e-3) and back.growth == "linear"
 
 
+@pytest.mark.long
 def test_ensembles_and_batches_give_a_drift_each(body) -> None:
     states = np.array([X0, (0.2, 1.0, 0.3), (0.2, 0.3, 1.0)])
     together = co.phase_drift(co.integrate(body, states, (0.0, 300.0), 0.1, COORDINATES, save_every=4))

@@ -53,6 +53,7 @@ def gradient_of(system: co.LiePoissonSystem, parts: str, step: float) -> Callabl
 CASES = [(name, STATES[k % len(STATES)]) for k, name in enumerate([*BODIES, *BODIES][: len(BODIES) + 1])]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "x0"), long_beyond(1, CASES))
 def test_measured_minus_predicted_is_of_fourth_order(name: str, x0: tuple[float, ...]) -> None:
     system, parts = BODIES[name], "coordinates" if name in ("1, 2, 3", "paper's sign") else "auto"
@@ -74,6 +75,7 @@ def test_measured_minus_predicted_is_of_fourth_order(name: str, x0: tuple[float,
         assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "x0", "attitude"), long_beyond(1, [("1, 2, 3", STATES[0], False), ("full tensor", STATES[2], True)])
 )
@@ -90,6 +92,7 @@ def test_from_the_modified_hamiltonian(name: str, x0: tuple[float, ...], attitud
     assert np.polyfit(np.log(STEPS[::2]), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", long_beyond(1, ["field of the midpoint rule", "Hamiltonian", "field of a splitting"]))
 @pytest.mark.parametrize("direction", long_beyond(1, [1, -1]))
 def test_measured_minus_that_of_the_modified_hamiltonian_or_field_is_of_fourth_order(direction: int, kind: str) -> None:
@@ -105,6 +108,7 @@ def test_measured_minus_that_of_the_modified_hamiltonian_or_field_is_of_fourth_o
     assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_scheme_that_is_not_symmetric_goes_backward_by_another_field() -> None:
     """Lie and Trotter's splitting of order one; backward its H~ has -h."""
     system, x0, h = BODIES["1, 2, 3"], STATES[1], 0.02
@@ -130,6 +134,7 @@ def test_some_differences_can_be_told_from_nothing() -> None:
     assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("x0", STATES)
 def test_the_orbit_average_says_the_same(x0: tuple[float, ...]) -> None:
     """P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P), by quadrature along the closed form on nearby energies."""
@@ -156,6 +161,7 @@ def test_the_orbit_average_says_the_same(x0: tuple[float, ...]) -> None:
     assert (4 * found[1] - found[0]) / 3 == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.long
 def test_the_attitude_lags_less_than_the_momentum() -> None:
     """The calm body of the paper: the attitude's phase grows some twenty times more slowly than |x| times the lead."""
     body = co.systems.paper_rigid_body()
@@ -168,6 +174,7 @@ def test_the_attitude_lags_less_than_the_momentum() -> None:
     assert co.phase_drift(run, of="attitude").slope == pytest.approx(predicted.precession, rel=2e-2)
 
 
+@pytest.mark.long
 def test_other_algebras() -> None:
     """On sl(2) orbits are closed where H is positive on a sheet of the hyperboloid; the reference is a run."""
     system = co.LiePoissonSystem(co.algebras.get("A3,8"), co.Quadratic([1.0, 0.4, 1.3]))

@@ -40,6 +40,7 @@ def test_the_error_contains_the_rounding(case, span, accuracy):
     assert choice.error <= accuracy
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("time", [100.0, 1e3, 1e4, 1e5])

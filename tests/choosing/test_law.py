@@ -163,6 +163,7 @@ def some_problems():
         yield system, x0, (-1) ** found * 20.0 / max(float(speed), 0.1)
 
 
+@pytest.mark.long
 def test_what_goes_untried_is_no_cheaper(monkeypatch):
     """The steps of a scheme are found to a third or so from two starts of the search."""
     for system, x0, span in some_problems():

@@ -32,6 +32,7 @@ def exact(t0, t, x0=X0):
     return BODY.exact(x0, np.exp(t) - math.exp(t0))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("t0", [0.0, 1.25, -0.75])
 @pytest.mark.parametrize("span", [1.5, -1.5])
 def test_the_reference_is_the_motion(t0, span):
@@ -51,6 +52,7 @@ def test_the_reference_is_the_motion(t0, span):
     assert pilot.speed == pytest.approx(max(speeds) / np.linalg.norm(X0), rel=0.1)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("t0", [2.0, -3.0])
 @pytest.mark.parametrize("span", [0.5, -0.5])
 def test_a_choice_knows_the_time(t0, span):
@@ -181,6 +183,7 @@ def test_the_natural_step_is_the_largest_half_of_the_span_that_is_right(span):
     assert h == span or 2 * abs(h) * rate > pilots.AT_ONCE or apart(2 * h) > pilots.SETTLED
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("start", [0.0, 1e-12, 1e-300])
 @pytest.mark.parametrize("span", [10.0, -10.0])
 def test_from_next_to_nothing_the_step_is_that_of_the_motion(start, span):

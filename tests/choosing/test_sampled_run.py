@@ -141,6 +141,7 @@ def test_an_attitude_comes_along():
     assert np.array_equal(run.attitude, once.attitude)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [None, co.Splitting(order=6), co.Taylor(tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize("span", [(3.0, 43.0), (40.0, 0.0)])
 def test_a_choice_of_its_own_is_run_with_everything_that_was_given(method, span):

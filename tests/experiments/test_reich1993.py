@@ -37,6 +37,7 @@ def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Reproduction:
     return found
 
 
+@pytest.mark.long
 def test_every_statement_has_its_verdict(reproduction: Reproduction) -> None:
     keys = [row.key for row in reproduction.table]
     assert len(keys) == len(set(keys)) >= 45

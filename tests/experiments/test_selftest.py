@@ -32,6 +32,7 @@ def test_the_command_prints_a_line_for_each_check(capsys):
     assert all(len(line) < 200 for line in lines)
 
 
+@pytest.mark.long
 def test_the_command_prints_a_line_for_each_of_some_checks(monkeypatch, capsys):
     monkeypatch.setattr(run, "CHECKS", (checks.motions, checks.resumed))
     assert cli.main(["selftest"]) == 0
@@ -45,6 +46,7 @@ def test_the_command_prints_a_line_for_each_of_some_checks(monkeypatch, capsys):
 EACH = long_beyond(1, ["run.CHECKS = run.CHECKS[::5]", ""])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chosen", EACH, ids=["few", "all"])
 def test_without_extras_what_is_skipped_is_named(chosen):
     code = f"""
@@ -58,6 +60,7 @@ print([str(one) for one in found if not one.passed], [one.skipped for one in fou
     assert done.stdout.strip() == """[] ['xarray is not installed: pip install "coadjoint[io]"']"""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chosen", EACH, ids=["few", "all"])
 def test_the_command_needs_no_extra_but_its_own(chosen):
     # click, and what pydantic brings; no xarray, no Numba, no mpmath.
@@ -113,6 +116,7 @@ def test_a_wrong_motion_is_noticed(monkeypatch, key):
     assert failing(checks.motions) == [f"motion on {key}"]
 
 
+@pytest.mark.long
 def test_a_wrong_order_is_noticed(monkeypatch):
     @dataclasses.dataclass(frozen=True)
     class Boasting(co.methods.StepMethod):
@@ -129,6 +133,7 @@ def test_a_wrong_order_is_noticed(monkeypatch):
     assert failing(checks.orders) == ["order of Boasting()"]
 
 
+@pytest.mark.long
 def test_a_property_that_is_not_kept_is_noticed(monkeypatch):
     @dataclasses.dataclass(frozen=True)
     class Boasting(co.methods.StepMethod):
@@ -183,6 +188,7 @@ def test_a_run_that_goes_on_otherwise_is_noticed(monkeypatch):
     assert failing(checks.resumed) == ["cut and resumed: 1"]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("key", ["so(3)", "se(3)", "A3,7", "su(3)"])
 def test_references_are_right(key):
     """Once more in 30 digits, by the power series of the motion: x' = sign J(x) (M x + linear)."""

@@ -62,6 +62,7 @@ def described_runs():
     yield "forces", (forced, X, SPAN, STEP, gauss), {}
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("run", "options"), [pytest.param(*given, id=name) for name, *given in described_runs()])
 @pytest.mark.parametrize("how", ["archive", "ensemble", "file"])
@@ -148,6 +149,7 @@ def test_what_is_stored_of_what_is_observed_need_not_be_given(tmp_path):
     assert_same(co.resume(tmp_path / "run.zarr"), whole)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "other",
     [
@@ -207,6 +209,7 @@ def without_algebra(casimir, weight=0.5):
     return co.PoissonSystem(turning, energy, dim=3, casimirs={"C": casimir})
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("begun", "other"),
     [
@@ -535,6 +538,7 @@ def runs_to_continue():
     yield "one of them", fluid, W[1], co.IsospectralGauss(1), {"watch": False}
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("direction", "rows"), [(1, None), (-1, 1)])
 @pytest.mark.parametrize(
     ("system", "x0", "method", "options"), [pytest.param(*run, id=name) for name, *run in runs_to_continue()]

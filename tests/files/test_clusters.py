@@ -77,6 +77,7 @@ MOVED = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_between(2, MOVED))
 def test_the_bits_of_one_machine(tmp_path, client, name):
     """By tables that no worker derives, but for the loops around others, which are laid out where they run."""
@@ -124,6 +125,7 @@ def test_a_folder_that_workers_do_not_see(tmp_path, client, monkeypatch):
         co.ensemble(BODY, X, (0, 2), 0.125, archive=tmp_path / "many.zarr", client=client, members_per_block=4)
 
 
+@pytest.mark.long
 def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client, monkeypatch):
     archive = tmp_path / "many.zarr"
     with pytest.raises(ArchiveUnwritten):
@@ -183,6 +185,7 @@ def written(archive):
     return {k: (archive / ".coadjoint" / f"block-{k:06d}").stat().st_mtime_ns for k in done(archive)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", long_beyond(1, [1, 2]))
 def test_workers_are_killed(tmp_path, client, count):
     """One of them, or all that have the tables: these are sent once more."""
@@ -226,6 +229,7 @@ def test_workers_are_killed_in_the_middle_of_their_blocks(tmp_path):
     assert kills and from_the_middle
 
 
+@pytest.mark.long
 def test_the_client_is_killed_and_called_again(tmp_path):
     archive = tmp_path / "many.zarr"
     process = subprocess.Popen(script(tmp_path, archive, "workers=1"), stderr=subprocess.DEVNULL)
@@ -290,6 +294,7 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
     assert_same(found, whole())
 
 
+@pytest.mark.long
 def test_a_script_without_a_guard_is_told(tmp_path):
     path = Path(script(tmp_path, tmp_path / "many.zarr", "workers=1")[1])
     path.write_text(path.read_text().replace('if __name__ == "__main__":', "if True:"))
@@ -386,6 +391,7 @@ def reached(ports, seconds):
     return json.loads(done.stdout)
 
 
+@pytest.mark.long
 def test_a_stranger_reaches_a_cluster_without_credentials():
     """Otherwise the next test would show nothing."""
     plain = {"n_workers": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}

@@ -173,6 +173,7 @@ def outcome(dataset):
         return str(refused)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", RUNS)
 @pytest.mark.filterwarnings("ignore:inertia")  # moments are damaged too
 def test_damaged(name, datasets):

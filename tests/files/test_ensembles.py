@@ -72,6 +72,7 @@ def assert_same(found, expected):
     assert (found.stats.steps, found.stats.evaluations) == (expected.stats.steps, expected.stats.evaluations)
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("size", [1, 4, None])
 @pytest.mark.parametrize("name", CASES)
 def test_the_bits_of_one_run(tmp_path, name, size):
@@ -110,6 +111,7 @@ def cut(archive, monkeypatch, steps, size=4, **options):
     return store, blocks
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("steps", [(), (0,), (1, 7), (32, 5, 32), (32, 32, 31)])
 def test_a_second_call_computes_what_is_missing(tmp_path, monkeypatch, steps):
     archive = tmp_path / "many.zarr"
@@ -223,6 +225,7 @@ def test_a_member_that_fails_leaves_the_others_alone(tmp_path, failing, members_
     assert found.finished
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -285,6 +288,7 @@ def test_other_archives_and_versions(tmp_path, monkeypatch):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=tmp_path / "many.zarr")
 
 
+@pytest.mark.long
 def test_a_temporary_archive_goes_with_its_solution(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     found = co.ensemble(BODY, X, (0, 1), 0.125)
@@ -544,6 +548,7 @@ def test_an_interrupt_brings_the_ensemble_so_far(tmp_path, monkeypatch):
     np.testing.assert_array_equal(partial.x[:, :8], co.integrate(BODY, X[:8], (0, 1), 0.125).x)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, MemoryError, SystemExit])
 @pytest.mark.parametrize("blocks", [0, 1, 2])
 def test_a_temporary_archive_stays_only_for_a_partial_result(tmp_path, monkeypatch, error, blocks):
@@ -591,6 +596,7 @@ def test_the_partial_result_of_an_ensemble_without_archive_can_be_read(tmp_path,
     assert mine.partial.failed.tolist() == [False, True, False]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="open descriptors are not listed")
 def test_nothing_stays_open(tmp_path, monkeypatch):
     """After a run, one that is lost, one that is continued, one that is refused, and one that finds itself locked."""

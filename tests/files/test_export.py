@@ -50,6 +50,7 @@ RUNS = {
 }  # fmt: skip
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 @pytest.mark.parametrize("name", RUNS)
 def test_run_again_from_its_file_to_the_same_bits(name, suffix, tmp_path):
@@ -106,6 +107,7 @@ def test_names_that_differ_only_in_signs_have_variables_of_their_own():
     assert names == {"casimir_z": "z+", "casimir_z_2": "z-", "casimir_unnamed": "*"}
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_any_number_of_names_that_differ_only_in_signs_keep_their_values(seed, tmp_path):
     """Drawn names of few letters, among them those that would be made for others, in a dataset and in an archive."""
@@ -174,6 +176,7 @@ OWN_ELEMENTS = {
 }  # fmt: skip
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", OWN_ELEMENTS)
 def test_a_run_from_its_own_coadjoint_matrix_is_rebuilt_from_it(name, tmp_path):
     system, method, x0, span, element, options = OWN_ELEMENTS[name]

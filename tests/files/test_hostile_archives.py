@@ -44,7 +44,7 @@ def check(base, tmp_path, name, kind, seeds):
         assert not attacked(base, tmp_path / "try", name, kind, seed), (name, kind, seed)
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", NAMES)
 def test_drawn(base, tmp_path, name, kind):

@@ -43,6 +43,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", WRITERS)
 def test_the_sum_does_not_depend_on_how_the_content_is_written(tmp_path, sol, name):
     WRITERS[name](sol.to_xarray(), tmp_path / name)
@@ -51,6 +52,7 @@ def test_the_sum_does_not_depend_on_how_the_content_is_written(tmp_path, sol, na
     assert np.array_equal(found.x, sol.x)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["plain.nc", "classic.nc", "second.zarr", "third.zarr"])
 def test_what_was_changed_after_it_was_written_is_refused(tmp_path, sol, name):
     """Each kind of change through xarray; without the attribute the same is read, as files of earlier versions are."""
@@ -125,6 +127,7 @@ HOSTILE = {
 }  # fmt: skip
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_hdf5_refers_to_nothing_and_is_as_long_as_it_says(tmp_path, sol, kind):
     change, said = HOSTILE[kind]
@@ -192,6 +195,7 @@ STORES = {
 }  # fmt: skip
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.skipif(os.name == "nt", reason="links and FIFOs")
 @pytest.mark.parametrize("kind", STORES)
 def test_a_zarr_store_refers_to_nothing_and_unpickles_nothing(tmp_path, sol, kind):
@@ -203,6 +207,7 @@ def test_a_zarr_store_refers_to_nothing_and_unpickles_nothing(tmp_path, sol, kin
     assert not Sentinel.unpickled
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["plain.nc", "packed.nc", "classic.nc", "own.zarr", "third.zarr"])
 def test_damaged_anywhere(tmp_path, sol, name):
     """Bytes are changed, cut or put in: the same run is read, or one sentence says why not."""
@@ -370,6 +375,7 @@ CONTRADICTIONS = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("kind", CONTRADICTIONS)
 def test_metadata_of_a_zarr_store(tmp_path, sol, kind):
     change, said = CONTRADICTIONS[kind]

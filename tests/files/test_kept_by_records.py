@@ -59,6 +59,7 @@ def made(hamiltonian):
     return co.LiePoissonSystem(SL2, hamiltonian)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("kind", "parameter"),
     [(kind, p) for kind, make in HAMILTONIANS.items() for p in parameters(make) if p not in ("dim", "basis")],
@@ -161,6 +162,7 @@ def test_algebras_of_the_catalogue():
 NOT_HERE = {"exact": "a function", "parameters": "those of ready-made systems, below"}
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("parameter", [p for p in parameters(co.LiePoissonSystem) if p not in NOT_HERE])
 def test_parameters_of_systems(parameter):
     others = {
@@ -206,6 +208,7 @@ OTHERS = {
 LONGER = [("sphere_euler", "rotation"), ("double_spherical_pendulum", "masses")]
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize(
     ("name", "parameter"),
     long_where(LONGER, [(name, p) for name, make in ready_made_systems().items() for p in parameters(make)]),

@@ -52,6 +52,7 @@ def fields_of(method):
     return {field.name: getattr(method, field.name) for field in fields(method)}
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("name", "parameter"), [(n, p) for n in registry.names() for p in registry.parameters_of(n)])
 def test_parameters_of_schemes(name, parameter, tmp_path):
     def make(**given):
@@ -84,6 +85,7 @@ def without_none(value):
     return value
 
 
+@pytest.mark.long
 def test_schemes_that_are_tuned():
     system = co.LiePoissonSystem(co.algebras.so(4), Quadratic(np.linspace(1.0, 2.0, 6)))
     x = np.linspace(0.5, 1.0, 6)

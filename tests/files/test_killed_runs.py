@@ -54,6 +54,7 @@ def from_then_on(calls, original):
     return full
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", long_beyond(1, [3, 1]))
 @pytest.mark.parametrize("call", ["fsync", "replace"])
 def test_a_disk_that_is_full_at_any_write(tmp_path, monkeypatch, small_pieces, call, every):
@@ -147,6 +148,7 @@ def can_mount(folder):
     return shutil.which("unshare") and not subprocess.run(["unshare", "-rm", "sh", "-c", MOUNT, folder]).returncode
 
 
+@pytest.mark.long
 def test_a_small_disk(tmp_path):
     """On a file system of 1 MB the run ends by one sentence, and goes on when there is more room."""
     if not can_mount(tmp_path):

@@ -83,6 +83,7 @@ def check_same(found, sol):
             assert same(getattr(found.events, name), getattr(sol.events, name)), name
 
 
+@pytest.mark.thinned(11)
 @pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
 @pytest.mark.parametrize("way", WAYS)

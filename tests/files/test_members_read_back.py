@@ -136,6 +136,7 @@ def plain(value: Any) -> Any:
     return value
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(("way", "name"), PAIRS)
 def test_what_is_read_is_what_was_saved(way, name, tmp_path):
     wanted, found = run(name), WAYS[way](name, tmp_path)

@@ -44,6 +44,7 @@ for limit in map(int, sys.argv[3:]):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 @pytest.mark.parametrize("dataset", [SMALL, LARGE], ids=["small", "large"])
 def test_full_disk(tmp_path, suffix, dataset):

@@ -145,6 +145,7 @@ def test_output_times_are_counted_one_by_one(folder, monkeypatch, kind, system, 
     assert lines["steps"] == f"{found.steps} of {abs(end) / found.steps:g}, from t = 0 to {end:g}"
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_every_example(folder, capsys, example):
     assert cli.main(["check", str(example)]) == 0

@@ -88,6 +88,7 @@ def test_wrong_ones_are_refused_by_both(validator, what, tmp_path, monkeypatch, 
     assert capsys.readouterr().err.startswith("run.toml: ")
 
 
+@pytest.mark.long
 def test_what_the_schema_refuses_is_refused(validator, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused = 0

@@ -99,6 +99,7 @@ def test_events_that_are_functions():
         rebuild(ended.to_xarray())
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("first", [True, False])
 def test_loaded_crossings_keep_their_names_beside_functions(tmp_path, first, terminal):

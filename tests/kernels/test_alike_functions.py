@@ -312,6 +312,7 @@ def test_a_module_that_has_changed_is_compiled_again():
     assert abs(end()) == pytest.approx(np.sin(0.5), abs=1e-15)
 
 
+@pytest.mark.long
 def test_many_functions_are_told_of_beforehand(monkeypatch):
     monkeypatch.setattr(callbacks, "MANY", 4)
     system = spins([times(5.0 + k) for k in range(4)])

@@ -86,6 +86,7 @@ def test_total_spin_and_lengths_are_kept(system, order, compensated):
     assert np.abs(run.x[-1] - x0).max() > 0.1
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", LATTICES, ids=["graph", "field", "ring", "stretched"])
 def test_crowds_have_the_bits_of_each_member_alone(system):
     rng = np.random.default_rng(5)

@@ -56,6 +56,7 @@ def compiled(tree):
     return sorted(re.findall(r"Building CXX object \S*?(\w+)\.dir/\S*?(\w+\.cpp)\.o", done.stdout))
 
 
+@pytest.mark.long
 @needs_tools
 @needs_levels
 def test_levels_are_chosen_by_name(tmp_path):
@@ -71,6 +72,7 @@ def test_levels_are_chosen_by_name(tmp_path):
         assert set(commands(tree)) == {("_processor", "processor.cpp"), *libraries}
 
 
+@pytest.mark.thinned(2)
 @needs_tools
 @needs_levels
 @pytest.mark.parametrize(("levels", "wrong"), [("v2", "v2"), ("v1;fast", "fast"), ("v3;all", "all"), ("4", "4")])
@@ -100,6 +102,7 @@ def test_another_compiler_is_not_left_out_in_silence(tmp_path, monkeypatch):
     assert f"CXX is {other}, but {tree / 'build'} was made for" in said
 
 
+@pytest.mark.long
 @needs_tools
 @pytest.mark.parametrize("levels", long_beyond(1, ["v3", "v1;v3"]))
 def test_what_has_changed_is_compiled_and_nothing_else(tmp_path, levels):

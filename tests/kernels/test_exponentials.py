@@ -96,6 +96,7 @@ def exact(X, time):
         return np.array(found.tolist(), dtype=float).reshape(X.shape)
 
 
+@pytest.mark.thinned(25)
 @pytest.mark.parametrize(("name", "algebra", "carried", "shift"), list(cases()), ids=[case[0] for case in cases()])
 def test_against_a_general_exponential(name, algebra, carried, shift):
     x = np.random.default_rng(len(name)).standard_normal(algebra.dim)

@@ -100,6 +100,7 @@ def compare(s, method, h, steps):
     assert np.abs(sol.attitude[-1] - K).max() <= bound * np.linalg.norm(K) ** 2
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_compiled_and_plain_reading_agree(name):
     """Ten steps; norm(K) bounds what the flow makes of an error on the way (K is the tangent within the orbit)."""

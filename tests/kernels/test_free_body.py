@@ -46,6 +46,7 @@ STATES = {
 }
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("name", STATES)
 def test_a_step_of_any_length_is_the_closed_form_in_every_order_and_sign(name):
     m, x0 = (np.array(values) for values in STATES[name])
@@ -111,6 +112,7 @@ def tops():
     yield co.LiePoissonSystem(two, co.Quadratic(np.diag([1, 2, 3, 3, 1, 2.0]) + 0.1), sign=1)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", list(tops()), ids=lambda system: system.name)
 def test_crowds_have_the_bits_of_each_member_alone(system):
     rng = np.random.default_rng(5)
@@ -125,6 +127,7 @@ def test_crowds_have_the_bits_of_each_member_alone(system):
             np.testing.assert_array_equal(together.attitude[:, k], alone.attitude)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", list(tops()), ids=lambda system: system.name)
 def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
     x0, h = np.random.default_rng(6).standard_normal(system.dim), 0.25

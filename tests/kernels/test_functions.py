@@ -28,6 +28,7 @@ def sum_of_squares(y):
     return y[0] * y[0] + y[1] * y[1]
 
 
+@pytest.mark.long
 def test_each_way_of_calling():
     assert compile_and_call(sum_of_squares, [3.0, 4.0]) == [25.0]
     assert compile_and_call(lambda y, t: y[0] * t, [3.0], 0.5, timed=True) == [1.5]

@@ -112,6 +112,7 @@ def told_by(script: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers of signals are POSIX's")
 @pytest.mark.parametrize("name", long_where(ALIKE, RUNS))
 def test_a_signal_is_heard_and_leaves_nothing_behind(name):

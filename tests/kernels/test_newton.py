@@ -122,6 +122,7 @@ def test_large_linear_stages_beyond_the_iteration(freeze):
     assert run.drift()["energy" if freeze == "structure" else "S"] < 6 * 4 * size * U * np.sqrt(3)
 
 
+@pytest.mark.long
 def test_a_hundred_thousand_coordinates():
     """Nothing of size n x n is made: 33334 spins."""
     spins = 33334

@@ -23,6 +23,7 @@ START, STEP = 10.0, 0.25
 # The functions of runs read the entry max(0, 4 t - 39) of three: 1 at the start, and beyond them from t = 10.5 on.
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("place", [3, 4, -4])
 @pytest.mark.parametrize(
     ("function", "how"),
@@ -108,6 +109,7 @@ RUNS = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_fails_before_it_uses_what_is_beside_an_array(name):
     """Until then it has the bits of a run that ends earlier; all stages are evaluated within a step."""

@@ -57,6 +57,7 @@ def test_the_conditions_of_runge_and_kutta(order):
             assert weight == Fraction(1, density)
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("order", SCHEMES)
 @pytest.mark.parametrize("algebra", ALGEBRAS, ids=str)
 def test_local_order_in_forty_digits(order, algebra):
@@ -73,6 +74,7 @@ def test_local_order_in_forty_digits(order, algebra):
     assert abs(slope - order - 1) < 0.1
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("order", SCHEMES)
 @pytest.mark.parametrize("algebra", ALGEBRAS, ids=str)
 @pytest.mark.parametrize("sign", [1, -1])

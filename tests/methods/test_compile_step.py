@@ -53,6 +53,7 @@ def scheme_of(own):
     return OwnEuler
 
 
+@pytest.mark.long
 def test_it_runs_as_its_reading_says(step):
     scheme = scheme_of(step)
     system = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, np.ones(6)))
@@ -178,6 +179,7 @@ EDITS = {
 }
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(
     ("edit", "trusting"), [*((edit, True) for edit in EDITS), ("header", False), ("header found before another", False)]
 )
@@ -298,6 +300,7 @@ def test_a_file_that_is_not_there():
         co.methods.compile_step(SOURCE, name="other")
 
 
+@pytest.mark.long
 def test_steps_of_its_own(tmp_path, monkeypatch):
     """The kernels see that a step from another library takes steps of its own: no look changes them."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

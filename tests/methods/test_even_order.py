@@ -66,6 +66,7 @@ def served(base, sign):
     return co.systems.rigid_body(inertia=(1, 2, 2.5)) if diagonal else full(sign)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("jump", ["triple", "suzuki"])
 @pytest.mark.parametrize("order", long_where([6], [2, 4, 6]))
 @pytest.mark.parametrize("base", BASES, ids=str)

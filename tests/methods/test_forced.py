@@ -212,6 +212,7 @@ def test_the_order_is_two_on_full_systems(name):
         assert abs(fitted_order(run, found.y[:, -1]) - 2.0) < 0.1
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", BASES, ids=str)
 def test_every_scheme_takes_the_step_that_is_read_in_python(method):
     for name in ("e(3)", "su(3)"):

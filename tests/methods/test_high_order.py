@@ -75,6 +75,7 @@ def test_the_step_section_is_the_kernel_alone(name):
     assert finish == 1 + 2 * (parts - 1) * 2 * len(scheme.processor_half)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "name", long_where(["blanes_casas_murua10"], [*PROCESSED, "sofroniou_spaletta8", "blanes_moan6"])
 )

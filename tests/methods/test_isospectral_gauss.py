@@ -208,6 +208,7 @@ def test_the_tangent_of_two_layers_takes_matrices_and_coordinates(stages) -> Non
     assert np.array_equal(after, scheme.step(system, W, 0.5, 0.25))
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("scheme", [co.IsospectralGauss(1), co.IsospectralGauss(2), co.CommutatorFree(3)], ids=str)
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("h", [0.3, -0.3])

@@ -43,6 +43,7 @@ def test_properties_that_say_nothing(attitude):
         run(Silent(), attitude=attitude)
 
 
+@pytest.mark.long
 def test_an_attitude_that_nobody_carries():
     class Boasting(Classical):
         def properties(self, system):

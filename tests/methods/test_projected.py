@@ -69,6 +69,7 @@ def start_of(system):
     return np.linspace(0.7, -0.5, system.dim)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("base", BASES, ids=str)
 @pytest.mark.parametrize("system", [E3, SU3, SPIRAL], ids=["e(3)", "su(3), cubic Casimir", "A3,7"])
 @pytest.mark.parametrize("h", [0.05, -0.05])

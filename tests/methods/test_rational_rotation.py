@@ -85,6 +85,7 @@ def one(dim):
     return np.eye(dim)
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_poisson_in_40_digits(name, method):
@@ -103,6 +104,7 @@ def test_poisson_in_40_digits(name, method):
         assert np.max(np.abs(exact.steps(x0, mpmath.mpf(h), 1) - x)) > 1e-8  # it is another map
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_compiled_and_plain_reading_agree(name, method):
@@ -190,6 +192,7 @@ def test_rotation_matrices_carry_the_momentum(method):
     assert np.max(np.abs(run.attitude[-1] - one(3))) > 0.1
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("method", long_where(["processed", "first-order steps"], METHODS))
 def test_a_representation_with_other_frequencies(method):
     """Unit quaternions turn by half the angle: q stays orthogonal and q rho(x) q^-1 constant."""

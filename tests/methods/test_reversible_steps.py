@@ -56,6 +56,7 @@ def walked(system, method, x, steps, direction=1.0, rho=None):
     return np.array(states), np.array(lengths), rho
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_steps_can_be_taken_back(name, direction):
@@ -73,6 +74,7 @@ def test_steps_can_be_taken_back(name, direction):
     assert np.ptp(np.abs(lengths)) > 0.01 * np.abs(lengths).max()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("end", [3.0, -3.0])
 def test_the_compiled_steps_are_those_of_the_reading(name, end):
@@ -285,6 +287,7 @@ def test_a_step_as_a_function(h):
     assert np.max(np.abs(P - np.eye(3))) > 0.1
 
 
+@pytest.mark.long
 def test_a_certificate_says_what_it_keeps():
     found = co.certify(BODY, co.ReversibleSteps(co.Splitting(order=2), 0.1), start_of(BODY), step=0.1, steps=50)
     assert found.passed

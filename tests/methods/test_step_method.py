@@ -51,6 +51,7 @@ def schemes_for(name):
 CASES = [(name, scheme) for name in SYSTEMS for scheme in schemes_for(name)]
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(("name", "scheme"), CASES, ids=str)
 @pytest.mark.parametrize("h", [0.05, -0.05])
 def test_the_compiled_step_is_the_step(name, scheme, h):
@@ -288,6 +289,7 @@ def test_parameters_that_are_inherited_redefined_or_fields_are_those_of_the_sche
         assert value == getattr(scheme, name) and type(value) is type(getattr(scheme, name)), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", [Back(), AdjustedAgain()], ids=lambda scheme: type(scheme).__name__)
 def test_a_compiled_step_has_the_parameters_of_a_derived_scheme(scheme):
     system = SYSTEMS["so(3)"]

@@ -66,6 +66,7 @@ def one_step(system, method, x, h):
     return co.integrate(system, x, (0.0, h), abs(h), method, watch=False).x[-1]
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("name", list(systems()))
 def test_compiled_step_is_the_plain_reading(name, projected):

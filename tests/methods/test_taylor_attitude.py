@@ -83,6 +83,7 @@ def element_of_the_series(system, attitude, x, h, order):
         return np.array(sum(P[1:], P[0]).tolist(), dtype=float)
 
 
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize(
     ("name", "degree"),
     long_where(
@@ -103,6 +104,7 @@ def test_one_step_is_the_flow_of_the_polynomial_that_the_gradient_is(name, degre
             assert np.max(np.abs(found - exact)) < 32 * len(exact) * UNIT_ROUNDOFF * np.max(np.abs(exact))
 
 
+@pytest.mark.thinned(20)
 @pytest.mark.parametrize("name", ALGEBRAS)
 @pytest.mark.parametrize("projected", [True, False])
 def test_order_by_slope_and_beside_a_splitting_of_order_ten(name, projected):

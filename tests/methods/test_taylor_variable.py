@@ -61,6 +61,7 @@ def own_steps(sol):
     return np.ravel(sol.stats.evaluations)[0] // sol.method.order
 
 
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("name", list(systems()))
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("t", [2.0, -2.0])
@@ -90,6 +91,7 @@ def test_every_order_reaches_the_tolerance(order):
     assert sol.stats.evaluations % order == 0
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("name", list(systems()))
 @pytest.mark.parametrize("t", [1.5, -1.5])
 def test_compiled_steps_are_the_plain_reading(name, t):
@@ -207,6 +209,7 @@ def test_cut_and_gone_on_with_is_the_whole_run(name, h):
         assert np.array_equal(first.saved["x"][-1], whole.saved["x"][-1]) and first.state == whole.state
 
 
+@pytest.mark.long
 def test_tangent_is_the_derivative_of_the_motion():
     for name in ("so(3)", "e(3), quartic", "solvable"):
         system = systems()[name]

@@ -38,6 +38,7 @@ def test_each_defect_can_be_planted(room):
             assert defect.planted(text) != text
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("room", sorted(ROOMS))
 def test_what_should_notice_each_exists(room):
     for defect in defects():

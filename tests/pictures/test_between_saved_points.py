@@ -26,6 +26,7 @@ def styles(axes):
     return {line.get_linestyle() for line in axes.lines if len(line.get_xdata()) > 1}
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("span", [(0.0, 60.0), (60.0, 0.0)])
 @pytest.mark.parametrize("every", [20, 50, 600])
 def test_chords_stay_by_the_motion_however_sparse_the_saved_points_are(span, every):
@@ -141,6 +142,7 @@ def test_a_long_chain_is_folded_into_rows():
     assert places_of_sites("chain", 30, 30)[:, 1].max() == 0.0
 
 
+@pytest.mark.long
 def test_a_notebook_shows_the_figure_by_itself():
     run = co.integrate(BODY, X0, (0.0, 1.0), 0.1)
     figure = run.plot()

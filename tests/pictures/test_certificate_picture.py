@@ -12,6 +12,7 @@ from coadjoint.pictures.certificate import BAD, GOOD, OPEN, draw_certificate
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 
 
+@pytest.mark.long
 def test_every_panel_is_drawn(tmp_path):
     for method in (co.Splitting(), co.Taylor(12), lambda x, h: x + h * BODY.vector_field(x)):
         found = co.certify(BODY, method, (0.3, 1.0, 0.2), 0.1, steps=60)

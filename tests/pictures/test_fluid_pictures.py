@@ -226,6 +226,7 @@ def test_eigenvalues_and_relative_drift(ball):
     assert lines["$H$"] == pytest.approx(np.abs(ball.energy - ball.energy[0]).max() / np.abs(ball.energy).max())
 
 
+@pytest.mark.long
 def test_a_run_is_drawn_in_pairs_of_low_pictures(ball):
     figure = ball.plot()
     panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]

@@ -44,6 +44,7 @@ def test_every_ready_made_system_says_what_is_seen_first():
 SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cosh", "sklyanin", "spin_lattice"}
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", long_where(SLOW, co.systems.names()))
 def test_the_telling_run_is_true_and_can_be_shown(name):
     run, told = telling_run(name), telling_of(name)
@@ -60,6 +61,7 @@ def test_the_telling_run_is_true_and_can_be_shown(name):
 
 
 # One system at least for each kind of picture that systems declare
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     long_where(

@@ -177,6 +177,7 @@ def test_vectors_have_colours_labels_and_gaps_of_their_own():
 # Spheres
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("around", [-170.0, -80.0, 10.0, 100.0])
 def test_a_path_on_one_side_of_a_sphere_is_seen_from_there(around):
     angles = np.radians(around + np.array([-30.0, -10.0, 10.0, 30.0]))

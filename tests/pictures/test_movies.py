@@ -98,6 +98,7 @@ def test_every_kind_that_moves_is_tried():
     assert {name for name, kind in kinds().items() if kind.moves} == set(MOVING)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", MOVING)
 def test_another_time_in_the_same_picture_is_the_picture_of_that_time(name):
     run = MOVING[name]()

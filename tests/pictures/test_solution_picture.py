@@ -58,6 +58,7 @@ def test_component_lines_and_orbit_are_the_momentum(body_run: co.Solution) -> No
     assert np.array_equal(path, body_run.x)
 
 
+@pytest.mark.long
 def test_sphere_is_drawn_whole(body_run: co.Solution) -> None:
     orbit = _three_dimensional(body_run.plot())[0]
     corners = _corners(orbit).T
@@ -67,6 +68,7 @@ def test_sphere_is_drawn_whole(body_run: co.Solution) -> None:
     assert orbit.get_xlim()[1] > radius
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("system", "x0", "name"),
     [

@@ -110,6 +110,7 @@ def test_errors_are_those_of_each_member_at_its_times(sense, members):
         np.testing.assert_allclose(line.get_ydata()[1:], wanted[1:], rtol=0, atol=1e-13)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("members", [None, [1, 0], [2, 0]])
 @pytest.mark.parametrize("sense", SENSES)
 def test_series_of_members_in_the_order_in_which_they_are_chosen(sense, members):

@@ -217,6 +217,7 @@ NEARLY_ALIKE = {
 }
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("kind", NEARLY_ALIKE, ids=lambda kind: kind.name)
 def test_blocks_that_differ_in_one_constant_have_their_own(kind):
     """In one generator, in any order: blocks of a run share their constants only if all of these are equal."""
@@ -239,6 +240,7 @@ def test_blocks_that_differ_in_one_constant_have_their_own(kind):
         assert np.abs(found - expected).max() <= 64 * U * np.exp(0.7 * 4.0) * 2  # no block has a norm above 4
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_exponential_of_basis_elements(name):
     algebra, _ = ALGEBRAS[name]

@@ -169,6 +169,7 @@ def test_a_large_lattice_goes_without_its_attitude():
         by_bonds().program(chain, group=np.zeros((2100, 2, 2)))
 
 
+@pytest.mark.long
 def test_a_flow_in_thirty_digits_is_the_closed_form():
     pair = co.systems.spin_lattice("chain", 2, exchange=0.75)
     with mpmath.workdps(40):

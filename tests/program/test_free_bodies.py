@@ -63,6 +63,7 @@ def systems():
 SYSTEMS = list(systems())
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", SYSTEMS, ids=lambda system: system.name)
 def test_the_parts_add_up_to_the_energy_and_converge_to_its_motion(system):
     rng = np.random.default_rng(4)
@@ -124,6 +125,7 @@ def test_gravity_may_be_an_input_and_rotors_may_not():
         co.prepare(top([0, 0, 0, 0.1, 0.2, 0.3]), free_body(), 0.125, inputs={"rotors": (1,)})
 
 
+@pytest.mark.long
 def test_a_flow_in_thirty_digits_is_that_of_elliptic_functions():
     body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), sign=-1)
     with mpmath.workdps(40):

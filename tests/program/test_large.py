@@ -81,6 +81,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("choice", ["auto", "coordinates"])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_action_is_that_of_a_plain_construction(name, choice):

@@ -65,6 +65,7 @@ METHODS = {
 }
 
 
+@pytest.mark.thinned(13)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("algebra", ALGEBRAS)
 @pytest.mark.parametrize("h", long_beyond(1, [0.1, -0.1]))

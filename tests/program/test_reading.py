@@ -66,6 +66,7 @@ def size(values):
     return max(abs(v) for v in np.ravel(values))
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("order", "tolerance"), [(1, 0.02), (2, 0.01), (4, 0.01)])
 @pytest.mark.parametrize("name", long_where(["so(4) full"], SYSTEMS))
 def test_order(name, order, tolerance):
@@ -111,6 +112,7 @@ def test_poisson_condition_with_the_exact_tangent(name, order):
         )
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(
     "name", ["e(3) diagonal", "so(4) full", "sl(2) full", "quartic on so(3)", "driven sl(2)", "Heisenberg"]
 )
@@ -137,6 +139,7 @@ def test_spiral_casimir():
         assert abs(change - period * mpmath.nint(change / period)) <= mpmath.mpf(10) ** -35
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("carried", ["coadjoint", "own"])
 @pytest.mark.parametrize("name", ["e(3) diagonal", "so(4) full", "sl(2) full", "A3,7", "driven sl(2)"])
 def test_group_element_carries_the_momentum(name, carried):

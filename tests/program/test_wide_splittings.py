@@ -76,6 +76,7 @@ def test_kinds_of_blocks_are_those_of_whole_products(seed, monkeypatch):
         assert blocks.larger_block(n, local, 2.0**-53) == plain
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("order", long_beyond(1, [2, 4]))
 def test_many_coupled_coordinates_move_rightly(order):
     algebra = co.algebras.su(9)  # 80 coordinates, above every bound of what is small
@@ -107,6 +108,7 @@ def test_shifts_take_no_more_than_a_bounded_work(monkeypatch):
     assert len(calls) == 6 < every
 
 
+@pytest.mark.long
 def test_diagonal_forms_of_large_algebras_try_few_shifts(monkeypatch):
     """The Casimir of su(N) is not diagonal, so that only making the parts tells how many there are."""
     g = co.algebras.su(24)
@@ -117,6 +119,7 @@ def test_diagonal_forms_of_large_algebras_try_few_shifts(monkeypatch):
     assert decompose.FEWEST_SHIFTS < len(calls) < g.dim / 3
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("algebra, count", [("su(32)", 1023), ("so(45)", 990)])
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=4, parts="coordinates")], ids=str)
 def test_what_takes_minutes_is_refused_at_once(algebra, count, method):
@@ -182,6 +185,7 @@ def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, mo
     assert (0.5 if coupled else 0.0) * spent[-1] < counted[0] <= spent[-1]
 
 
+@pytest.mark.long
 def test_terms_that_would_take_days_are_refused_at_once():
     g = co.algebras.su(9)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))

@@ -162,6 +162,7 @@ def test_statistics_and_drift_have_a_place_for_each_member():
     assert np.array_equal(drift.members, worst)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", long_beyond(1, [".nc", ".zarr"]))
 def test_a_dataset_of_a_batch_runs_again_to_the_same_bits(suffix, tmp_path):
     import xarray

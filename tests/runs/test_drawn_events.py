@@ -83,6 +83,7 @@ def draw(rng):
     return h, span, starts, events, phases, halves, given
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_events_are_those_of_the_closed_form(method):
     rng, pairs_at_the_end = np.random.default_rng(70), 0
@@ -104,6 +105,7 @@ def test_events_are_those_of_the_closed_form(method):
     assert pairs_at_the_end > DRAWS // 8
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("steps", [1, 2, 9])

@@ -21,6 +21,7 @@ def no_run(*given):
     raise AssertionError("a whole run was taken")
 
 
+@pytest.mark.long
 def test_random_runs_end_where_runs_do():
     ended = 0
     for seed in range(60):

@@ -99,6 +99,7 @@ def test_an_ensemble_finds_what_each_member_finds_alone(method):
         assert np.array_equal(alone.which, own.which)
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
 def test_the_calls_of_a_run_do_not_show(method, monkeypatch):
     """However few steps a loop takes before it is called again, the events are the same."""

@@ -76,6 +76,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("scheme", "name"), PAIRS)
 def test_a_call_has_the_bits_of_a_system_made_anew(scheme, name):
     method = schemes()[scheme]
@@ -253,6 +254,7 @@ def test_both_is_one_step_from_any_element():
         step.both(x, attitude=False)
 
 
+@pytest.mark.long
 def test_the_scheme_of_a_run_is_all_that_it_needs_to_be_repeated():
     """Its parts are written out; so the modified energy is that of the run, and a description makes it again."""
     x, before, linear = numbers("e(3)")
@@ -425,6 +427,7 @@ OTHER = co.Event(lambda x, t: np.sin(4.0 * t - x[5]), name="other")
 END = co.Event(lambda x, t: np.cos(0.5 * t + x[0]), terminal=True, name="end")
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(
     "method",
     [

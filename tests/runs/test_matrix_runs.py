@@ -199,6 +199,7 @@ def test_a_function_that_numba_cannot_compile_is_said_to_be_slow_once():
     assert len([w for w in said if "is called in Python" in str(w.message)]) == 1
 
 
+@pytest.mark.long
 def test_compiled_and_called_functions_are_one_motion():
     """H = tr W^3/3 + tr(W W^T)/2 on gl(3), whose slope is W^2 + W^T."""
     g, ends = co.MatrixAlgebra("gl", 3), []

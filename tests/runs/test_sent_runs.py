@@ -39,6 +39,7 @@ def carried(value):
     return cloudpickle.loads(cloudpickle.dumps(value))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("name", "span"),
     [(name, (0.0, 2.0)) for name in CASES] + [(name, (1.0, -1.0)) for name in CASES if "noise" not in name],

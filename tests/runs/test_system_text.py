@@ -12,6 +12,7 @@ from coadjoint.runs.system_text import system_text, told_of
 from long import long_between
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("name", long_between(2, co.systems.names()))
 def test_what_is_said_is_what_the_system_is(name):
     told, system = told_of(name), co.systems.get(name)

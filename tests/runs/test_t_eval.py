@@ -140,6 +140,7 @@ def test_events_that_end_a_run_and_others():
     assert np.array_equal(seen.x, co.integrate(BODY, X, (0, 40), STEP, t_eval=times).x)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(12), co.Taylor(tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize("end", [80.0, -80.0])
 def test_an_event_ends_the_run_between_the_times(method, end):

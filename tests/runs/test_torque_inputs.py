@@ -64,6 +64,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.thinned(11)
 @pytest.mark.parametrize(("scheme", "name"), PAIRS)
 def test_a_call_has_the_bits_of_a_system_made_anew(scheme, name):
     method = schemes()[scheme]

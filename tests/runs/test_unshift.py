@@ -113,6 +113,7 @@ def given(system, attitude, members=None):
     return np.asfortranarray(g), g
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("kind", ["representation", "coadjoint"])
 @pytest.mark.parametrize("span", [(0.0, 0.5), (0.5, 0.0), (1e6, 1e6 + 0.5)], ids=str)
 @pytest.mark.parametrize("name", list(SHIFTED))

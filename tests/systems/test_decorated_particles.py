@@ -132,6 +132,7 @@ def test_field_by_hand(count):
     assert next(iter(system.casimirs)) == "z" and len(system.casimirs) == count + 1
 
 
+@pytest.mark.long
 def test_functions_are_compiled():
     def gauss(r):
         return np.exp(-r * r)

@@ -82,6 +82,7 @@ DEGENERATE = {
 }
 
 
+@pytest.mark.thinned(19)
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3))), ids=str)
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_degenerate_cases_and_permuted_axes(name, order):
@@ -220,6 +221,7 @@ def test_the_closed_form_solves_the_systems_own_equation(make):
 FOUR_POINTS = np.array([-2.0, -1.0, 1.0, 2.0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_random_full_tensors_solve_their_own_equation(sign):
     """Both frames of eigenvectors, orders of the moments, regions of the sphere, signs, and directions of time."""

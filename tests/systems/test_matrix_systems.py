@@ -65,6 +65,7 @@ def linear_map(g, seed):
     return stream
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore:the stream stream is called in Python")
 @pytest.mark.parametrize(
     ("name", "of"),
@@ -146,6 +147,7 @@ def of_diagonal_energy(W):
     return (a**2 + a**4 / 2 + b**2 / 2) / 2 + np.abs(W[0, 1]) ** 2
 
 
+@pytest.mark.long
 def test_a_function_does_not_see_the_trace_of_stages():
     """Else the step would be no Poisson map: the stages M of matrices of trace zero have a trace."""
     s = co.MatrixSystem(G("su", 3), of_diagonal, energy=of_diagonal_energy)

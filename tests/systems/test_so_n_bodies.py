@@ -14,6 +14,7 @@ def matrix_of(system, x):
     return np.einsum("k,kij->ij", x, system.representation)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("n", [3, 4, 5, 6])
 @pytest.mark.parametrize("full", [False, True])
 def test_so_n_body_by_hand(n, full):

@@ -105,6 +105,7 @@ def bound(H):
     return co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
 def test_every_kind_and_every_other(first, second):
@@ -130,6 +131,7 @@ def test_every_kind_and_every_other(first, second):
                     np.testing.assert_allclose(getattr(whole, name)(x, t), sum(parts), rtol=0, atol=2**-53 * 40 * size)
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(
     "first, second",
     [
@@ -263,6 +265,7 @@ def made_of_each_kind():
     }
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("kind", made_of_each_kind())
 @pytest.mark.parametrize("change", [lambda H: 2 * H, lambda H: -H, lambda H: H / 4, lambda H: H + H])
 def test_what_is_made_of_one_that_has_run_is_made_of_a_new_one(kind, change):

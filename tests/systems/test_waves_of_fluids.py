@@ -81,6 +81,7 @@ def test_the_equations_as_lorenz_wrote_them():
     np.testing.assert_allclose(SYSTEMS["Lorenz"].vector_field(X0), wanted, rtol=0, atol=1e-15)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_closed_form_and_orders(name):
     system = SYSTEMS[name]

@@ -43,6 +43,7 @@ def is_wasteful(error: float, choice: co.Choice, span: float) -> bool:
     return far_below and coarser < choice.accuracy / 3 and not explained
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 @pytest.mark.parametrize("name", written_out())
 def test_the_accuracy_is_reached_without_waste(name, accuracy):
@@ -69,6 +70,7 @@ def test_splittings_alone_reach_it_too(name, accuracy):
         assert error <= accuracy and not is_wasteful(error, choice, case.time), f"{error:.1e} by {choice}"
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("accuracy", (1e-3, 1e-6, 1e-9))
 @pytest.mark.parametrize("methods", (None, SPLITTINGS), ids=("any", "splittings"))
 @pytest.mark.parametrize("x0", ((1.0, 0.2, 0.5), (0.05, 1.0, 0.02), (0.3, -0.4, 1.5)))
@@ -145,6 +147,7 @@ ODD = {
 }
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("accuracy", (1e-4, 1e-9))
 @pytest.mark.parametrize("name", ODD)
 def test_every_kind_of_system(name, accuracy):
@@ -214,6 +217,7 @@ def dying_motion(seed, spans):
 SPANS, LONGER = (5, 50, 500), (3, 15, 100, 250, 1000, 3000)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize(
     ("seed", "spans"),

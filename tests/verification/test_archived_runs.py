@@ -131,6 +131,7 @@ def assert_same(found, whole, same_work=True):
     assert not same_work or (one.evaluations, one.iterations) == (other.evaluations, other.iterations)
 
 
+@pytest.mark.thinned(67)
 @pytest.mark.parametrize(
     ("method", "name", "cuts", "every", "threads", "members", "direction", "attitude"), list(cases())
 )
@@ -155,6 +156,7 @@ def test_cut_and_resumed(tmp_path, method, name, cuts, every, threads, members, 
     assert_same(found, whole, same_work=watch or not method.own_steps)
 
 
+@pytest.mark.long
 def test_there_are_enough_cases():
     """Every registered scheme, every system, and every option beside every other one."""
     found = [case.values for case in cases()]
@@ -190,7 +192,7 @@ def test_points_are_let_go(tmp_path, monkeypatch, method, members):
 LATER = [(17, 29), (17, 18), (40, 400), (170, 1000), (1000, 1001), (999, 2000)]
 
 
-@pytest.mark.thinned(9)
+@pytest.mark.thinned(36)
 @pytest.mark.parametrize(("steps", "later"), LATER)
 @pytest.mark.parametrize("every", [1, 7, 50])
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8, tolerance=1e-9)], ids=str)

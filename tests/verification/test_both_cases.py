@@ -100,6 +100,7 @@ def rounding(system, x):
     return 2.0**10 * system.dim * U * np.max(np.abs(x))
 
 
+@pytest.mark.thinned(32)
 @pytest.mark.parametrize(("scheme", "algebra"), pairs())
 def test_the_compiled_step_is_the_plain_one_for_both_signs_and_directions(scheme, algebra):
     ends = []
@@ -109,6 +110,7 @@ def test_the_compiled_step_is_the_plain_one_for_both_signs_and_directions(scheme
     assert np.max(np.abs(ends[0] - ends[2])) > 0.05 * STEP
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("scheme", WITHOUT_ALGEBRA)
 @pytest.mark.parametrize("seed", range(2))
 def test_the_compiled_step_is_the_plain_one_where_j_is_a_function(scheme, seed):
@@ -116,6 +118,7 @@ def test_the_compiled_step_is_the_plain_one_where_j_is_a_function(scheme, seed):
         check_steps(SCHEMES[scheme], *drawn_bracket(seed, sign), direction * STEP)
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("scheme", [s for s, m in SCHEMES.items() if served(m, cases()["sl(2), driven"].system)])
 def test_the_compiled_step_is_the_plain_one_at_any_time(scheme):
     """A driven system, from a time that is not zero, forward and backward."""
@@ -149,6 +152,7 @@ def check_tangent(method, system, x0, h):
     assert np.max(np.abs(P - np.eye(system.dim))) > 2.0**10 * bound
 
 
+@pytest.mark.thinned(13)
 @pytest.mark.parametrize(("scheme", "algebra"), pairs())
 def test_tangents_for_both_signs_and_directions(scheme, algebra):
     for sign, direction in DIRECTIONS:
@@ -443,6 +447,7 @@ def test_a_function_may_return_either_layout():
         np.testing.assert_allclose(two.x, one.x, rtol=0, atol=rounding(system, x0))
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("seed", range(4))
 def test_members_of_a_batch_in_any_order(seed):
     """Members of several structures (a shift, other parts, a diagonal M), with attitudes: each has its own bits."""

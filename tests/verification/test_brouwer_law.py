@@ -41,6 +41,7 @@ def test_casimirs_of_the_compensated_splitting(name):
         assert follows_the_law(walks[casimir]), (casimir, walks[casimir])
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["so(4), full"], SYSTEMS))
 def test_group_elements_of_the_splitting(name):
     solution = ensemble(name, COMPENSATED, attitude=True)
@@ -48,6 +49,7 @@ def test_group_elements_of_the_splitting(name):
     assert follows_the_law(walk), walk
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["so(4), full"], SYSTEMS))
 def test_spatial_momentum_of_the_splitting(name):
     solution = ensemble(name, COMPENSATED, attitude="coadjoint")

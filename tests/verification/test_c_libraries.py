@@ -48,6 +48,7 @@ def other_library(tmp_path_factory):
     return str(library)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", long_beyond(1, [6, 1]))
 def test_functions_of_the_c_library_reach_no_run(other_library, every):
     """In the child they have other last bits, and AVX and FMA are not used.

@@ -133,6 +133,7 @@ def test_commuting_forms_share_parts_somewhere():
     assert len(fewer) > 40, fewer
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("name", NAMES)
 def test_order(name, order):
@@ -141,6 +142,7 @@ def test_order(name, order):
     assert found.agrees_with(order), found
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("name", NAMES)
 def test_poisson(name, order):
@@ -190,6 +192,7 @@ def bounds_by_component(run: co.Solution) -> dict[str, float]:
     return {key: 4 * n * U * work * size for key, size in sizes.items()}
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", NAMES)
 def test_invariants_over_ten_thousand_steps(name):
     """Drifts are taken over every step, angles unwrapped; the control shows that every bound can be missed."""

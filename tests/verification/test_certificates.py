@@ -43,6 +43,7 @@ def fourteen() -> dict[str, Case]:
 PAIRS = [(s, c) for c, case in fourteen().items() for s, method in schemes().items() if serves(method, case.system)]
 
 
+@pytest.mark.thinned(117)
 @pytest.mark.parametrize(("scheme", "case"), PAIRS)
 def test_every_declared_property_holds(scheme, case):
     system, x0, _ = fourteen()[case]
@@ -127,6 +128,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("what", long_where(["backward", "time four times too slow"], BROKEN))
 def test_what_is_broken_fails_in_its_row(what):
     made, order, symmetric, properties, row = BROKEN[what]

@@ -45,6 +45,7 @@ def test_observed_quantities_that_depend_on_time(members, span):
     np.testing.assert_allclose(whole.observed["clock"], whole.x[..., 0] + 10.0 * whole.t[:, None], rtol=0, atol=1e-13)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["so(3)", "so(4)", "e(3)"])
 @pytest.mark.parametrize("members", [2, 5, 9])
 def test_schemes_with_own_steps_in_pieces(tmp_path, name, members):
@@ -84,6 +85,7 @@ class Euler(co.methods.StepMethod):
         return x + h * system.vector_field(x, t)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("members", [1, 3, 9])
 @pytest.mark.parametrize(
     ("method", "step"), [(Euler(), 0.25), (co.Taylor(order=2), 0.5), (co.GaussLegendre(1), 0.5)], ids=str
@@ -121,6 +123,7 @@ def test_a_function_that_is_zero_at_a_step_has_crossed_once(method, direction, s
     assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("N", [31, 32, 33, 34, 35, 47, 64, 65, 66, 67, 70])
 @pytest.mark.parametrize("kind", ["so", "u"])
 def test_steps_of_matrices_of_odd_sizes(kind, N):
@@ -138,6 +141,7 @@ def test_steps_of_matrices_of_odd_sizes(kind, N):
     np.testing.assert_allclose(algebra.projected(end), end, rtol=0, atol=1e-13)
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("kind", ["so", "su", "u"])
 @pytest.mark.parametrize("N", [3, 5, 8])
 @pytest.mark.parametrize("stream", ["none", "function", "weights"])

@@ -48,6 +48,7 @@ def serves(method, system, x0):
 PAIRS = [(m, c) for m in METHODS for c in cases() if serves(METHODS[m], *cases()[c][:2])]
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("method", "case"), PAIRS)
 @pytest.mark.parametrize("watch", [True, False])
 def test_a_member_of_a_crowd_is_what_it_is_alone(method, case, watch):

@@ -67,6 +67,7 @@ def same_motion(one, other):
     assert (one.stats.steps, one.stats.evaluations) == (other.stats.steps, other.stats.evaluations)
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", [*GROWING, *SHIFTED])
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_backward_is_forward_in_the_mirrored_system(scheme, name):
@@ -184,6 +185,7 @@ DRIVEN = ("so(3)", "A3,5", "A3,7", "sl(2)")
 CLOCKED = [(s, name) for name in DRIVEN for s in SCHEMES if serves(schemes()[s], driven_system(name, "plain"))]
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize(("scheme", "name"), CLOCKED)
 def test_a_clock_that_stands_elsewhere(scheme, name):
     """From 7.25 on as with a clock 7.25 ahead from 0 on, and backward as mirrored."""
@@ -239,6 +241,7 @@ def test_what_is_observed_is_so_at_its_time(span):
 # What does not depend on the clock.
 
 
+@pytest.mark.thinned(15)
 @pytest.mark.parametrize("name", [*GROWING, *SHIFTED])
 def test_the_time_at_the_start_changes_no_bit_of_an_autonomous_run(name):
     algebra, hamiltonian = (GROWING | SHIFTED)[name]

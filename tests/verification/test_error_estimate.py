@@ -24,6 +24,7 @@ def honest(sol: co.Solution, exact: np.ndarray, largest: float) -> None:
     )
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("methods", [None, co.Splitting(order=6), co.GaussLegendre(3)], ids=str)
 @pytest.mark.parametrize("name", written_out())
 def test_it_is_honest_on_the_systems_written_out(name, methods):
@@ -51,6 +52,7 @@ def plain_field(system: co.LiePoissonSystem):
     return field
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("time", [6.0, -3.0])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_it_is_honest_on_systems_at_random(name, time):

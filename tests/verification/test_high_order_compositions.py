@@ -82,6 +82,7 @@ def defects(name, highest, number=mpmath.mpf):
     return found, [g * known * max(sizes[w] for w in product if sum(w) == g) for g in range(1, highest + 1)]
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", SCHEMES)
 def test_order_conditions(name):
     order = SCHEMES[name].order
@@ -122,6 +123,7 @@ def distance(a, b):
     return max(abs(v) for v in a - b)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("make", long_beyond(1, [heavy_top, body_in_four_dimensions]))
 @pytest.mark.parametrize("name", long_between(3, SCHEMES))
 def test_local_order_in_50_digits(name, make):
@@ -151,6 +153,7 @@ def test_order_in_50_digits_over_several_steps(order):
 POISSON = ["sofroniou_spaletta6", "blanes_moan6", "sofroniou_spaletta10", *PROCESSED]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["blanes_casas_murua8", "blanes_casas_murua10"], POISSON))
 def test_poisson_in_40_digits(name):
     with mpmath.workdps(40):
@@ -164,6 +167,7 @@ def test_poisson_in_40_digits(name):
         assert abs(sum(v * v for v in x) - sum(v * v for v in x0)) < 1e-35
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", long_between(3, SCHEMES))
 def test_a_step_back_undoes_a_step_unless_processed(name):
     with mpmath.workdps(40):

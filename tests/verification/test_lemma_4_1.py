@@ -64,6 +64,7 @@ def test_second_order_is_the_first_and_its_adjoint_at_half_the_step(case):
     assert np.max(np.abs(half[1](half[0](x)) - whole(x))) <= roundoff(x)
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("parts", ["auto", "coordinates"])
 @pytest.mark.parametrize("case", list(cases()))
 def test_second_order_symmetric_and_lie_poisson(case, parts):

@@ -16,6 +16,7 @@ pytestmark = pytest.mark.thinned(3)
 SPLITTINGS = [name for name in schemes() if name.startswith("Splitting") and "free body" not in name]
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("scheme", SPLITTINGS)
 @pytest.mark.parametrize("case", list(cases()))
 def test_every_casimir_over_a_long_run(case, scheme):

@@ -50,6 +50,7 @@ def compensated_run(case, steps=STEPS):
     return run, allowed
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("case", LONG)
 def test_compensated_splitting_follows_brouwer_in_every_casimir(case):
     run, allowed = compensated_run(case)

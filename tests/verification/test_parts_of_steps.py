@@ -30,6 +30,7 @@ def rows_at(ready, step, crowd):
     return start.momenta, ready.loops(step).started(start.groups) * np.ones((len(crowd), 1))
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(("scheme", "case"), SOME)
 def test_part_of_a_step_is_a_step_of_its_length(scheme, case, direction):
@@ -60,6 +61,7 @@ def test_part_of_a_step_is_a_step_of_its_length(scheme, case, direction):
     assert np.array_equal(moved[0], run.x[1, 0]) and np.array_equal(moved[6], run.x[1, 6])
 
 
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("scheme", OWNED)
 def test_owners_choose_the_constants(scheme):
     method = schemes()[scheme]

@@ -31,6 +31,7 @@ def test_splitting_declares_it_on_every_algebra_and_kind_of_hamiltonian():
     assert {type(schemes()[s]).__name__ for s in everywhere} == {"Splitting", "Composition"}
 
 
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize(("scheme", "case"), POISSON)
 def test_poisson_where_declared(scheme, case):
     x0 = WHERE[case].x0
@@ -48,6 +49,7 @@ def test_not_poisson_where_not_declared(scheme):
     assert found.value > 1000 * found.bound, found
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("scheme", "case"), [p for p in pairs(all_cases()) if "separable" not in p[1]])
 def test_tangent_is_the_derivative_of_the_compiled_step(scheme, case):
     """Central differences of the step that runs, with one Richardson extrapolation: error O(d^4) plus round-off u/d."""

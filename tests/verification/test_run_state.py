@@ -66,6 +66,7 @@ def parts_of(solution):
     return found if solution.attitude is None else {**found, "attitude": solution.attitude}
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(("method", "name", "attitude", "members"), list(cases()))
 def test_a_run_goes_on_from_a_state_with_the_bits_of_one_that_was_never_cut(method, name, attitude, members):
     system, x = SYSTEMS[name]

@@ -32,6 +32,7 @@ def crowd_around(x0, members):
     return x0 * (1.0 - 0.05 * np.arange(members)[:, None])
 
 
+@pytest.mark.thinned(11)
 @pytest.mark.parametrize(("scheme", "case"), SOME)
 def test_same_bits_however_it_is_run(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
@@ -81,6 +82,7 @@ def read_plainly(method, system, x, h, count, number=float):
     return point
 
 
+@pytest.mark.thinned(13)
 @pytest.mark.parametrize(("scheme", "case"), pairs(all_cases()))
 def test_plain_reading_agrees_with_the_compiled_loop(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
@@ -92,6 +94,7 @@ def test_plain_reading_agrees_with_the_compiled_loop(scheme, case):
     assert np.max(np.abs(plain - run.x[-1])) <= bound
 
 
+@pytest.mark.thinned(38)
 @pytest.mark.parametrize("scheme", list(schemes()))
 def test_compiled_loop_agrees_with_forty_digits(scheme):
     """Systems that need no Python functions, so that every scheme reads them in multiprecision."""

@@ -25,6 +25,7 @@ SYMMETRIC = [p for p in pairs(all_cases()) if schemes()[p[0]].symmetric]
 LOPSIDED = [s for s, m in schemes().items() if not m.symmetric]
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(("scheme", "case"), SYMMETRIC)
 def test_symmetric_where_declared(scheme, case):
     method, there = schemes()[scheme], all_cases()[case]
@@ -47,6 +48,7 @@ def there_and_back_in_forty_digits(method, case, h):
         return float(max(abs(v) for v in back - x0))
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("scheme", LOPSIDED)
 @pytest.mark.parametrize("case", ["so(3), diagonal", "e(3), full, axes permuted"])
 def test_what_is_missing_to_symmetry(scheme, case):

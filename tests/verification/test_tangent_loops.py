@@ -66,6 +66,7 @@ def carrying():
     return found
 
 
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize(("scheme", "case"), carrying())
 def test_every_scheme_on_every_kind_of_system(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
@@ -85,6 +86,7 @@ def test_which_schemes_have_a_loop():
 TRIED = (co.Splitting(order=2), co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(2))
 
 
+@pytest.mark.thinned(22)
 @pytest.mark.parametrize("name", long_between(6, NAMES))
 def test_the_whole_catalogue(name):
     """Quadratic, polynomial, and driven functions; with every kind of flow that an algebra of dimension 5 has."""
@@ -105,6 +107,7 @@ def test_the_whole_catalogue(name):
             check(system, method, x0, -0.05 if sign > 0 else 0.05)
 
 
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_drawn_systems(name, sign):
@@ -114,6 +117,7 @@ def test_drawn_systems(name, sign):
             check(system, method, x0, 0.125)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
 def test_structure_matrices_that_are_functions(sign):
     system, x0 = drawn_bracket(7, sign)
@@ -173,6 +177,7 @@ TOGETHER = (
 )
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("case", all_cases())
 def test_members_side_by_side_have_the_bits_of_each(case):
     """With more vectors than go side by side as well, and a member at rest beside those that move."""

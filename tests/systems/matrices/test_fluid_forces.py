@@ -274,6 +274,7 @@ def test_the_noise_is_the_same_in_any_company():
     assert np.abs(other.x[-1] - together.x[-1, 0]).max() > 1e-2
 
 
+@pytest.mark.long
 def test_a_torque_is_a_function_of_time_with_matrices_for_values():
     s, F = SPHERES[0], one_degree(SPHERES[0])
     pushed = s.with_forces(co.forces.Torque(lambda t: np.cos(t) * F))

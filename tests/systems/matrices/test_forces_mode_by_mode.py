@@ -88,6 +88,7 @@ BANDS = {  # the eigenvalues of all real modes inside, by hand
 }
 
 
+@pytest.mark.thinned(2)
 @on_fields
 @pytest.mark.parametrize("rate", [0.6, 2.5])
 def test_the_noise_feeds_in_its_rate_and_each_mode_has_the_same_share(s, surface, layer, rate, monkeypatch):
