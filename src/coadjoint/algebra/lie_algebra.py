@@ -10,6 +10,7 @@ import numpy as np
 
 from coadjoint.algebra.constants import Triples, read_basis, read_brackets, read_constants
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
+from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
@@ -94,6 +95,13 @@ class LieAlgebra(Structure):
         check_jacobi(triples, size, names)
         if casimirs is not None and not isinstance(casimirs, Mapping):
             raise TypeError(f"casimirs must be a mapping from names to functions, not {type(casimirs).__name__}")
+        for key, one in (casimirs or {}).items():
+            if not isinstance(key, str) or not isinstance(one, Polynomial | Invariant):
+                raise TypeError(
+                    f"casimirs has {short(key)}: {short(one)}; give a name, and a Polynomial or an Invariant"
+                )
+            if isinstance(one, Polynomial) and one.dim != size:
+                raise ValueError(f"casimirs has {short(key)} of {one.dim} variables; the algebra has dimension {size}")
         rho = None if representation is None else check_representation(representation, triples, size, names)
         self._keep(triples, size, names, name, rho, casimirs or {})
 

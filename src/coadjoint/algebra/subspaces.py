@@ -213,7 +213,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
     Raises
     ------
     TypeError, ValueError
-        The vectors are dependent, or a bracket of two leaves their span.
+        There are no vectors, they are dependent, or a bracket of two leaves their span.
 
     Examples
     --------
@@ -222,6 +222,8 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
     array([ 0.,  0., -1.])
     """
     given = _vectors(g, vectors, "the subalgebra")
+    if not given:
+        raise ValueError("the subalgebra has no vectors; give at least one")
     span, rows = _span(given, "the subalgebra"), _by_element(g)
     brackets = {}
     for i, u in enumerate(given):

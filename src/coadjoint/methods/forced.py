@@ -14,6 +14,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
+from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -66,6 +67,11 @@ class Forced(Method):
     base : Method
         Any scheme that supports the Hamiltonian part.
 
+    Raises
+    ------
+    TypeError
+        The base is not a scheme.
+
     Examples
     --------
     >>> import coadjoint as co
@@ -80,6 +86,10 @@ class Forced(Method):
 
     offered = False
     compensates = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, Method):
+            raise TypeError(f"the base of Forced is a scheme such as Splitting(), not {short(self.base)}")
 
     @property
     def order(self) -> int:

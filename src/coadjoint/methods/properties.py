@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from coadjoint.given import read_choice, read_flag
+from coadjoint.given import read_choice, read_flag, read_list
+from coadjoint.wording import short
 
 KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
 KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "group", "integrated", "none")
@@ -53,5 +54,9 @@ class Properties:
     def __post_init__(self) -> None:
         for name in ("poisson", "energy", "reversible"):
             object.__setattr__(self, name, read_flag(getattr(self, name), name))
+        broken = read_list(self.broken_by, "broken_by", "give a tuple of str")
+        if not all(isinstance(one, str) for one in broken):
+            raise TypeError(f"broken_by is {short(self.broken_by)}; give a tuple of str")
+        object.__setattr__(self, "broken_by", broken)
         read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
         read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)

@@ -178,7 +178,7 @@ class Splitting(FlowMethod):
 
         scheme("auto").properties(system)
         points = np.atleast_2d(read_finite(x0, "x0"))
-        if points.ndim != 2 or points.shape[1] != system.dim:
+        if points.ndim != 2 or points.shape[1] != system.dim or not len(points):
             raise ValueError(f"x0 has the shape {points.shape}; it must be ({system.dim},) or (k, {system.dim})")
         return scheme(tuned_parts(system, scheme, points))
 

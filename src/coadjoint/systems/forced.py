@@ -40,7 +40,7 @@ class ForcedSystem:
     Raises
     ------
     TypeError, ValueError
-        No forces, an entry that is not a force, or a force that cannot act on the system.
+        Not a system, no forces, an entry that is not a force, or a force that cannot act on the system.
 
     Examples
     --------
@@ -54,6 +54,9 @@ class ForcedSystem:
     closed_form: Callable[..., Any] | None = None
 
     def __init__(self, system: Any, forces: Sequence[Force]) -> None:
+        from coadjoint.systems.kinds import check_one_system
+
+        check_one_system(system)
         forces = read_list(forces, "what was given as forces", "give a list of forces of co.forces")
         if not forces:
             raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")

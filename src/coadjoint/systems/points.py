@@ -105,8 +105,9 @@ def checked_name(name: Any, otherwise: str) -> str:
     return otherwise if name is None else read_title(name, "name of a system")
 
 
-def checked_sign(sign: int) -> int:
-    """Validate a sign, +1 or -1."""
+def checked_sign(sign: int, what: str = "sign") -> int:
+    """Validate a sign, +1 or -1; `what` is its name in messages."""
     if not is_real(sign) or sign not in (1, -1):
-        raise ValueError(f"sign is {short(sign)}; give +1 (x' = J(x) grad H) or -1 (body systems)")
+        rule = "+1 (x' = J(x) grad H) or -1 (body systems)" if what == "sign" else "+1 or -1"
+        raise ValueError(f"{what} is {short(sign)}; give {rule}")
     return int(sign)

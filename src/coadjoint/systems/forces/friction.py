@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.given import read_number
 from coadjoint.systems.forces.on_modes import ModeRates, by_scale
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
+from coadjoint.systems.user_functions import check_arguments
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,9 @@ class Friction(ModeRates):
     layer: str = "vorticity"
 
     def __post_init__(self) -> None:
-        if not callable(self.rate):
+        if callable(self.rate):
+            check_arguments(self.rate, "rate of Friction", "scale")
+        else:
             object.__setattr__(self, "rate", read_number(self.rate, "rate of Friction"))
         self.read_layer()
 

@@ -112,7 +112,7 @@ class MatrixSystem:
         self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
         self.timed: bool = getattr(stream, "timed", False)
         self.energy_function = checked_energy(energy, self.timed)
-        self.energy_sign = checked_sign(energy_sign)
+        self.energy_sign = checked_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
         self.parameters, self._exact = checked_parameters(parameters), checked_exact(exact)
         self.powers = read_whole(powers, "powers", 0, MOST_POWERS)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
-from coadjoint.given import array_given
+from coadjoint.given import array_given, title
 from coadjoint.memory import check_room
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
@@ -96,7 +96,7 @@ class TwoLayerSystem(MatrixSystem):
             if not isinstance(second_stream, Stream):
                 raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
             # the same checks as for the first stream
-            MatrixSystem(algebra, second_stream, name=f"the second stream of {name}")
+            MatrixSystem(algebra, second_stream, name=title(f"the second stream of {name}"))
         self.second_stream = second_stream
         self.shape = (2, *algebra.shape)
         self.dim = 2 * self.dim

@@ -1,0 +1,124 @@
+"""Kinds of documented domains, each as values just inside and values just outside."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+NOT_FINITE = (math.nan, math.inf, -math.inf, 10**400)
+NO_NUMBER = (None, True, "1", "", 1j, [], {}, [1.0, 2.0])
+TINY = 5e-324
+LARGE = 2**63
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Values inside, the first of which is the usual one, and values outside.
+
+    `called` is a pattern of how messages call the parameter; by default they give its name.
+    """
+
+    inside: tuple[Any, ...]
+    outside: tuple[Any, ...]
+    called: str | None = None
+
+    def plus(self, *inside: Any, outside: tuple[Any, ...] = (), without: tuple[Any, ...] = ()) -> Domain:
+        """Add values; `without` are those no longer outside."""
+        dropped = {repr(value) for value in without}
+        kept = tuple(value for value in self.outside if repr(value) not in dropped)
+        return Domain((*self.inside, *inside), (*kept, *outside), self.called)
+
+    def but_called(self, called: str) -> Domain:
+        return Domain(self.inside, self.outside, called)
+
+    def first(self, *inside: Any) -> Domain:
+        """Take other values inside."""
+        return Domain(inside, self.outside, self.called)
+
+
+def real(usual: float = 0.5) -> Domain:
+    return Domain((usual, 0, -1e-3, np.float32(2.0), np.int64(3)), (*NOT_FINITE, *NO_NUMBER))
+
+
+def positive(usual: float = 0.5, least: float = TINY, most: float | None = None) -> Domain:
+    """Numbers above zero; `least` and `most` are the limits that are stated and belong to the domain."""
+    smallest = 1e-6 if least == TINY else least
+    inside = (usual, smallest, 3 if most is None else most)
+    below = () if least == TINY else (0.9 * least,)
+    above = () if most is None else (math.nextafter(most, math.inf),)
+    return Domain(inside, (0, 0.0, -TINY, -1, *below, *above, *NOT_FINITE, *NO_NUMBER))
+
+
+def not_negative(usual: float = 0.5) -> Domain:
+    return Domain((usual, 0, 0.0, 1e-6), (-TINY, -1, *NOT_FINITE, *NO_NUMBER))
+
+
+def whole(least: int, most: int | None = None, usual: int | None = None, tried: int | None = None) -> Domain:
+    """Whole numbers; `tried` is the largest that is constructed if the largest allowed one is expensive."""
+    upper = tried if tried is not None else least + 1 if most is None else most
+    above = () if most is None else (most + 1, LARGE, 2**64)
+    usual = least if usual is None else usual
+    inside = (usual, least, upper, np.int64(usual))
+    # without a limit, 10^400 of a size is a question of memory
+    wrong = (*NOT_FINITE[:3], *NO_NUMBER)
+    return Domain(inside, (least - 1, -LARGE, least + 0.5, *above, *wrong))
+
+
+def one_of(*values: int) -> Domain:
+    """Whole numbers from a list."""
+    between = tuple(k for k in range(min(values) - 1, max(values) + 2) if k not in values)
+    return Domain(values, (*between, values[0] + 0.5, LARGE, *NOT_FINITE, *NO_NUMBER))
+
+
+def choice(*names: str) -> Domain:
+    wrong = tuple(wrong for name in names for wrong in (name + "x", name[:-1], name.swapcase(), [name]))
+    return Domain(names, (*(w for w in wrong if w not in names), "", None, 1, True, 1j, math.nan, []))
+
+
+def flag(usual: bool = False) -> Domain:
+    return Domain((usual, not usual, np.True_), (0, 1, 1.0, None, "", "True", math.nan, 1j, [], [True]))
+
+
+def title(usual: str) -> Domain:
+    return Domain((usual, "x" * 200), ("", "x" * 201, "two\nlines", None, 3, True, b"x", [], ["x"], math.nan))
+
+
+def function(usual: Any, *others: Any) -> Domain:
+    return Domain((usual, *others), (None, 1.0, True, "sin", "", math.nan, 1j, [], {}))
+
+
+def instance(usual: Any, *others: Any) -> Domain:
+    """Objects of a class of the library."""
+    return Domain((usual, *others), (None, 1.0, True, "x", "", math.nan, 1j, [], {}, LARGE))
+
+
+def optional(domain: Domain) -> Domain:
+    return Domain((*domain.inside, None), tuple(value for value in domain.outside if value is not None), domain.called)
+
+
+def vector(usual: Any, entry: Domain, *others: Any, any_length: bool = False, number: bool = False) -> Domain:
+    """Numbers of a fixed shape, each of them from a domain; `number` allows one in place of all."""
+    array = np.array(usual, dtype=float)
+    places = list(np.ndindex(array.shape))
+    wrong: list[Any] = [with_entry(usual, place, value) for place in places for value in scalars(entry)]
+    wrong += [array.astype(complex) + 1j, array > 0, array.astype(str), [], None, "", "1", {}, True, 1j, math.nan]
+    wrong += [array[None, None], np.zeros((0, 3))]
+    if not number:
+        wrong += [1.0]
+    if not any_length:
+        wrong += [array[:-1], np.concatenate([array, array[-1:]])]
+    return Domain((usual, array.tolist(), array, *others), tuple(wrong))
+
+
+def scalars(domain: Domain) -> list[Any]:
+    return [value for value in domain.outside if not isinstance(value, list | dict)]
+
+
+def with_entry(values: Any, place: tuple[int, ...], value: Any) -> list[Any]:
+    """Return nested lists with another entry, and with the other ones as they are."""
+    nested = np.array(values, dtype=object)
+    nested[place] = value
+    return nested.tolist()

@@ -1,0 +1,213 @@
+"""Domains of the parameters of algebras, as documented; ranges of algebras of the catalogue as published."""
+
+from __future__ import annotations
+
+import functools
+import math
+from fractions import Fraction
+
+import numpy as np
+
+import coadjoint as co
+from domains.case import Case
+from domains.kinds import Domain, choice, instance, optional, real, title, whole
+
+SO3, SL2 = co.algebras.so(3), co.algebras.sl(2)
+NAMES = Domain(
+    (None, ("a", "b", "c"), ["x", "y", "z"]),
+    (("a", "b"), ("a", "a", "b"), ("a", "b", 3), "", 3, 1j, True, ("", "b", "c")),
+)
+UNIT = np.eye(3)
+ROTATIONS = SO3.representation
+MATRIX = Domain(
+    (UNIT, 2 * UNIT, [[1, 1, 0], [0, 1, 0], [0, 0, Fraction(1, 3)]]),
+    (np.zeros((3, 3)), np.ones((3, 3)), np.eye(2), np.eye(4), UNIT[:2], np.ones(3), np.full((3, 3), math.nan),
+     np.full((3, 3), math.inf), UNIT * 1j,
+     UNIT > 0, UNIT.astype(str), [], None, "", 1.0, True, [[1.0], [1.0, 2.0]]),
+    r"\bnew basis\b",
+)  # fmt: skip
+REPRESENTATION = Domain(
+    (None, ROTATIONS),
+    (
+        2 * ROTATIONS,
+        ROTATIONS[:2],
+        np.ones((3, 3)),
+        np.full((3, 3, 3), math.nan),
+        ROTATIONS * 1j,
+        [],
+        "",
+        1.0,
+        True,
+        np.ones((3, 2, 3)),
+    ),
+)
+CASIMIRS = Domain(
+    (None, {}, {"C": co.Polynomial({(0, 2): 1})}, {"C": co.Invariant(lambda x: x[0])}),
+    ([], "C", 1.0, True, {"C": 1.0}, {"C": None}, {1: co.Polynomial({(0, 2): 1})},
+     {"C": co.Polynomial({(0, 0, 2): 1})}),
+)  # fmt: skip
+TRIPLES = [(0, 1, 1, 1.0)]
+CONSTANTS = Domain(
+    (TRIPLES, [], [(0, 1, 0, 2), (1, 0, 0, -2)], np.zeros((2, 2, 2))),
+    ([(0, 1, 2, 1.0)], [(-1, 1, 0, 1.0)], [(0, 0, 1, 1.0)], [(0, 1, 1, math.nan)], [(0, 1, 1, math.inf)],
+     [(0, 1, 1, 1j)],
+     [(0, 1, 1, "1")], [(0, 1, 1, True)], [(0, 1, 1)], [(0, 1.5, 1, 1.0)], [(0, 1, 0, 2), (1, 0, 0, 2)],
+     np.ones((2, 2, 2)),
+     np.ones((2, 2)), np.zeros((2, 2, 3)), None, 1.0, "", "x", True, 1j),
+    r"\bconstants?\b|\[e1, e[12]\]",
+)  # fmt: skip
+BRACKETS = Domain(
+    ({(0, 1): {1: 1.0}}, {}, {(1, 0): {0: 2}}, ["[e1, e2] = e2"]),
+    ({(0, 1): {2: 1.0}}, {(0, 0): {1: 1.0}}, {(-1, 1): {0: 1.0}}, {(0, 1): {1: math.nan}}, {(0, 1): {1: 1j}},
+     {(0, 1): 1.0},
+     {(0, 1): {1: True}}, {0: {1: 1.0}}, {(0, 1): {1: "1"}}, ["[e1, e3] = e2"], ["e1 = e2"], [""], 1.0, "", True, 1j),
+    r"\bbrackets?\b|\bconstants?\b|\[e1, e1\]",
+)  # fmt: skip
+VECTORS = Domain(
+    (["e1"], [[1, 0, 0]], np.array([[0.0, 0.5, 1.0]]), np.eye(3)),
+    (np.eye(3)[:2], ["e1", "e2"], ["e1", "e1"], ["e4"], ["e1", 2], np.zeros((1, 3)), [[1, 0]], [1, 0, 0],
+     [[math.nan, 0, 1]],
+     [[1j, 0, 0]], [[True, False, False]], [], "", "e1", None, 1.0, True),
+    r"\bsubalgebra\b|\bvectors?\b",
+)  # fmt: skip
+IDEAL = Domain(
+    (["e4", "e5", "e6"], np.eye(6)[3:], [[0, 0, 0, 0, 0, 2], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 1]]),
+    (np.eye(6)[:3], ["e1", "e2", "e3"], ["e4"], np.eye(6), ["e4", "e4", "e5"], ["e7"], np.eye(5)[:2],
+     np.zeros((1, 6)), "", "e4",
+     np.full((3, 6), math.nan), np.eye(6)[3:] * 1j, None, 1.0, True),
+)  # fmt: skip
+
+A_LIE_ALGEBRA = instance(SO3, SL2).but_called(r"\bLieAlgebras?\b")
+
+ALGEBRAS = {
+    "A3_7": Case(co.algebras.A3_7, {"a": real(2.0).plus(Fraction(1, 3))}),
+    "change_of_basis": Case(co.algebras.change_of_basis, {"g": A_LIE_ALGEBRA, "matrix": MATRIX, "basis": NAMES}),
+    "copies": Case(co.algebras.copies, {"g": A_LIE_ALGEBRA, "count": whole(1, usual=2)}),
+    "direct_sum": Case(lambda algebras: co.algebras.direct_sum(SL2, algebras), {"algebras": A_LIE_ALGEBRA}),
+    "e": Case(co.algebras.e, {"n": whole(2)}),
+    "gl": Case(co.algebras.gl, {"n": whole(1)}),
+    "heisenberg": Case(co.algebras.heisenberg, {"n": whole(1)}),
+    "quotient": Case(
+        co.algebras.quotient, {"g": A_LIE_ALGEBRA.first(co.algebras.e(3)), "ideal": IDEAL}
+    ),
+    "se": Case(co.algebras.se, {"n": whole(2)}),
+    "semidirect": Case(
+        co.algebras.semidirect,
+        {
+            "g": A_LIE_ALGEBRA.first(SO3),
+            "representation": REPRESENTATION,
+            "ideal": optional(instance(SO3).but_called("LieAlgebra|ideal|Jacobi")).plus(outside=(SL2,
+                co.algebras.so(4))),
+        },
+    ),
+    "sl": Case(co.algebras.sl, {"n": whole(2)}),
+    "so": Case(co.algebras.so, {"n": whole(2), "q": whole(0)}),
+    "sp": Case(co.algebras.sp, {"size": whole(2, tried=4).plus(outside=(0, 3, 5))}),
+    "su": Case(co.algebras.su, {"n": whole(2)}),
+    "subalgebra": Case(
+        co.algebras.subalgebra, {"g": A_LIE_ALGEBRA.first(SO3), "vectors": VECTORS, "basis": NAMES},
+        usual={"vectors": UNIT}
+    ),
+    "u": Case(co.algebras.u, {"n": whole(1)}),
+    "LieAlgebra": Case(
+        co.LieAlgebra,
+        {
+            "constants": CONSTANTS,
+            "dim": whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b"),
+            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
+            "name": optional(title("g")),
+            "representation": Domain((None, co.algebras.get("A2_1").representation),
+                                     (np.ones((2, 2, 2)), np.ones((2, 2)), np.ones((3, 2, 2)),
+                                      np.full((2, 2, 2), math.nan), "", 1.0,
+                                      True, [], np.ones((2, 2, 2)) * 1j)),
+            "casimirs": CASIMIRS,
+        },
+    ),
+    "LieAlgebra.from_brackets": Case(
+        co.LieAlgebra.from_brackets,
+        {
+            "dim": whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b").plus(outside=(["[a, b]"], ["a"])),
+            "brackets": BRACKETS,
+            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
+            "name": optional(title("g")),
+            "representation": Domain((None,), (np.ones((2, 2, 2)), np.ones((2, 2)), "", 1.0, True, [])),
+            "casimirs": CASIMIRS,
+        },
+    ),
+    "MatrixAlgebra": Case(
+        co.MatrixAlgebra,
+        {
+            "kind": choice("u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)").plus(
+                outside=("U", "SO", "sum")
+            ).but_called("kind|sum"),
+            "N": whole(2, 4096, usual=4, tried=6),
+            "q": whole(0, 4, tried=4),
+            "blocks": Domain(((),), (None, [], 1.0, "", "so", True, (1.0,), (co.MatrixAlgebra("so", 3),), 1j)),
+        },
+        usual={"kind": "so", "q": 0},
+    ),
+    "MatrixAlgebra.sum": Case(
+        lambda algebras: co.MatrixAlgebra.sum(co.MatrixAlgebra("so", 3), algebras),
+        {"algebras": instance(co.MatrixAlgebra("so", 2), co.MatrixAlgebra("so", 4))},
+    ),
+}  # fmt: skip
+
+BELOW, ABOVE = math.nextafter(1.0, 0.0), math.nextafter(1.0, 2.0)
+TINY = 5e-324
+ANY, NOT_ZERO = ((), (0, -2.5)), ((0, 0.0), (1e-3, -2.5))
+UP_TO_ONE = ((-ABOVE, ABOVE, 2), (-1, 1, -0.5, 0))
+UP_TO_ONE_NOT_ZERO = ((0, -ABOVE, ABOVE), (-1, 1, 0.5))
+SIGN = ((0, 0.5, 2, -2, BELOW), (1, -1))
+# algebra -> parameter -> numbers outside and numbers inside, each with 0.5, or 1 for a sign, as the others
+RANGES = {
+    "A3_5": {"a": ((0, -1, 1, 2), (BELOW, -BELOW, 1e-3))},
+    "A3_7": {"a": ANY},
+    "A4_2": {"a": NOT_ZERO},
+    "A4_5": {"a": UP_TO_ONE_NOT_ZERO, "b": UP_TO_ONE_NOT_ZERO},
+    "A4_6": {"a": NOT_ZERO, "b": ((-TINY, -1), (0, 1e-3))},
+    "A4_9": {"b": ((-1, ABOVE, -2), (1, -BELOW, 0))},
+    "A4_11": {"a": ((0, -TINY, -1), (1e-3, 2))},
+    "A5_7": {"a": NOT_ZERO, "b": NOT_ZERO, "c": NOT_ZERO},
+    "A5_8": {"c": UP_TO_ONE_NOT_ZERO},
+    "A5_9": {"b": ((math.nextafter(0.5, 0.0), 0), (0.5, 1)), "c": ((0, math.nextafter(0.5, 1.0)), (0.25, -3))},
+    "A5_11": {"c": NOT_ZERO},
+    "A5_13": {"a": UP_TO_ONE_NOT_ZERO, "p": ANY, "s": NOT_ZERO},
+    "A5_14": {"p": ANY},
+    "A5_15": {"a": UP_TO_ONE},
+    "A5_16": {"p": ANY, "s": NOT_ZERO},
+    "A5_17": {"p": ANY, "q": ANY, "s": NOT_ZERO},
+    "A5_18": {"p": ((-TINY, -1), (0, 1e-3))},
+    "A5_19": {"a": ANY, "b": NOT_ZERO},
+    "A5_20": {"a": ANY},
+    "A5_23": {"b": NOT_ZERO},
+    "A5_24": {"eps": SIGN},
+    "A5_25": {"p": ANY, "b": NOT_ZERO},
+    "A5_26": {"p": ANY, "eps": SIGN},
+    "A5_28": {"a": ANY},
+    "A5_30": {"a": ANY},
+    "A5_32": {"a": ANY},
+    "A5_33": {"a": ANY, "b": ANY},
+    "A5_34": {"a": ANY},
+    "A5_35": {"a": ANY, "b": ANY},
+}
+
+
+def in_range(parameter, limits):
+    wrong, right = limits
+    anything = real(1 if parameter == "eps" else 0.5)
+    return Domain((anything.inside[0], *right), (*wrong, *anything.outside))
+
+
+CATALOGUE = {
+    name: Case(functools.partial(co.algebras.get, name), {key: in_range(key, limits) for key, limits in ranges.items()})
+    for name, ranges in RANGES.items()
+}
+FAMILIES = {"e(n)": (2,), "gl(n)": (1,), "heisenberg(n)": (1,), "se(n)": (2,), "sl(n)": (2,), "so(n)": (2,),
+    "sp(2n)": (1,),
+            "su(n)": (2,), "u(n)": (1,)}  # fmt: skip
+CATALOGUE |= {
+    name: Case(functools.partial(co.algebras.get, name), {"n": whole(least[0])}) for name, least in FAMILIES.items()
+}
+CATALOGUE["so(p,q)"] = Case(
+    functools.partial(co.algebras.get, "so(p,q)"), {"p": whole(0, usual=2), "q": whole(0, usual=2)}
+)

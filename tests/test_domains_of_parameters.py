@@ -1,0 +1,104 @@
+"""Every constructor accepts the values at the edge of the documented domain of a parameter, and names it beyond."""
+
+import inspect
+import re
+
+import pytest
+
+import coadjoint as co
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.low_dimensional import entries
+from coadjoint.methods import registry
+from coadjoint.wording import short
+from domains.of_algebras import ALGEBRAS, CATALOGUE, FAMILIES
+from domains.of_parts import FORCES, HAMILTONIANS, OWN_SYSTEMS
+from domains.of_schemes import EVENTS, SCHEMES
+from domains.of_states import SPHERE, STATES, TORUS
+from domains.of_systems import SYSTEMS
+
+PARTS = {**HAMILTONIANS, **OWN_SYSTEMS, **FORCES, **SCHEMES, **EVENTS}
+CASES = {**SYSTEMS, **STATES, **ALGEBRAS, **CATALOGUE, **PARTS}
+PARAMETERS = [(name, parameter) for name, case in CASES.items() for parameter in case.domains]
+# Made by the library, or not made of parameters with a domain of their own.
+RESULTS = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LongWait",
+           "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section",
+           "Solution"}  # fmt: skip
+# Functions of a system and a scheme that exist already; their arguments are in tests/test_hostile_input.py.
+USES = {"certify", "choose", "corrector", "ensemble", "frequencies", "integrate", "load", "lyapunov", "modified_field",
+        "modified_hamiltonian", "open_archive", "phase_drift", "predicted_drift", "prepare", "resume", "section",
+        "stepper", "suggest_step"}  # fmt: skip
+# Base classes of schemes, and what is refused only when such a scheme is used.
+BASES = {"Coefficients", "CompiledStepMethod", "FlowMethod", "Method", "Operations", "RungeKuttaMethod", "StepMethod",
+         "Sweep", "compile_step", "register"}  # fmt: skip
+# Examples of a scheme, and a form whose arrays are taken as they are.
+NOT_READ = {"examples", "from_entries"}
+LOOKED_UP = {"get", "names"}
+
+
+@pytest.mark.filterwarnings("ignore:.*no body has")
+@pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
+def test_accepted_inside(name, parameter):
+    case = CASES[name]
+    for value in case.domains[parameter].inside:
+        case(**{**case.arguments(), parameter: value})
+
+
+@pytest.mark.filterwarnings("ignore:.*no body has")
+@pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
+def test_refused_by_name_outside(name, parameter):
+    case = CASES[name]
+    domain = case.domains[parameter]
+    called = domain.called or rf"\b{parameter}\b"
+    wrong = []
+    for value in domain.outside:
+        try:
+            case(**{**case.arguments(), parameter: value})
+        except (ValueError, TypeError) as refusal:
+            if not re.search(called, str(refusal)):
+                wrong.append(f"{short(value)}: its message does not name {parameter}: {refusal}")
+        except Exception as error:
+            wrong.append(f"{short(value)}: {type(error).__name__}: {error}")
+        else:
+            wrong.append(f"{short(value)} is accepted")
+    assert not wrong, "\n".join(wrong)
+
+
+def parameters(function):
+    return {key for key, given in inspect.signature(function).parameters.items() if given.kind is not given.VAR_KEYWORD}
+
+
+def constructors(owner):
+    """The public class methods of a class that return one of its objects."""
+    return {name for name, value in vars(owner).items() if isinstance(value, classmethod) and name[0] != "_"} - NOT_READ
+
+
+def test_every_constructor_and_parameter_is_listed():
+    public = {name: getattr(co, name) for name in co.__all__ if name[0] != "_" and callable(getattr(co, name))}
+    public |= {name: getattr(co.methods, name) for name in co.methods.__all__}
+    public = {name: value for name, value in public.items() if name not in RESULTS | USES | BASES | LOOKED_UP}
+    assert set(registry.names()) <= set(public)
+    for space in (co.systems, co.forces, co.algebras):
+        public |= {name: getattr(space, name) for name in set(space.__all__) - LOOKED_UP - {"Force", "low_dimensional"}}
+    for name, owner in list(public.items()):
+        if isinstance(owner, type):
+            public |= {f"{name}.{one}": getattr(owner, one) for one in constructors(owner)}
+    listed = SYSTEMS | ALGEBRAS | PARTS
+    assert {name: parameters(value) for name, value in public.items()} == {
+        name: set(case.domains) for name, case in listed.items()
+    }
+
+
+def test_every_initial_state_is_listed():
+    for surface, system in (("sphere", SPHERE), ("torus", TORUS)):
+        states = {
+            f"{surface}, {name}": parameters(getattr(system, name))
+            for name, value in inspect.getmembers(type(system), inspect.isfunction)
+            if value.__module__.endswith("_states") and name != "from_file"
+        }
+        assert states == {name: set(case.domains) for name, case in STATES.items() if name.startswith(surface)}
+
+
+def test_every_algebra_with_parameters_is_listed():
+    with_parameters = {name: set(entry["parameters"]) for name, entry in entries().items() if entry.get("parameters")}
+    assert with_parameters == {name: set(case.domains) for name, case in CATALOGUE.items() if name in entries()}
+    assert {name for name in catalogue.names() if re.search(r"[a-z]\)", name)} == {*FAMILIES, "so(p,q)"}
