@@ -169,3 +169,14 @@ def test_text_that_declares_too_much_is_not_unpacked(tmp_path, monkeypatch, vers
         check_zarr(tmp_path)
     with pytest.raises(LoadError):
         co.load(tmp_path)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_large_array_may_be_one_chunk(tmp_path, version):
+    """A chunk is no longer than its array, beyond a size that is not checked; nothing of it need be stored."""
+    group, count = zarr.open_group(tmp_path, mode="w", zarr_format=version), SMALL // 8 + 1
+    group.create_array("x", shape=(count,), chunks=(count,), dtype="f8")
+    check_zarr(tmp_path)
+    group.create_array("energy", shape=(count - 1,), chunks=(count,), dtype="f8")
+    with pytest.raises(ValueError, match="the chunks of 'energy' are larger than the array"):
+        check_zarr(tmp_path)
