@@ -1,8 +1,10 @@
 """Hidden folders of results that are being written: who may see and remove them, and that nothing stays behind."""
 
+import contextlib
 import errno
 import fcntl
 import os
+import shutil
 import stat
 from pathlib import Path
 
@@ -143,6 +145,7 @@ def test_a_lock_that_was_removed_meanwhile_is_not_held(tmp_path, monkeypatch):
 
 def test_a_file_system_without_locks(tmp_path, monkeypatch):
     """Results are written there, and nothing is taken for a leftover."""
+    before = open_descriptors()
 
     def unknown(descriptor, how):
         raise OSError(errno.ENOLCK, "No locks available")
@@ -154,21 +157,156 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
         own.place.write_text("whole")
         own.finish()
     remove_leftovers(target)
-    assert target.read_text() == "whole" and (folder / "run.nc").exists()
+    assert target.read_text() == "whole" and (folder / "run.nc").exists() and open_descriptors() == before
 
 
 def test_a_replaced_store_comes_back_only_where_no_other_is(tmp_path):
     target = tmp_path / "run.zarr"
-    for there in (True, False):
+    for there in ("folder", "link to nothing", None):
         folder = leftover(target)
         (folder / REPLACED).mkdir()
         (folder / REPLACED / "old").touch()
-        if there:
+        if there == "folder":
             target.mkdir()
+        elif there:
+            target.symlink_to(tmp_path / "none")
         remove_leftovers(target)
-        assert [path.name for path in target.iterdir()] == ([] if there else ["old"]) and not folder.exists()
-        if there:
+        assert os.listdir(tmp_path) == ["run.zarr"] and target.is_symlink() == (there == "link to nothing")
+        if there == "folder":
             target.rmdir()
+        elif there:
+            target.unlink()
+    assert os.listdir(target) == ["old"]
+
+
+@pytest.mark.parametrize("by", ["the run", "the next one"])
+def test_a_replaced_store_stays_where_it_cannot_be_put_back(tmp_path, monkeypatch, by):
+    """Neither the old nor the new content is at the target then: the old one is found later, and restored."""
+    target, replace = tmp_path / "run.zarr", os.replace
+    target.mkdir()
+    (target / "old").write_text("dear")
+
+    def full(source, place):
+        if Path(place) == target:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        replace(source, place)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", full)
+        if by == "the run":
+            with pytest.raises(OSError, match="No space left"), Unfinished(target) as own:
+                own.place.mkdir()
+                own.finish()
+        else:
+            (leftover(target) / REPLACED).mkdir()
+            target.rename(next(tmp_path.glob(".*")) / REPLACED)
+        remove_leftovers(target)
+        assert not target.exists()
+    remove_leftovers(target)
+    assert os.listdir(tmp_path) == ["run.zarr"] and (target / "old").read_text() == "dear"
+
+
+def cannot_be_removed(folder, kind, monkeypatch):
+    """Change a leftover so that it is not removed, by its kind of obstacle."""
+    if kind in ("pipe", "link", "folder"):
+        (folder / LOCK).unlink()
+        {"pipe": os.mkfifo, "link": lambda lock: lock.symlink_to(folder / "run.zarr"), "folder": os.mkdir}[kind](
+            folder / LOCK
+        )
+    elif kind == "without a lock":
+        (folder / LOCK).unlink()
+    elif kind == "file":
+        shutil.rmtree(folder)
+        folder.write_text("dear")
+    elif kind == "file in use":
+        unlink = Path.unlink
+
+        def busy(path, **more):
+            if path.parent == folder:
+                raise OSError(errno.EBUSY, "Device or resource busy")
+            unlink(path, **more)
+
+        monkeypatch.setattr(Path, "unlink", busy)
+    elif kind == "folder in use":
+        rmtree = shutil.rmtree
+        (folder / "inside").mkdir()
+        monkeypatch.setattr(shutil, "rmtree", lambda path, **more: None if path.parent == folder else rmtree(path))
+
+
+OBSTACLES = ["pipe", "link", "folder", "without a lock", "file", "file in use", "folder in use", "gone", "running"]
+
+
+@pytest.mark.parametrize("kind", OBSTACLES)
+@pytest.mark.parametrize("at", [0, 2, 4])
+def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at):
+    """In whatever order the system lists them; a store that was replaced comes back from any of them."""
+    target, scandir, before = tmp_path / "run.zarr", os.scandir, open_descriptors()
+    folders = [leftover(target, ending=str(k)) for k in range(5)]
+    one, last = folders[at], folders[-1 if at < 4 else 0]
+    (last / REPLACED).mkdir()
+    (last / REPLACED / "old").touch()
+    held = locked(one / LOCK) if kind == "running" else None
+
+    def in_order(place):
+        with scandir(place) as entries:
+            found = sorted(entries, key=lambda entry: entry.name)
+        if kind == "gone" and place == tmp_path and one.exists():
+            for name in os.listdir(one):
+                os.unlink(one / name)
+            os.rmdir(one)
+        return contextlib.nullcontext(found)
+
+    with monkeypatch.context() as patched:
+        cannot_be_removed(one, kind, patched)
+        with monkeypatch.context() as listed:
+            listed.setattr("coadjoint.files.unfinished.os.scandir", in_order)
+            remove_leftovers(target)
+    left = [] if kind == "gone" else [one.name]
+    assert sorted(os.listdir(tmp_path)) == [*left, "run.zarr"] and os.listdir(target) == ["old"]
+    if held is not None:
+        os.close(held)
+    assert open_descriptors() == before
+    remove_leftovers(target)
+    removable = kind in ("file in use", "folder in use", "gone", "running")
+    assert one.exists() == (not removable), "it is recognized again, when nothing keeps it"
+
+
+def test_leftovers_of_a_name_that_begins_alike_stay(tmp_path):
+    """The beginning of a long name is in the name of the folder, and its sum."""
+    names = [f"{'a' * 40}{k}.nc" for k in range(2)]
+    mine, other = (leftover(tmp_path / name) for name in names)
+    remove_leftovers(tmp_path / names[0])
+    assert not mine.exists() and other.is_dir()
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_folder_that_another_process_takes_is_not_written_to(tmp_path, monkeypatch, times):
+    """It was seen before it was locked; the next one is used, and it is locked."""
+    taken = []
+
+    def lost(path, *given):
+        if len(taken) < times:
+            path.parent.rmdir()
+            taken.append(path.parent)
+            return None
+        return locked(path, *given)
+
+    monkeypatch.setattr(unfinished, "locked", lost)
+    with Unfinished(tmp_path / "run.nc") as own:
+        folder = own.place.parent
+        assert folder not in taken and os.listdir(tmp_path) == [folder.name] and locked(folder / LOCK) is None
+    assert not os.listdir(tmp_path)
+
+
+def test_a_lock_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
+    def many(path, *given):
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    registered = list(interruption._unfinished)
+    monkeypatch.setattr(unfinished, "locked", many)
+    with pytest.raises(OSError, match="Too many open files"), Unfinished(tmp_path / "run.nc"):
+        pass
+    assert not os.listdir(tmp_path) and interruption._unfinished == registered
 
 
 def test_a_lock_is_removed_last(tmp_path, monkeypatch):
@@ -191,3 +329,19 @@ def test_any_name_of_a_file(tmp_path, name):
     leftover(target)
     remove_leftovers(target)
     assert os.listdir(os.fsencode(tmp_path)) == [name] and target.read_text() == "whole"
+
+
+def test_what_cannot_be_removed_does_not_hide_an_error(tmp_path, monkeypatch):
+    """It is a leftover then, which a later run removes."""
+    target = tmp_path / "run.nc"
+
+    def busy(path, **more):
+        raise OSError(errno.EBUSY, "Device or resource busy")
+
+    with monkeypatch.context() as patched, pytest.raises(KeyError, match="first"), Unfinished(target) as own:
+        own.place.write_text("half")
+        patched.setattr(Path, "unlink", busy)
+        raise KeyError("first")
+    assert len(os.listdir(tmp_path)) == 1
+    remove_leftovers(target)
+    assert not os.listdir(tmp_path)

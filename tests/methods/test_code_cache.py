@@ -1,9 +1,11 @@
 """The cache of compiled steps: no file or folder is used that another user can have written or can replace."""
 
+import errno
 import hashlib
 import os
 import shutil
 import subprocess
+import tempfile
 import threading
 import warnings
 from pathlib import Path
@@ -197,6 +199,55 @@ def test_no_folder_can_be_made(cache, monkeypatch, case):
     which, warned = cache.load()
     assert which == BUILT and len(warned) == 1 and "\n" not in warned[0] and "XDG_CACHE_HOME" in warned[0]
     assert sorted(path.name for path in file.parent.iterdir()) == ["file"]
+
+
+@pytest.mark.parametrize("private", [True, False])
+def test_a_cache_that_is_not_used_and_temporary_files_behind_a_link(cache, monkeypatch, private):
+    """The library is built in the folder that the link leads to, unless others can replace it there."""
+    real, link, places = cache.base.parent / "real", cache.base.parent / "link", []
+    real.mkdir()
+    real.chmod(0o755 if private else 0o777)
+    link.symlink_to(real)
+    monkeypatch.setattr(tempfile, "tempdir", str(link))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache.base.parent / "file" / "below"))
+    (cache.base.parent / "file").touch()
+    build = cache.build
+    monkeypatch.setattr(cache, "build", lambda path: (places.append(path.parent.parent), build(path)))
+    if private:
+        which, warned = cache.load()
+        assert which == BUILT and len(warned) == 1 and places == [real]
+    else:
+        with pytest.raises(RuntimeError, match=f"{real} can be changed by other users.*set TMPDIR"):
+            cache.load()
+        assert not places
+    assert not os.listdir(real)
+
+
+def test_a_link_to_a_folder_that_is_still_missing(cache):
+    """The folder is made where the link leads."""
+    cache.base.symlink_to(cache.base.parent / "later")
+    assert cache.load() == (BUILT, []) == cache.load() and cache.built == 1
+    assert [mode(path) for path in (cache.base.parent / "later", cache.folder)] == [0o700, 0o700]
+
+
+def test_a_folder_in_which_nothing_can_be_made(cache, monkeypatch):
+    """The reason and the place are in the warning; what is there already is used."""
+    cache.folder.mkdir(parents=True, mode=0o700)
+    cache.base.chmod(0o755)
+    mkdir = os.mkdir
+
+    def refused(path, *given, **more):
+        if str(path).startswith(f"{cache.base}{os.sep}"):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        mkdir(path, *given, **more)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "mkdir", refused)
+        which, warned = cache.load()
+        assert which == BUILT and len(warned) == 1
+        assert f"is not used ({os.strerror(errno.EACCES)}: {cache.folder}{os.sep}" in warned[0]
+        cache.plant()
+        assert cache.load() == (PLANTED, []) and cache.built == 1
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can write everywhere")

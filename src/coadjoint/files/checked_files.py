@@ -25,7 +25,7 @@ from coadjoint.wording import short
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3
 """Built-in filters of HDF5, as opposed to plugins."""
 SUM = 4
-"""Bytes that Fletcher's check sum adds to a chunk."""
+"""Bytes that a check sum adds to a chunk."""
 MOST_FILES = 10**6
 METADATA = (".zgroup", ".zattrs", ".zarray", ".zmetadata", "zarr.json")
 PLAIN_TYPE = re.compile(r"[<>|]?(?:[fiu][1248]|b1|U\d{1,6}|S\d{1,6})|float(?:32|64)|u?int(?:8|16|32|64)|bool")
@@ -168,7 +168,14 @@ def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]
     if length > max(SMALL, prod(found["shape"]) * item):
         raise ValueError(f"the chunks of {short(name)} are larger than the array")
     check_room(2 * length, f"a chunk of {short(name)}")
-    about = {"packer": packers[0] if packers else "", "text": item == 0, "length": length}
+    packed = codecs.index(packers[0]) if packers else len(codecs)
+    inside, outside = (SUM * part.count("crc32c") for part in (codecs[:packed], codecs[packed:]))
+    about = {
+        "packer": packers[0] if packers else "",
+        "text": item == 0,
+        "length": length,
+        "sums": (inside, outside),
+    }
     if arrays.setdefault(name, about) != about:
         raise ValueError(f"the metadata of {short(name)} contradict each other")
 
@@ -186,11 +193,11 @@ def _check_chunk(file: Path, name: str, array: Mapping[str, Any]) -> None:
         if array["text"]:
             if held is not None:
                 check_room(2 * held, name)
-            if held is None or held <= SMALL:
+            if held is None or 0 <= held <= SMALL:
                 content.seek(0)
-                texts_of(_unpacked(content.read(), array["packer"]), array["length"])
+                texts_of(_unpacked(content.read(), array["packer"], *array["sums"]), array["length"])
                 return
-        elif held is None or held == array["length"]:
+        elif held is None or held == array["length"] + array["sums"][0]:
             return
     raise ValueError(f"the chunk {short(name)} has another length than its array declares")
 
@@ -208,7 +215,10 @@ def _length(head: bytes, packer: str) -> int | None:
     return int.from_bytes(head[first : first + size], "little") + (256 if size == 2 else 0) if size else -1
 
 
-def _unpacked(content: bytes, packer: str) -> bytes:
-    import numcodecs
+def _unpacked(content: bytes, packer: str, inside: int, outside: int) -> bytes:
+    """Decompress a chunk; omit its check sums, of so many bytes inside and outside of the compression."""
+    if packer:
+        import numcodecs
 
-    return bytes(numcodecs.get_codec({"id": packer}).decode(content)) if packer else content
+        content = bytes(numcodecs.get_codec({"id": packer}).decode(content[: len(content) - outside]))
+    return content[: len(content) - inside]

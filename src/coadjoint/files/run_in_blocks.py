@@ -17,9 +17,8 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.archive_checks import check_archive
-from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
+from coadjoint.files.archive_store import ArchiveReplaced, ArchiveStore, ArchiveUnwritten, path_of
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
-from coadjoint.files.archived_run import unwritten
 from coadjoint.files.block_run import BUSY, run_block
 from coadjoint.files.ensemble_archive import Ensemble, begun, check_same, finish, left_of
 from coadjoint.files.given_functions import asked_again
@@ -160,7 +159,7 @@ def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bo
         try:
             said = finish(store)
         except OSError as reason:
-            raise unwritten(store, reason) from reason
+            raise _unwritten(store, reason) from reason
     except KeyboardInterrupt as stopped:
         stopped.partial = ArchivedEnsemble(path, ready.system)  # type: ignore[attr-defined]
         raise
@@ -185,10 +184,19 @@ def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: 
             try:
                 store.check_place()
             except OSError as reason:
-                raise unwritten(store, reason) from reason
+                raise _unwritten(store, reason) from reason
             if run_block(str(store.path), block, ready, True, None) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
+
+
+def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
+    """Return the error for an archive whose blocks are written by themselves, or have been."""
+    if isinstance(reason, ArchiveReplaced):
+        ending = "nothing of what is there now was changed"
+    else:
+        ending = "the next call with this archive continues"
+    return ArchiveUnwritten(f"{store.path}: the archive could not be written ({reason.strerror or reason}); {ending}")
 
 
 def resume_in_blocks(

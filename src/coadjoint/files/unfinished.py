@@ -172,11 +172,11 @@ def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None
 
 
 def _settle(folder: Path, target: Path) -> None:
-    """Restore a replaced folder if the result was not completed, and remove the rest."""
+    """Restore a replaced folder if the result was not completed, and remove the rest; nothing if it stays replaced."""
     with suppress(OSError):
         if (folder / REPLACED).is_dir() and not os.path.lexists(target):
             os.replace(folder / REPLACED, target)
-    _remove(folder)
+        _remove(folder)
 
 
 def _remove(folder: Path) -> None:
@@ -185,6 +185,8 @@ def _remove(folder: Path) -> None:
         for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK):
             if entry.is_dir() and not entry.is_symlink():
                 shutil.rmtree(entry, ignore_errors=True)
+                if entry.exists():
+                    return
             else:
                 entry.unlink()
         folder.rmdir()

@@ -1,0 +1,227 @@
+"""Blocks of an ensemble that cannot be written or read: what is named, what stays, and that the next call continues."""
+
+import errno
+import os
+import platform
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.files import run_in_blocks as ensembles
+from coadjoint.files.archive_folder import ArchiveFolder
+from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten, read_root
+from coadjoint.files.archived_run import FINISHED
+from coadjoint.files.block_run import BlockRun, run_block
+from coadjoint.files.blocks import Block, lock_file, marker_file
+from coadjoint.runs.prepared_run import PreparedRun
+
+MEMBERS = 7
+SPIRAL = co.systems.paper_a37()
+FLUID = co.systems.torus_euler(N=3)
+RUNS = {
+    "a37": (SPIRAL, np.abs(np.random.default_rng(3).standard_normal((MEMBERS, 3))) + 0.1),
+    "torus": (FLUID, np.stack([FLUID.random(seed, degrees=(1, 1)) for seed in range(MEMBERS)])),
+}
+SPAN = (7.5, 8.5)
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def open_descriptors():
+    """Return the open descriptors of this process; none where the system does not list them."""
+    return set(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else set()
+
+
+def ensemble(path, name, size):
+    system, x0 = RUNS[name]
+    return co.ensemble(system, x0, SPAN, 0.125, archive=path, members_per_block=size)
+
+
+def check_whole(path, name, size):
+    """The next call has the bits of one run."""
+    system, x0 = RUNS[name]
+    whole = co.integrate(system, x0, SPAN, 0.125)
+    np.testing.assert_array_equal(ensemble(path, name, size).x, whole.x)
+
+
+ERRORS = {
+    "full": (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+    "plain": (OSError("the disk is asleep"), "the disk is asleep"),
+    "missing": (FileNotFoundError(errno.ENOENT, "No such file or directory", "c.0"), "No such file or directory"),
+}
+
+
+@pytest.mark.parametrize(("size", "number"), [(1, 0), (1, 6), (2, 1), (3, 1), (3, 2), (4, 0), (7, 0)])
+@pytest.mark.parametrize(("name", "error"), [("a37", "full"), ("torus", "plain"), ("a37", "missing")])
+def test_exactly_the_members_of_a_block_that_is_not_written_are_named(tmp_path, monkeypatch, size, number, name, error):
+    """The archive lacks these and the later ones, which are not begun."""
+    path, before, write = tmp_path / "many.zarr", open_descriptors(), ArchiveFolder.write
+    raised, said = ERRORS[error]
+
+    def full(self, folder, file, content):
+        if file == marker_file(number):
+            raise raised
+        write(self, folder, file, content)
+
+    with monkeypatch.context() as patched, pytest.raises(ArchiveUnwritten) as unwritten:
+        patched.setattr(ArchiveFolder, "write", full)
+        ensemble(path, name, size)
+    members = np.arange(MEMBERS)[number * size :][:size]
+    assert str(unwritten.value) == (
+        f"{path}: members {members[0]} to {members[-1]} could not be written on {platform.node()} ({said}); "
+        "the next call with this archive continues"
+    )
+    assert unwritten.value.__cause__ is raised and unwritten.value.partial is None
+    assert not any((path / ".coadjoint" / marker_file(k)).exists() for k in range(number, MEMBERS))
+    done = co.open_archive(path).status == 1
+    assert done[: members[0]].all() and not done[members[-1] + 1 :].any()
+    assert open_descriptors() == before
+    check_whole(path, name, size)
+
+
+def moved(path):
+    path.rename(path.with_name("aside"))
+
+
+def replaced(path):
+    moved(path)
+    shutil.copytree(path.with_name("aside"), path)
+
+
+@pytest.mark.parametrize("change", [moved, replaced, shutil.rmtree])
+@pytest.mark.parametrize("blocks", [1, 2])
+def test_an_archive_that_is_moved_between_its_blocks(tmp_path, monkeypatch, change, blocks):
+    """Nothing is written to what is in its place then."""
+    path, ran, before = tmp_path / "many.zarr", [], open_descriptors()
+
+    def then(archive, *given):
+        ran.append(run_block(archive, *given))
+        if len(ran) == blocks:
+            change(path)
+        return ran[-1]
+
+    monkeypatch.setattr(ensembles, "run_block", then)
+    with pytest.raises(ArchiveUnwritten) as unwritten:
+        ensemble(path, "a37", 3)
+    assert str(unwritten.value) == (
+        f"{path}: the archive could not be written (its folder was moved or replaced; what was computed is in the old "
+        "one); nothing of what is there now was changed"
+    )
+    assert len(ran) == blocks and open_descriptors() == before
+    monkeypatch.undo()
+    if change is not shutil.rmtree:
+        check_whole(tmp_path / "aside", "a37", 3)
+
+
+def test_an_ensemble_that_cannot_be_marked_as_finished(tmp_path, monkeypatch):
+    """All members are there, and the next call computes none."""
+    path, before, write = tmp_path / "many.zarr", open_descriptors(), ArchiveFolder.write
+
+    def full(self, folder, file, content):
+        if (path / ".coadjoint" / marker_file(2)).exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(self, folder, file, content)
+
+    with monkeypatch.context() as patched, pytest.raises(ArchiveUnwritten) as unwritten:
+        patched.setattr(ArchiveFolder, "write", full)
+        ensemble(path, "a37", 3)
+    assert str(unwritten.value) == (
+        f"{path}: the archive could not be written (No space left on device); the next call with this archive continues"
+    )
+    assert open_descriptors() == before
+    assert co.open_archive(path).status.tolist() == [1] * MEMBERS and read_root(path)[1][FINISHED] == 0
+    monkeypatch.setattr(ensembles, "run_block", lambda *given: pytest.fail("a block is run again"))
+    check_whole(path, "a37", 3)
+    assert read_root(path)[1][FINISHED] == 1
+
+
+def a_block(path, number=1):
+    ready = PreparedRun(RUNS["a37"][0], None, 0.125)
+    return run_block(str(path), Block(number, 3 * number, min(3 * number + 3, MEMBERS)), ready, True, 1)
+
+
+def begun(path, monkeypatch):
+    """Begin an archive in three blocks and run none of them."""
+    with monkeypatch.context() as patched, pytest.raises(ArchiveUnwritten, match="another process is still running"):
+        patched.setattr(ensembles, "run_block", lambda *given: {"busy": True})
+        ensemble(path, "a37", 3)
+
+
+@pytest.mark.parametrize("case", ["no folder", "no archive", "file", "damaged"])
+def test_an_archive_that_a_worker_cannot_read(tmp_path, case):
+    """The machine is in the error, since another one sees the folder."""
+    path, before = tmp_path / "many.zarr", open_descriptors()
+    if case == "file":
+        path.touch()
+    elif case != "no folder":
+        path.mkdir()
+    if case == "damaged":
+        (path / "zarr.json").write_text("{")
+    said = {"file": "is a file", "damaged": "is damaged"}.get(case, "there is no archive of a run")
+    end = f" on the machine {platform.node()}; every worker must see the folder by the same name"
+    with pytest.raises(ArchiveError, match=rf"^{re.escape(str(path))}: .*{said}.*{re.escape(end)}$"):
+        a_block(path)
+    assert open_descriptors() == before and not (path / ".coadjoint").exists()
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("how", ["missing", "damaged", "no right"])
+def test_a_block_whose_start_cannot_be_read(tmp_path, monkeypatch, number, how):
+    """The file is named; other blocks are run, and the lock of this one is free again."""
+    path = tmp_path / "many.zarr"
+    begun(path, monkeypatch)
+    (file,) = (path / "x0").glob(f"*c.{number}.0")
+    before, content = open_descriptors(), file.read_bytes()
+    if how == "missing":
+        file.unlink()
+    elif how == "damaged":
+        file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    else:
+        file.unlink()
+        file.mkdir()
+    with pytest.raises(ArchiveError, match=rf"x0/{re.escape(file.name)} (is missing|cannot be read)"):
+        a_block(path, number)
+    assert open_descriptors() == before and not (path / ".coadjoint" / marker_file(number)).exists()
+    assert a_block(path, (number + 1) % 3)[FINISHED] == 1
+    if how == "no right":
+        file.rmdir()
+    file.write_bytes(content)
+    assert a_block(path, number)[FINISHED] == 1
+    check_whole(path, "a37", 3)
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_a_block_that_cannot_be_locked(tmp_path, monkeypatch, number):
+    """A link in the place of its lock is not followed; its members are named."""
+    path = tmp_path / "many.zarr"
+    begun(path, monkeypatch)
+    before, lock = open_descriptors(), path / ".coadjoint" / lock_file(number)
+    lock.symlink_to(tmp_path / "elsewhere")
+    last = min(3 * number + 3, MEMBERS) - 1
+    with pytest.raises(
+        ArchiveUnwritten, match=f"members {3 * number} to {last} could not be written on .*symbolic link"
+    ):
+        a_block(path, number)
+    assert open_descriptors() == before and os.listdir(tmp_path) == ["many.zarr"]
+    lock.unlink()
+    check_whole(path, "a37", 3)
+
+
+def test_what_is_said_of_the_archive_is_not_wrapped(tmp_path, monkeypatch):
+    path = tmp_path / "many.zarr"
+    begun(path, monkeypatch)
+    error = ArchiveUnwritten("said below")
+
+    def stopped(self, *given):
+        raise error
+
+    monkeypatch.setattr(BlockRun, "advance", stopped)
+    with pytest.raises(ArchiveUnwritten) as raised:
+        a_block(path)
+    assert raised.value is error

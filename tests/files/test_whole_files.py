@@ -1,0 +1,147 @@
+"""Files are replaced whole: through no link, with nothing left behind, and on disk before they have their name."""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from coadjoint.files import whole_files
+from coadjoint.files.whole_files import settle, write_whole
+
+NEW, OLD = b"new" * 100, b"old"
+
+
+@pytest.fixture(params=["path", "descriptor", "working folder"])
+def place(request, tmp_path, monkeypatch):
+    """A folder, and what `write_whole` is given for a file in it, by each way to name it."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    if request.param == "path":
+        yield folder, lambda: (folder / "file", NEW)
+    elif request.param == "working folder":
+        monkeypatch.chdir(folder)
+        yield folder, lambda: (Path("file"), NEW)
+    else:
+        descriptor = os.open(folder, os.O_RDONLY)
+        yield folder, lambda: (Path("file"), NEW, descriptor)
+        os.close(descriptor)
+
+
+def precious(folder):
+    """Make a file elsewhere."""
+    path = folder.parent / "precious"
+    path.write_bytes(b"dear")
+    return path
+
+
+THERE = {
+    "nothing": lambda path: None,
+    "file": lambda path: path.write_bytes(OLD),
+    "longer file": lambda path: path.write_bytes(2 * NEW),
+    "read-only file": lambda path: (path.write_bytes(OLD), path.chmod(0o400)),
+    "link to a file": lambda path: path.symlink_to(precious(path.parent)),
+    "hard link": lambda path: os.link(precious(path.parent), path),
+    "link to nothing": lambda path: path.symlink_to("none"),
+    "link to itself": lambda path: path.symlink_to(path.name),
+    "pipe": os.mkfifo,
+}
+
+
+@pytest.mark.parametrize("there", THERE)
+@pytest.mark.parametrize("name", ["file", ".file.writing"])
+def test_what_is_there_is_replaced_and_not_followed(place, there, name):
+    """The file itself, and what a killed process has left of another one."""
+    folder, given = place
+    THERE[there](folder / name)
+    old = os.umask(0o007)
+    try:
+        write_whole(*given())
+    finally:
+        os.umask(old)
+    found = os.lstat(folder / "file")
+    assert stat.S_ISREG(found.st_mode) and stat.S_IMODE(found.st_mode) == 0o660 and found.st_nlink == 1
+    assert os.listdir(folder) == ["file"] and (folder / "file").read_bytes() == NEW
+    others = {path.name: path.read_bytes() for path in folder.parent.iterdir() if path.is_file()}
+    assert set(others.values()) <= {b"dear"}
+
+
+@pytest.mark.parametrize("before", [None, OLD])
+@pytest.mark.parametrize("call", ["fsync", "replace", "open"])
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()], ids=["full", "interrupted"])
+def test_a_write_that_fails_changes_nothing(place, monkeypatch, call, error, before):
+    folder, given = place
+    if before is not None:
+        (folder / "file").write_bytes(before)
+
+    def failing(*given, **more):
+        raise error
+
+    with monkeypatch.context() as patched, pytest.raises(type(error)) as raised:
+        patched.setattr(os, call, failing)
+        write_whole(*given())
+    assert raised.value is error
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == ({} if before is None else {"file": before})
+
+
+def test_the_content_is_on_disk_before_it_has_its_name(place, monkeypatch):
+    folder, given = place
+    events, fsync, replace = [], os.fsync, os.replace
+
+    def synced(descriptor):
+        found = os.fstat(descriptor)
+        events.append(("synced", found.st_size, os.path.samestat(found, os.stat(folder / ".file.writing"))))
+        fsync(descriptor)
+
+    def replaced(*names, **more):
+        events.append("named")
+        replace(*names, **more)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", replaced)
+    write_whole(*given())
+    assert events == [("synced", len(NEW), True), "named"]
+
+
+def test_a_missing_folder_is_not_made(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        write_whole(tmp_path / "none" / "file", NEW)
+    assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["file", ".file.writing"])
+def test_a_folder_in_the_place_of_a_file_stays(place, name):
+    folder, given = place
+    (folder / name).mkdir()
+    (folder / name / "inside").write_bytes(OLD)
+    with pytest.raises(OSError):
+        write_whole(*given())
+    assert os.listdir(folder) == [name] and (folder / name / "inside").read_bytes() == OLD
+
+
+UNKNOWN = [errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS]
+
+
+@pytest.mark.parametrize("number", [*UNKNOWN, errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EROFS])
+def test_folders_that_a_file_system_cannot_sync(tmp_path, monkeypatch, number):
+    """It does not know the call; a disk that fails or is full does."""
+    synced, descriptor = [], os.open(tmp_path, os.O_RDONLY)
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(whole_files.os, "fsync", synced.append)
+            settle(descriptor)
+        assert synced == [descriptor]
+
+        def failing(descriptor):
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "fsync", failing)
+        if number in UNKNOWN:
+            settle(descriptor)
+        else:
+            with pytest.raises(OSError) as raised:
+                settle(descriptor)
+            assert raised.value.errno == number
+    finally:
+        os.close(descriptor)
