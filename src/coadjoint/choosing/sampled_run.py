@@ -77,7 +77,7 @@ class SampledRun(PreparedRun):
         super().__init__(
             system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
         )
-        self._asked = {"attitude": attitude, "watch": watch, "observe": observe, "threads": threads}
+        self._asked = {"attitude": self._attitude, "watch": watch, "observe": observe, "threads": threads}
         self._among, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
         self._whole = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
         self._halves = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
