@@ -141,6 +141,22 @@ def test_an_attitude_comes_along():
     assert np.array_equal(run.attitude, once.attitude)
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 12])
+def test_members_have_their_elements_whatever_the_number_of_states_in_the_sample(count):
+    elements = np.stack([np.diag([1.0, -1.0, -1.0]), np.eye(3), np.diag([-1.0, -1.0, 1.0])])
+    ready = co.prepare(BODY, accuracy=1e-6, x0=SAMPLE[:count], t_span=SPAN, attitude=elements)
+    members = np.array([SAMPLE[0], 0.5 * SAMPLE[0], 0.1 * SAMPLE[0]])
+    assert ready.serves(members) and not ready.serves(9.0 * members)
+    for x0 in (members, 9.0 * members):
+        run = ready.run(x0, SPAN)
+        momenta = np.einsum("kmij,kmj->kmi", run.attitude, run.x)
+        assert np.array_equal(run.attitude[0], elements)
+        assert np.abs(momenta - np.einsum("mij,mj->mi", elements, x0)).max() < 1e-6 * np.abs(x0).max()
+    # A single state, with an element of its own.
+    for x0 in (SAMPLE[0], 9.0 * SAMPLE[0]):
+        assert np.array_equal(ready.run(x0, SPAN, attitude=elements[2]).attitude[0], elements[2])
+
+
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [None, co.Splitting(order=6), co.Taylor(tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize("span", [(3.0, 43.0), (40.0, 0.0)])

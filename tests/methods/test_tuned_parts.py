@@ -1,14 +1,17 @@
 """Parts for a state: the error that the h^2 term makes along a motion is the one that is measured, and the least."""
 
+from functools import partial
 from itertools import permutations
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.short_orbit import short_orbit
+from coadjoint.methods import tuned_parts
+from coadjoint.methods.short_orbit import PART, rate_at, short_orbit
 from coadjoint.methods.tuned_parts import ErrorsOfOrders
-from coadjoint.program.decompose import decompose
+from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.decompose import candidates, decompose
 from coadjoint.program.modified_terms import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.second_order import Samples
@@ -136,3 +139,41 @@ def test_a_motion_that_leaves_float64_is_refused():
     system = systems()["A3,7"]
     with pytest.raises(ValueError, match="cannot be followed"):
         co.Splitting.tuned(system, (1e200, 1e200, 1e200))
+
+
+def measured(system, start, methods):
+    """Return the squares of the largest errors of short runs, relative to the largest momentum."""
+    spacing = PART / rate_at(system, start)
+    given = {"t_span": (0.0, 32 * spacing), "step": spacing / 16, "save_every": 16, "watch": False}
+    exact = co.integrate(system, start, method=co.GaussLegendre(6), **given).x
+    runs = [co.integrate(system, start, method=method, **given).x for method in methods]
+    return np.array([np.max(np.sum((x - exact) ** 2, axis=1)) for x in runs]) / np.max(np.sum(exact**2, axis=1))
+
+
+@pytest.mark.parametrize(("name", "order", "seed"), [("body, full", 2, 102), ("body", 4, 100)])
+def test_several_states_have_the_parts_with_the_least_error_of_all_of_them(monkeypatch, name, order, seed):
+    """In whatever order they are given; for one of them alone other parts are better."""
+    monkeypatch.setattr(tuned_parts, "short_orbit", partial(short_orbit, steps=32))
+    system, starts = systems()[name], np.random.default_rng(seed).standard_normal((2, 3))
+    every = [
+        co.Splitting(order=order, parts=ChosenParts(places, candidate.shift))
+        for candidate in candidates(system)
+        for places in permutations(range(len(candidate.parts)))
+    ]
+    errors = np.array([measured(system, start, every) for start in starts])
+    together = np.sqrt(errors.sum(axis=0))
+    best = np.argmin(together)
+    assert max(together[np.argmin(errors, axis=1)]) > 1.05 * together[best]
+    for given in (starts, starts[::-1]):
+        assert co.Splitting.tuned(system, given, order=order) == every[best]
+
+
+@pytest.mark.parametrize("name", ["body, full", "A3,7"])
+@pytest.mark.parametrize("limit", ["LARGEST_FOLLOWED", "MOST_ORDERED"])
+def test_several_states_of_systems_that_are_not_searched(monkeypatch, limit, name):
+    """The order of the states does not matter, where each of them alone has other parts."""
+    monkeypatch.setattr(tuned_parts, "short_orbit", partial(short_orbit, steps=32))
+    monkeypatch.setattr(tuned_parts, limit, 1)
+    system, starts = systems()[name], np.random.default_rng(104).standard_normal((2, 3))
+    assert co.Splitting.tuned(system, starts[0]) != co.Splitting.tuned(system, starts[1])
+    assert co.Splitting.tuned(system, starts) == co.Splitting.tuned(system, starts[::-1])

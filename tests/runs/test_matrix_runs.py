@@ -1,10 +1,14 @@
 """Matrices wherever vectors go: ensembles, threads, prepared runs, steppers, what is observed, and runs that fail."""
 
+import copy
+import functools
 import threading
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.analysis.poisson_defect import poisson_defect
@@ -197,6 +201,77 @@ def test_a_function_that_numba_cannot_compile_is_said_to_be_slow_once():
             system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), stream)
             co.integrate(system, np.array([[1.0, 0.5], [0.0, 0.2]]), (0.0, 0.5), 0.125)
     assert len([w for w in said if "is called in Python" in str(w.message)]) == 1
+
+
+COEFFICIENTS = np.array([[1.0, 0.7, 0.2], [0.7, 0.5, 1.3], [0.2, 1.3, 0.4]])
+
+
+def scaled(factor, W):
+    return factor * COEFFICIENTS * W.T
+
+
+class Hashed:
+    def __call__(self, W):
+        return scaled(0.5, W)
+
+    def method(self, W):
+        return scaled(0.5, W)
+
+
+@dataclass
+class Unhashed:
+    """A dataclass that may change has no hash."""
+
+    factor: float
+
+    def __call__(self, W):
+        return scaled(self.factor, W)
+
+
+@dataclass(frozen=True)
+class Deep:
+    """It has a hash, and its field has none."""
+
+    factors: list
+
+    def __call__(self, W):
+        return scaled(self.factors[0], W)
+
+
+CALLABLES = {
+    "Hashed": Hashed(),
+    "method": Hashed().method,
+    "partial": functools.partial(scaled, 0.5),
+    "Unhashed": Unhashed(0.5),
+    "Deep": Deep([0.5]),
+}
+
+
+@pytest.mark.parametrize("name", CALLABLES)
+@pytest.mark.parametrize("kind", ["gl", "so", "u"])
+def test_streams_that_are_no_plain_functions(name, kind):
+    """They are named in one warning for each of them, and the motion is that of W' = [P, W]."""
+    algebra = co.MatrixAlgebra(kind, 3)
+    rng = np.random.default_rng(7)
+    W = 0.5 * algebra.projected(rng.standard_normal((3, 3)) + (1j * rng.standard_normal((3, 3)) if kind == "u" else 0))
+    # The cache of warnings knows a function by its value, and each case has its own.
+    function = copy.deepcopy(CALLABLES[name])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        runs = [co.MatrixSystem(algebra, function) for _ in range(2)]
+        ends = [co.integrate(run, W, (0.0, 1.0), 0.125, co.IsospectralGauss(3)).x[-1] for run in runs]
+    named = [str(one.message) for one in said if "is called in Python" in str(one.message)]
+    assert len(named) == 1 and named[0].startswith(f"the stream {name} is called")
+    assert "Numba type" in named[0]
+
+    def slope(t, y):
+        now = y.reshape(3, 3)
+        P = scaled(0.5, now)
+        return (P @ now - now @ P).ravel()
+
+    exact = solve_ivp(slope, (0.0, 1.0), W.ravel(), "DOP853", rtol=1e-12, atol=1e-14).y[:, -1].reshape(3, 3)
+    assert np.array_equal(*ends)
+    assert np.abs(ends[0] - exact).max() < 1e-7 and np.abs(exact - W).max() > 1e-3
 
 
 @pytest.mark.long

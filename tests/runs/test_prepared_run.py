@@ -272,3 +272,21 @@ def test_some_members_have_their_group_elements_and_their_number():
         some = ready.among(first, last).run(x[first:last], (1, 2))
         assert np.array_equal(some.x, whole.x[:, first:last])
         assert np.array_equal(some.attitude, whole.attitude[:, first:last])
+
+
+def test_group_elements_are_copied_and_may_be_lists():
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    elements = np.stack([np.linalg.matrix_power(quarter, m) for m in range(3)])
+    x, given = X * np.linspace(1, 2, 3)[:, None], elements.copy()
+    listed = co.prepare(BODY, None, 0.1, attitude=given.tolist())
+    for ready in (listed, co.prepare(BODY, None, 0.1, attitude=given)):
+        given[:] = np.eye(3)
+        assert np.array_equal(ready.run(x, (0, 1)).attitude[0], elements)
+        assert np.array_equal(ready.among(1, 3).run(x[1:], (0, 1)).attitude[0], elements[1:])
+    # The second state is none of the sample, and has a run of its own.
+    given = elements[1].copy()
+    ready = co.prepare(BODY, accuracy=1e-6, x0=X, t_span=(0, 2), attitude=given)
+    given[:] = np.eye(3)
+    assert ready.serves(X) and not ready.serves(9.0 * X)
+    for start in (X, 9.0 * X):
+        assert np.array_equal(ready.run(start, (0, 2)).attitude[0], elements[1])

@@ -140,8 +140,8 @@ def choose(
         to 24 with a constant step or with steps of their own (whose `tolerance` is chosen), Gauss-Legendre methods of 2
         to 12 stages, and splittings of order 2 to 10. Among these only splittings are Poisson maps.
     processed : bool
-        Include processed splittings. The cost of their processor is not counted, so use this for runs with few saved
-        points, ``watch=False`` and a large `save_every`.
+        Include processed splittings in the default schemes; with `methods` they are listed there. The cost of their
+        processor is not counted, so use this for runs with few saved points, ``watch=False`` and a large `save_every`.
 
     Returns
     -------
@@ -170,6 +170,11 @@ def choose(
     """
     check_vectors(system, "give step= and method=, since the cost of a step of matrices is not known")
     wanted, processed = _checked(accuracy), read_flag(processed, "processed")
+    if processed and methods is not None:
+        raise TypeError(
+            "choose was given methods and processed; processed=True adds to the default schemes: list processed "
+            "splittings in methods, such as Splitting(scheme='blanes_casas_murua6')"
+        )
     # Numbers overflow near a blow-up; the results are checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return _chosen(system, x0, span_of(t_span), wanted, attitude, methods, processed)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.choosing.accuracy import Choice, choose
 from coadjoint.choosing.sampling import sample_of
 from coadjoint.errors import IntegrationError
+from coadjoint.given import read_numbers
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.end_of_run import EVERY
@@ -72,12 +73,16 @@ class SampledRun(PreparedRun):
             raise ValueError(f"t_span is {[t0, t1]}; a run is prepared for a time that is longer than 0")
         momenta, _ = momenta_of(system, sample)
         picked = sample_of(cast(System, system), momenta, t0, t1 - t0)
-        self.choice: Choice = choose(cast(Any, system), picked, (t0, t1), accuracy, attitude=attitude, methods=method)
+        if not isinstance(attitude, bool | np.bool_ | str):
+            attitude = read_numbers(attitude, "attitude")
+        # Elements of the members of a run, which need not be as many as states of the sample.
+        self._kind = True if np.ndim(attitude) == 3 else attitude
+        self.choice: Choice = choose(cast(Any, system), picked, (t0, t1), accuracy, attitude=self._kind, methods=method)
         step = self.choice.step
         super().__init__(
             system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
         )
-        self._asked = {"attitude": attitude, "watch": watch, "observe": observe, "threads": threads}
+        self._asked = {"attitude": self._attitude, "watch": watch, "observe": observe, "threads": threads}
         self._among, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
         self._whole = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
         self._halves = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
@@ -214,7 +219,7 @@ class SampledRun(PreparedRun):
 
     def _alone(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
         """Return a run, with a choice of its own, for a state that the sample does not represent."""
-        given: Any = {"attitude": self._asked["attitude"], "methods": self._among}
+        given: Any = {"attitude": self._kind, "methods": self._among}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice
 

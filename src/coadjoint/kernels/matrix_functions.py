@@ -61,11 +61,29 @@ class MatrixFunction:
 
         self._callback, self.compiled = CALLBACK(call), False
         self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
-        _say_once(stream.function, reason)
+        _say_once(_Key(stream.function), reason)
+
+
+class _Key:
+    """A function as a key: compared with `==` if it has a hash, which a dataclass with `__call__` need not have."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+        try:
+            self._hash = hash(function)
+        except TypeError:
+            self._hash = id(function)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and (self.function is other.function or self.function == other.function)
 
 
 @lru_cache(maxsize=256)
-def _say_once(function: Callable[..., Any], reason: str) -> None:
+def _say_once(key: _Key, reason: str) -> None:
+    function = key.function
     name = getattr(function, "__name__", type(function).__name__)
     warnings.warn(
         f"the stream {name} is called in Python, at some ten microseconds per call, and in one thread: Numba cannot "

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_flag, read_whole
+from coadjoint.given import read_flag, read_numbers, read_whole
 from coadjoint.kernels.blas_threads import members_at_once, rows_of
 from coadjoint.keywords import told
 from coadjoint.methods.base import Method
@@ -81,8 +81,10 @@ class PreparedRun:
         self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
         # The loops do not track invariants of matrices.
-        self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
+        self._watching = watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
+        by_name = isinstance(attitude, bool | np.bool_ | str)
+        self._attitude = attitude if by_name else read_numbers(attitude, "attitude")
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or members_at_once(rows_of(system))
         self._made: dict[float, Loops | InputLoops] = {}

@@ -352,7 +352,8 @@ class Solution:
         -------
         dict
             ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest absolute deviation over every
-            step (with ``watch=False`` over the saved points), with `tenths`, the same for each tenth of the run.
+            step (with ``watch=False`` over the saved points, or the steps at or before the times of `t_eval`), with
+            `tenths`, the same for each tenth of the run.
         """
         if self.work:
             raise TypeError(
