@@ -128,7 +128,7 @@ def test_functions_are_named_where_they_are_lost():
         (lambda r: r["stream"]["weights"][0].__setitem__(1, 7.0), "system.stream: weights"),
         (lambda r: r["stream"]["weights"][0].__setitem__(1, "x"), r"system.stream.weights\[0\]"),
         (lambda r: r.update(linear=[[[1.0, 0.0], [0.0, 1.0]]]), "system.linear"),
-        (lambda r: r.update(energy_sign=0), "system: sign"),
+        (lambda r: r.update(energy_sign=0), "system: energy_sign"),
         (lambda r: r.update(powers=-1), "system.powers"),
         (lambda r: r.update(color="red"), "none of the keys"),
     ],
