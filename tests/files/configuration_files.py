@@ -1,4 +1,4 @@
-"""A configuration file of a ready-made system, and one of an algebra of its own."""
+"""Configuration files of a ready-made system, of an algebra of its own, and of a motion that overflows."""
 
 READY_MADE = """
 [system]
@@ -30,4 +30,20 @@ x = [1.0, 0.1, 0.5]
 [run]
 t_span = [0.0, 1.0]
 step = 0.1
+"""
+
+# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78.
+GROWING = """
+sign = -1
+[algebra]
+dim = 2
+brackets = ["[e1, e2] = e2"]
+[hamiltonian]
+linear = [1.0, 0.0]
+[initial]
+x = [1.0, 1.0]
+[run]
+t_span = [0.0, 1000.0]
+step = 1.0
+save_every = 100
 """

@@ -7,6 +7,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import xarray
+from configuration_files import GROWING, READY_MADE
 
 import coadjoint as co
 from coadjoint import cli
@@ -131,35 +132,8 @@ save_every = 2
 [observe]
 "x1 x2" = "x1*x2"
 """
-SWEPT = """
-[system]
-name = "rigid_body"
-[system.parameters]
-inertia = [1.0, 2.0, 2.5]
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.125
-[sweep.over]
-"system.parameters.inertia[2]" = [2.25, 2.5, 2.75]
-"""
-# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78.
-FAILING = """
-sign = -1
-[algebra]
-dim = 2
-brackets = ["[e1, e2] = e2"]
-[hamiltonian]
-linear = [1.0, 0.0]
-[initial]
-x = [1.0, 1.0]
-[run]
-t_span = [0.0, 1000.0]
-step = 1.0
-save_every = 100
-"""
-COMMANDS = {"members": (CONFIGURED, 0), "sweep": (SWEPT, 0), "failure": (FAILING, 1), "interrupt": (CONFIGURED, 130)}
+SWEPT = READY_MADE + '[sweep.over]\n"system.parameters.inertia[2]" = [2.25, 2.5, 2.75]\n'
+COMMANDS = {"members": (CONFIGURED, 0), "sweep": (SWEPT, 0), "failure": (GROWING, 1), "interrupt": (CONFIGURED, 130)}
 ENGINE = {"nc": "h5netcdf", "zarr": "zarr"}
 
 

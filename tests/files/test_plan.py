@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from configuration_files import OWN, READY_MADE
+from configuration_files import GROWING, OWN, READY_MADE
 
 from coadjoint import cli
 from coadjoint.files import plan as planning
@@ -15,20 +15,6 @@ from coadjoint.files.plan import plan
 from coadjoint.systems.batch import Batch
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
-GROWING = """
-sign = -1
-[algebra]
-dim = 2
-brackets = ["[e1, e2] = e2"]
-[hamiltonian]
-linear = [1.0, 0.0]
-[initial]
-x = [1.0, 1.0]
-[run]
-t_span = [0.0, 1000.0]
-step = 1.0
-save_every = 100
-"""
 SWEEP = '[sweep]\nsamples = 3\nseed = 7\n[sweep.over]\n"initial.x" = { sphere = 1.0 }\n'
 
 

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from coadjoint.choosing.accuracy import Choice, choose
 from coadjoint.choosing.sampling import sample_of
 from coadjoint.errors import IntegrationError
-from coadjoint.given import read_numbers
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.end_of_run import EVERY
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution, with_choice
-from coadjoint.runs.start import momenta_of
+from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import span_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System, check_system
@@ -73,8 +72,7 @@ class SampledRun(PreparedRun):
             raise ValueError(f"t_span is {[t0, t1]}; a run is prepared for a time that is longer than 0")
         momenta, _ = momenta_of(system, sample)
         picked = sample_of(cast(System, system), momenta, t0, t1 - t0)
-        if not isinstance(attitude, bool | np.bool_ | str):
-            attitude = read_numbers(attitude, "attitude")
+        attitude = read_attitude(attitude)
         # Elements of the members of a run, which need not be as many as states of the sample.
         self._kind = True if np.ndim(attitude) == 3 else attitude
         self.choice: Choice = choose(cast(Any, system), picked, (t0, t1), accuracy, attitude=self._kind, methods=method)

@@ -78,6 +78,13 @@ class ArchiveReplaced(OSError):
     """The folder of an archive, or its lock file, was replaced while the run was writing to it."""
 
 
+def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str, otherwise: str) -> ArchiveUnwritten:
+    """Return the error for an archive that could not be written; what it holds if it was replaced, and if not."""
+    said = getattr(reason, "strerror", None) or str(reason)
+    ending = replaced if isinstance(reason, ArchiveReplaced) else otherwise
+    return ArchiveUnwritten(f"{path}: the archive could not be written ({said}); {ending}")
+
+
 def path_of(given: Any) -> Path:
     """Validate the path of an archive.
 

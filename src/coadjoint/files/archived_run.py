@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.files.archive_store import ArchiveError, ArchiveReplaced, ArchiveStore, ArchiveUnwritten, Kept
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, Kept, unwritten_archive
 from coadjoint.files.export import said_of
 from coadjoint.files.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
 from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of, times_of_points
@@ -163,11 +163,12 @@ def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
 
 def unwritten(store: ArchiveStore, reason: OSError | ArchiveError, partial: Solution | None = None) -> ArchiveUnwritten:
     """Return the error for an archive that could not be written, with the points that it lacks."""
-    said, steps = getattr(reason, "strerror", None) or str(reason), store.attributes.get(STEPS, 0)
-    if isinstance(reason, ArchiveReplaced):
-        ending = f"the run was written up to step {steps}, and nothing of what is there now was changed"
-    else:
-        ending = f"it holds the run up to step {steps}, and the run goes on from there when it is resumed"
-    found = ArchiveUnwritten(f"{store.path}: the archive could not be written ({said}); {ending}")
+    steps = store.attributes.get(STEPS, 0)
+    found = unwritten_archive(
+        store.path,
+        reason,
+        f"the run was written up to step {steps}, and nothing of what is there now was changed",
+        f"it holds the run up to step {steps}, and the run goes on from there when it is resumed",
+    )
     found.partial = partial
     return found

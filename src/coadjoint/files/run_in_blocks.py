@@ -17,7 +17,7 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.archive_checks import check_archive
-from coadjoint.files.archive_store import ArchiveReplaced, ArchiveStore, ArchiveUnwritten, path_of
+from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of, unwritten_archive
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.block_run import BUSY, run_block
 from coadjoint.files.ensemble_archive import Ensemble, begun, check_same, finish, left_of
@@ -192,11 +192,8 @@ def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: 
 
 def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
     """Return the error for an archive whose blocks are written by themselves, or have been."""
-    if isinstance(reason, ArchiveReplaced):
-        ending = "nothing of what is there now was changed"
-    else:
-        ending = "the next call with this archive continues"
-    return ArchiveUnwritten(f"{store.path}: the archive could not be written ({reason.strerror or reason}); {ending}")
+    replaced, otherwise = "nothing of what is there now was changed", "the next call with this archive continues"
+    return unwritten_archive(store.path, reason, replaced, otherwise)
 
 
 def resume_in_blocks(

@@ -181,12 +181,11 @@ def _settle(folder: Path, target: Path) -> None:
 
 def _remove(folder: Path) -> None:
     """Remove a hidden folder, its lock last, so that a partial removal remains recognizable."""
-    with suppress(OSError):
-        for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK):
-            if entry.is_dir() and not entry.is_symlink():
-                shutil.rmtree(entry, ignore_errors=True)
-                if entry.exists():
-                    return
-            else:
-                entry.unlink()
-        folder.rmdir()
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK):
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+            if entry.exists():
+                return
+        else:
+            entry.unlink()
+    folder.rmdir()

@@ -489,6 +489,12 @@ class Method(ABC):
         return [cls()]
 
 
+def check_base(base: Any, wrapper: str, example: str) -> None:
+    """Raise a TypeError if the base of a wrapper is not a scheme."""
+    if not isinstance(base, Method):
+        raise TypeError(f"the base of {wrapper} is a scheme such as {example}, not {short(base)}")
+
+
 def declared_by(method: Method, system: System) -> Properties:
     """Return what a scheme declares to keep on a system; raise TypeError if it returns anything but `Properties`."""
     said = method.properties(system)

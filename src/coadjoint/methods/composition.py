@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_finite
-from coadjoint.methods.base import Method, Representation
+from coadjoint.methods.base import Method, Representation, check_base
 from coadjoint.methods.composed import Composed
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
-from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -67,8 +66,7 @@ class Composition(Composed):
     coefficients: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.base, Method):
-            raise TypeError(f"the base of a Composition is a scheme such as Splitting(order=2), not {short(self.base)}")
+        check_base(self.base, "a Composition", "Splitting(order=2)")
         object.__setattr__(self, "coefficients", _fractions_given(self.coefficients, self.base))
         if not self.base.symmetric:
             raise ValueError(f"Composition needs a symmetric base, which {self.base} is not{self.base.instead}")

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, Representation, declared_by
+from coadjoint.methods.base import Method, Representation, check_base, declared_by
 from coadjoint.methods.properties import Properties
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
-from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -88,8 +87,7 @@ class Forced(Method):
     compensates = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.base, Method):
-            raise TypeError(f"the base of Forced is a scheme such as Splitting(), not {short(self.base)}")
+        check_base(self.base, "Forced", "Splitting()")
 
     @property
     def order(self) -> int:

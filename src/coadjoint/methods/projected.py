@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, Representation
+from coadjoint.methods.base import Method, Representation, check_base
 from coadjoint.methods.composed import WithBase, with_settled_base
 from coadjoint.methods.projection import (
     casimirs_restored,
@@ -21,7 +21,6 @@ from coadjoint.methods.projection import (
 from coadjoint.methods.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System
-from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -72,10 +71,7 @@ class Projected(WithBase):
     compensates = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.base, Method):
-            raise TypeError(
-                f"the base of Projected is a scheme such as ExplicitRungeKutta('rk4'), not {short(self.base)}"
-            )
+        check_base(self.base, "Projected", "ExplicitRungeKutta('rk4')")
 
     @property
     def order(self) -> int:

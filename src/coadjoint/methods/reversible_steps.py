@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.given import read_number
-from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation
+from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation, check_base
 from coadjoint.methods.composed import with_settled_base
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.speed import Speed, speed_of
@@ -93,10 +93,7 @@ class ReversibleSteps(Method):
     compensates = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.base, Method):
-            raise TypeError(
-                f"the base of ReversibleSteps is a scheme such as Splitting(order=2), not {short(self.base)}"
-            )
+        check_base(self.base, "ReversibleSteps", "Splitting(order=2)")
         if self.base.own_steps:
             raise ValueError(f"{self.base} already chooses its own steps; give ReversibleSteps the base of it")
         if not self.base.symmetric:

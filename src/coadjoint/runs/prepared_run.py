@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_flag, read_numbers, read_whole
+from coadjoint.given import read_flag, read_whole
 from coadjoint.kernels.blas_threads import members_at_once, rows_of
 from coadjoint.keywords import told
 from coadjoint.methods.base import Method
@@ -31,7 +31,7 @@ from coadjoint.runs.observed import Observed, check_observe
 from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.solution import Solution
-from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
+from coadjoint.runs.start import Start, momenta_of, read_attitude, representations_of, with_group
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
@@ -83,8 +83,7 @@ class PreparedRun:
         # The loops do not track invariants of matrices.
         self._watching = watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
-        by_name = isinstance(attitude, bool | np.bool_ | str)
-        self._attitude = attitude if by_name else read_numbers(attitude, "attitude")
+        self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or members_at_once(rows_of(system))
         self._made: dict[float, Loops | InputLoops] = {}

@@ -87,6 +87,11 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     return np.ascontiguousarray(momenta), single
 
 
+def read_attitude(attitude: Any) -> Any:
+    """Return a flag or a name as it is, and group elements as an array of their own."""
+    return attitude if isinstance(attitude, bool | np.bool_ | str) else read_numbers(attitude, "attitude")
+
+
 def with_group(
     system: System | Batch, momenta: NDArray[np.float64], single: bool, representation: Any, attitude: Any
 ) -> Start:
@@ -100,10 +105,10 @@ def with_group(
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     if len(momenta) * size**2 > FEW:
         check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
-    if isinstance(attitude, bool | np.bool_ | str):
+    initial = read_attitude(attitude)
+    if not isinstance(initial, np.ndarray):
         units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, shape_of(system))
-    initial = read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
