@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import coadjoint as co
-from coadjoint.program.decompose import decompose
+from coadjoint.program.parts.decompose import decompose
 
 # Values for the parameters of the low-dimensional algebras that have some.
 PARAMETERS = {"a": 0.5, "b": 0.75, "c": 0.5, "p": 0.5, "q": 0.25, "s": 0.5, "eps": 1.0}

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import coadjoint as co
-from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from coadjoint.systems.registry import ready_made_systems, telling_of
 
 LOOKS = 8
 SPAN_STEPS = 800  # of the step that the system itself suggests

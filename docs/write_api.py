@@ -16,8 +16,8 @@ from typing import Any
 
 import coadjoint as co
 from coadjoint import commands
-from coadjoint.analysis.certificate import Row
-from coadjoint.files.schema import schema
+from coadjoint.analysis.certificates.certificate import Row
+from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.solution import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.forced import ForcedSystem
@@ -62,17 +62,17 @@ USED = {
     "analysis.predicted_drift": ("PredictedDrift",),
     "analysis.rotations": ("attitude_angle", "precession_error", "twist"),
     "analysis.round_off": ("round_off", "random_walk", "orthogonality", "spatial_momentum", "RandomWalk"),
-    "analysis.field_of_step": ("field_of_series", "field_at"),
-    "analysis.exact_field": ("ExactField",),
-    "analysis.field_at_points": ("FieldAtPoints",),
+    "analysis.backward_error.field_of_step": ("field_of_series", "field_at"),
+    "analysis.backward_error.exact_field": ("ExactField",),
+    "analysis.backward_error.field_at_points": ("FieldAtPoints",),
     "experiments.selftest.findings": ("Finding",),
     "experiments.selftest.run": ("selftest",),
-    "files.configuration": ("load", "Configuration"),
-    "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
-    "files.schema": ("schema",),
-    "files.output": ("write_dataset", "write_figure", "write_page", "write_text"),
+    "files.configuration.configuration": ("load", "Configuration"),
+    "files.datasets.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
+    "files.configuration.schema": ("schema",),
+    "files.output.output_files": ("write_dataset", "write_figure", "write_page", "write_text"),
     "methods.registry": ("forget", "scheme", "parameters_of", "from_description", "description_of"),
-    "methods.suggested": ("suggested_scheme",),
+    "methods.suggested_scheme": ("suggested_scheme",),
     "pictures.certificate": ("draw_certificate",),
     "pictures.gallery": ("gallery", "piece"),
     "pictures.level_surface": ("level_surface",),
@@ -80,17 +80,17 @@ USED = {
     "pictures.register": ("CannotShow", "kind", "kinds", "read_picture"),
     "pictures.solution": ("draw_solution",),
     "program.table": ("Program",),
-    "runs.system_text": ("system_text", "told_of"),
-    "runs.telling_run": ("telling_run",),
+    "runs.system_summary": ("system_text", "told_of"),
+    "runs.example_run": ("telling_run",),
     "systems.description": ("description",),
-    "systems.forces.described": ("from_description",),
-    "systems.goryachev_chaplygin_top": ("goryachev_chaplygin_integral",),
-    "systems.hamiltonian": ("HamiltonianLike",),
+    "systems.forces.registry": ("from_description",),
+    "systems.bodies.goryachev_chaplygin_top": ("goryachev_chaplygin_integral",),
+    "systems.hamiltonians.hamiltonian": ("HamiltonianLike",),
     "systems.matrices.function_stream": ("FunctionStream",),
     "systems.matrices.streams": ("Circulants", "DiagonalSolve", "Weights"),
-    "systems.ready_made": ("ready_made", "telling_of", "told_systems"),
-    "systems.telling": ("Picture", "Telling"),
-    "systems.terms": ("QuadraticTerm", "PolynomialTerm", "FunctionTerm"),
+    "systems.registry": ("ready_made", "telling_of", "told_systems"),
+    "systems.gallery_entry": ("Picture", "Telling"),
+    "systems.hamiltonians.terms": ("QuadraticTerm", "PolynomialTerm", "FunctionTerm"),
 }
 """What users call that no short name leads to."""
 HEAD = """# Every public name

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from coadjoint.kernels.description import codes
-from coadjoint.runs.parts_of_steps import PartsOfSteps
+from coadjoint.kernels.interface import codes
+from coadjoint.runs.partial_steps import PartsOfSteps
 
 
 def failing_parts(monkeypatch, member, start):

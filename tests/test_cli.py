@@ -14,7 +14,7 @@ import xarray
 import coadjoint
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.algebra.low_dimensional import entries, parameters_of
+from coadjoint.algebra.families.low_dimensional import entries, parameters_of
 from coadjoint.experiments.statement import judged
 
 SOURCE = Path(coadjoint.__file__).parents[1]

@@ -10,8 +10,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint import cli, commands
-from coadjoint.files import output
-from coadjoint.files.archives import resume
+from coadjoint.files.archives.resume import resume
+from coadjoint.files.output import output_files as output
 
 BODY = """
 [system]
@@ -100,7 +100,7 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
         calls.append(bound.arguments)
         return own(given[0], *given[1:], **{**named, "workers": None})
 
-    monkeypatch.setattr("coadjoint.files.archives.resume", spy)
+    monkeypatch.setattr("coadjoint.files.archives.resume.resume", spy)
     assert cli.main(["resume", "a.zarr", *times, "--threads", "3", "--workers", "2", "--progress"]) == 0
     assert {key: calls[0][key] for key in ("t_end", "threads", "workers", "progress")} == {
         "t_end": end, "threads": 3, "workers": 2, "progress": True
@@ -159,7 +159,7 @@ def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
         given.update(named, system=system.name, method=method, x0=x0, step=step)
         return SimpleNamespace(passed=True, to_json=lambda: "{}", __str__=lambda self: "")
 
-    monkeypatch.setattr("coadjoint.analysis.certify.certify", spy)
+    monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", spy)
     assert cli.main(["certify", "run.toml", "--steps", "7"]) == 0
     assert given == {
         "system": "rigid_body",
@@ -171,7 +171,7 @@ def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
 
 
 def test_targets_of_certify_are_checked_first(folder, monkeypatch, capsys):
-    monkeypatch.setattr("coadjoint.analysis.certify.certify", lambda *given, **more: pytest.fail("it ran"))
+    monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", lambda *given, **more: pytest.fail("it ran"))
     for option, name in (
         ("--json", "none/a.json"),
         ("--plot", "none/a.png"),
@@ -199,7 +199,7 @@ def test_results_that_cannot_be_written_are_one_line(folder, monkeypatch, capsys
 
     monkeypatch.setattr(co.Solution, "plot", lambda run: None)
     found = SimpleNamespace(passed=True, to_json=lambda: "{}", plot=lambda: None)
-    monkeypatch.setattr("coadjoint.analysis.certify.certify", lambda *given, **more: found)
+    monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", lambda *given, **more: found)
     (folder / "fluid.toml").write_text(FLUID)
     monkeypatch.setattr(*((co.Solution, "movie") if writer == "movie" else (output, writer)), fail)
     assert cli.main(arguments) == 1
@@ -273,7 +273,7 @@ def test_warnings_follow_only_a_success(monkeypatch):
 
 
 def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
-    from coadjoint.waiting import tell
+    from coadjoint.long_operations import tell
 
     class Closed:
         def write(self, text):

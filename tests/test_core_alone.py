@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from coadjoint.extras import EXTRAS
+from coadjoint.optional_packages import EXTRAS
 from core_only import run_with_the_core
 
 BODY = """
@@ -160,22 +160,22 @@ def test_exact_algebra():
             'install it with: pip install "coadjoint[cli]"',
         ),
         (
-            "from coadjoint.files.output import check_target\ncheck_target('run.nc')",
+            "from coadjoint.files.output.output_files import check_target\ncheck_target('run.nc')",
             'run.nc: NetCDF needs the packages xarray, h5netcdf and h5py, which are not installed; '
             'install them with: pip install "coadjoint[io]"',
         ),
         (
-            "from coadjoint.files.output import check_target\ncheck_target('run.zarr')",
+            "from coadjoint.files.output.output_files import check_target\ncheck_target('run.zarr')",
             'run.zarr: Zarr needs the packages xarray and zarr, which are not installed; '
             'install them with: pip install "coadjoint[io]"',
         ),
         (
-            "from coadjoint.files.output import FIGURES, check_target\ncheck_target('run.png', FIGURES)",
+            "from coadjoint.files.output.output_files import FIGURES, check_target\ncheck_target('run.png', FIGURES)",
             'run.png: a figure needs the package matplotlib, which is not installed; '
             'install it with: pip install "coadjoint[plot]"',
         ),
         (
-            "from coadjoint.files.configuration import load\nload('body.toml')",
+            "from coadjoint.files.configuration.configuration import load\nload('body.toml')",
             'reading a configuration file needs the package pydantic, which is not installed; '
             'install it with: pip install "coadjoint[io]"',
         ),
@@ -191,7 +191,7 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code,
     """And nothing has run, nor been written."""
     watched = (
         "from coadjoint.runs.run import Run\n"
-        "from coadjoint.extras import MissingPackageError\n"
+        "from coadjoint.optional_packages import MissingPackageError\n"
         "runs, advance = [], Run.advance\n"
         "Run.advance = lambda self, *given: (runs.append(self), advance(self, *given))[1]\n"
         f"try:\n    exec({code!r})\nexcept MissingPackageError as error:\n    print(error)\n    print(error.name)\n"

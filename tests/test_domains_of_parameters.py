@@ -7,9 +7,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.low_dimensional import entries
+from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.methods import registry
-from coadjoint.wording import short
+from coadjoint.short_repr import short
 from domains.of_algebras import ALGEBRAS, CATALOGUE, FAMILIES
 from domains.of_parts import FORCES, HAMILTONIANS, OWN_SYSTEMS
 from domains.of_schemes import EVENTS, SCHEMES

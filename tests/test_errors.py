@@ -16,8 +16,8 @@ from coadjoint.errors import (
     no_attribute,
     unknown_name,
 )
-from coadjoint.files.configuration_parts import ConfigurationError
-from coadjoint.keywords import ATTRIBUTES, KEYWORDS, told, unknown_keyword
+from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.keyword_hints import ATTRIBUTES, KEYWORDS, told, unknown_keyword
 from guards import bounded_work
 
 

@@ -14,7 +14,7 @@ import pytest
 
 import coadjoint
 from coadjoint import cli, commands
-from coadjoint.extras import EXTRAS, MissingPackageError, need
+from coadjoint.optional_packages import EXTRAS, MissingPackageError, need
 from core_only import CORE
 
 PACKAGE = Path(coadjoint.__file__).parent
@@ -61,7 +61,7 @@ def test_a_package_that_cannot_be_loaded_is_one_line_too(monkeypatch, capsys):
     def load(path):
         raise ImportError("Numba needs NumPy 2.0 or less")
 
-    monkeypatch.setattr("coadjoint.files.configuration.load", load)
+    monkeypatch.setattr("coadjoint.files.configuration.configuration.load", load)
     assert cli.main(["run", "body.toml"]) == 2
     assert capsys.readouterr().err == "coadjoint: Numba needs NumPy 2.0 or less\n"
     assert commands.perform(["--version"]) == (0, "")
@@ -143,7 +143,7 @@ def test_modules_that_begin_with_an_extra_are_imported_where_they_are_used():
         found[name] = {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
         found[name] |= {alias.name for node in body if isinstance(node, ast.Import) for alias in node.names}
     needing = {name for name, used in found.items() if {module.partition(".")[0] for module in used} & set(EXTRAS)}
-    assert {"coadjoint.kernels.callbacks", "coadjoint.commands", "coadjoint.files.configuration_models"} <= needing
+    assert {"coadjoint.kernels.callbacks", "coadjoint.commands", "coadjoint.files.configuration.models"} <= needing
     assert {name: used & needing for name, used in found.items() if used & needing and name not in needing} == {}
 
 

@@ -10,7 +10,7 @@ import scipy.sparse
 
 import coadjoint as co
 from coadjoint.errors import unknown_name
-from coadjoint.given import (
+from coadjoint.validation import (
     are_finite,
     array_given,
     check_finite,

@@ -17,7 +17,7 @@ from coadjoint.analysis import order, phase, poisson_defect, rotations, round_of
 from coadjoint.methods import registry
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.systems.matrices.streams import Weights
-from coadjoint.systems.ready_made import ready_made_systems
+from coadjoint.systems.registry import ready_made_systems
 from hostile_values import HOSTILE
 from long import long_where
 

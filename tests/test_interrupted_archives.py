@@ -15,7 +15,7 @@ import xarray
 import coadjoint
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.configuration import load
+from coadjoint.files.configuration.configuration import load
 from long import long_beyond
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
@@ -35,7 +35,7 @@ step = 0.0625
 AT_WRITE = """
 import os, signal, sys
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
-from coadjoint.files import stored_arrays
+from coadjoint.files.archives import stored_arrays
 stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = 64
 original, writes = os.replace, 0
 def replace(source, target, **folders):

@@ -35,7 +35,7 @@ import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 import numpy as np
 import coadjoint as co
-from coadjoint.waiting import LongWait
+from coadjoint.long_operations import LongWait
 import warnings
 warnings.simplefilter("ignore")
 {setting}
@@ -69,7 +69,7 @@ def run(count):
 CASES = {
     "a splitting": (
         FULL + "large, small = system(co.algebras.su(16)), system(co.algebras.su(3))",
-        ("coadjoint.program.decompose", "split", 1),
+        ("coadjoint.program.parts.decompose", "split", 1),
         "co.prepare(large, co.Splitting(), 0.1)",
         "assert co.integrate(small, np.ones(8) / 3, (0, 1), 0.1, co.Splitting()).drift()['energy'] < 1.0",
     ),
@@ -81,7 +81,7 @@ CASES = {
     ),
     "Casimirs": (
         "g = co.algebras.su(6)",
-        ("coadjoint.algebra.casimirs", "_of_degree", 2),
+        ("coadjoint.algebra.invariants.casimirs", "_of_degree", 2),
         "g.casimirs(3)",
         "assert list(co.algebras.su(3).casimirs(3)) == ['C2', 'C3']",
     ),
@@ -138,7 +138,7 @@ def test_the_command_ends_in_one_line_while_it_prepares_a_run(tmp_path):
             "from coadjoint.program import decompose",
             "split = decompose.split",
             "decompose.split = lambda *given: [split(*given) for _ in iter(int, 1)]",  # endless
-            "report('coadjoint.program.decompose', 'split', 1)",
+            "report('coadjoint.program.parts.decompose', 'split', 1)",
             "from coadjoint.cli import run",
             "sys.argv = ['coadjoint', 'run', 'wide.toml', '--out', 'wide.zarr']",
             "run()",

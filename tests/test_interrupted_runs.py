@@ -123,7 +123,7 @@ def test_an_archive_goes_on(folder, capsys, name, status, said):
 @pytest.mark.long
 def test_a_second_interrupt_ends_it_at_once(folder):
     code = SIGNAL.format(name="SIGINT", arguments=["run", "long.toml", "--out", "run.nc"])
-    twice = "import coadjoint.files.output as output, os, signal\n"
+    twice = "import coadjoint.files.output.output_files as output, os, signal\n"
     twice += "output.write_netcdf = lambda *given: os.kill(os.getpid(), signal.SIGINT)\n"
     done = child(twice + code)
     assert (done.returncode, done.stderr) == (130, "coadjoint: interrupted\n")

@@ -11,7 +11,7 @@ import xarray
 
 import coadjoint
 from coadjoint import cli
-from coadjoint.files.output import check_target, write_dataset
+from coadjoint.files.output.output_files import check_target, write_dataset
 from test_cli import BODY
 
 pytestmark = pytest.mark.thinned(3)
@@ -21,7 +21,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[
 AT_PIECE = """
 import os, signal, sys
 from contextlib import contextmanager
-from coadjoint.files import unfinished
+from coadjoint.files.output import atomic_output as unfinished
 original, pieces = unfinished.Unfinished.writing, 0
 @contextmanager
 def writing(self):
@@ -146,7 +146,7 @@ def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
     old_result("run.zarr")
     act = "\n".join(
         [
-            "import os, signal, sys, coadjoint.files.unfinished",
+            "import os, signal, sys, coadjoint.files.output.atomic_output",
             "replace = os.replace",
             "def killed(source, target):",
             "    replace(source, target)",

@@ -9,7 +9,7 @@ import pytest
 import coadjoint as co
 from coadjoint import memory
 from coadjoint.algebra.constants import BYTES_PER_CONSTANT, BYTES_PER_DIMENSION
-from coadjoint.methods.attitude import coadjoint_matrices
+from coadjoint.methods.protocol.attitude import coadjoint_matrices
 from guards import bounded_work
 
 BODY = co.systems.rigid_body()
@@ -140,7 +140,7 @@ def test_the_save_every_that_is_said_fits(members, end, little):
     ready = co.prepare(BODY, co.Splitting(), 0.1)
 
     def room(save_every):
-        from coadjoint.runs.room import check_room_of_run
+        from coadjoint.runs.memory_estimate import check_room_of_run
         from coadjoint.runs.times import times_of
 
         times = times_of((0, end), 0.1, save_every)

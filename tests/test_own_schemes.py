@@ -133,7 +133,7 @@ def test_a_package_brings_schemes_to_the_command_and_to_files(installed):
     assert "the scheme Missing (no_such_module_anywhere:Missing) is skipped" in warned
     told(installed, "-m", "coadjoint", "run", "run.toml")
     again = (
-        "import json, xarray; from coadjoint.files.export import rebuild; "
+        "import json, xarray; from coadjoint.files.datasets.export import rebuild; "
         "dataset = xarray.open_dataset('out.nc', engine='h5netcdf'); sol = rebuild(dataset); "
         "print(json.dumps([repr(sol.method), bool((sol.x == dataset['x'].values).all())]))"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint.extras import installed
+from coadjoint.optional_packages import installed
 from coadjoint.private_folders import check_private, private_folder
 
 STRANGER = 65534

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint import waiting
-from coadjoint.algebra import casimirs
-from coadjoint.waiting import LongWait, at, tell
+from coadjoint import long_operations as waiting
+from coadjoint.algebra.invariants import casimirs
+from coadjoint.long_operations import LongWait, at, tell
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
 
@@ -170,9 +170,9 @@ def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
     """Once, by their own name, whatever they call."""
     from coadjoint.analysis.checks import subject
     from coadjoint.choosing import pilot
-    from coadjoint.methods import power_series
-    from coadjoint.program import decompose
-    from coadjoint.runs import stretching
+    from coadjoint.methods.formal import power_series
+    from coadjoint.program.parts import decompose
+    from coadjoint.runs import tangent_stretching as stretching
 
     module = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": power_series}.get(name, decompose)
     slow(clock, monkeypatch, module, "at")

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.wording import html_table, named_function, short, shown_fields
+from coadjoint.short_repr import html_table, named_function, short, shown_fields
 from guards import bounded_work
 
 

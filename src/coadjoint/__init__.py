@@ -26,19 +26,19 @@ complete_imports()
 
 _HOME = {
     "IntegrationError": "coadjoint.errors",
-    "Invariant": "coadjoint.algebra.invariant",
+    "Invariant": "coadjoint.algebra.invariants.invariant",
     "IsospectralGauss": "coadjoint.methods.isospectral_gauss",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
-    "LongWait": "coadjoint.waiting",
+    "LongWait": "coadjoint.long_operations",
     "LineSplitting": "coadjoint.methods.line_splitting",
-    "Polynomial": "coadjoint.algebra.polynomial",
+    "Polynomial": "coadjoint.algebra.polynomials.polynomial",
     "ForcedSystem": "coadjoint.systems.forced",
-    "Hamiltonian": "coadjoint.systems.hamiltonian",
+    "Hamiltonian": "coadjoint.systems.hamiltonians.hamiltonian",
     "LiePoissonSystem": "coadjoint.systems.lie_poisson",
     "PoissonSystem": "coadjoint.systems.poisson",
-    "Quadratic": "coadjoint.systems.quadratic",
-    "Separable": "coadjoint.systems.separable",
-    "SplitHamiltonian": "coadjoint.systems.split_hamiltonian",
+    "Quadratic": "coadjoint.systems.hamiltonians.quadratic",
+    "Separable": "coadjoint.systems.hamiltonians.separable",
+    "SplitHamiltonian": "coadjoint.systems.hamiltonians.split_hamiltonian",
     "batch": "coadjoint.systems.batch",
     "CommutatorFree": "coadjoint.methods.commutator_free",
     "Composition": "coadjoint.methods.composition",
@@ -50,7 +50,7 @@ _HOME = {
     "Projected": "coadjoint.methods.projected",
     "ReversibleSteps": "coadjoint.methods.reversible_steps",
     "RadauEnergy": "coadjoint.methods.radau_energy",
-    "MatrixAlgebra": "coadjoint.algebra.matrix_states",
+    "MatrixAlgebra": "coadjoint.algebra.families.matrix_algebra",
     "MatrixSystem": "coadjoint.systems.matrices.matrix_system",
     "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
@@ -61,31 +61,31 @@ _HOME = {
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Section": "coadjoint.runs.section",
     "Solution": "coadjoint.runs.solution",
-    "ensemble": "coadjoint.files.ensemble",
+    "ensemble": "coadjoint.files.archives.ensemble",
     "integrate": "coadjoint.runs.integrate",
     "prepare": "coadjoint.runs.prepared_run",
     "section": "coadjoint.runs.section",
     "stepper": "coadjoint.runs.stepper",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
-    "Certificate": "coadjoint.analysis.certificate",
-    "Corrector": "coadjoint.analysis.corrector",
+    "Certificate": "coadjoint.analysis.certificates.certificate",
+    "Corrector": "coadjoint.analysis.backward_error.corrector",
     "Frequencies": "coadjoint.analysis.frequencies",
     "LyapunovExponents": "coadjoint.analysis.lyapunov",
-    "ModifiedField": "coadjoint.analysis.modified_fields",
-    "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "ModifiedField": "coadjoint.analysis.backward_error.modified_field_base",
+    "ModifiedHamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian",
     "PhaseDrift": "coadjoint.analysis.phase_drift",
-    "certify": "coadjoint.analysis.certify",
-    "corrector": "coadjoint.analysis.corrector",
+    "certify": "coadjoint.analysis.certificates.certify",
+    "corrector": "coadjoint.analysis.backward_error.corrector",
     "frequencies": "coadjoint.analysis.frequencies",
     "lyapunov": "coadjoint.analysis.lyapunov",
-    "modified_field": "coadjoint.analysis.modified_field",
-    "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "modified_field": "coadjoint.analysis.backward_error.modified_field",
+    "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian",
     "phase_drift": "coadjoint.analysis.phase_drift",
-    "load": "coadjoint.files.loaded_solution",
-    "open_archive": "coadjoint.files.archived_solution",
+    "load": "coadjoint.files.datasets.loaded_solution",
+    "open_archive": "coadjoint.files.archives.archived_solution",
     "predicted_drift": "coadjoint.analysis.predicted_drift",
-    "resume": "coadjoint.files.archives",
+    "resume": "coadjoint.files.archives.resume",
     "suggest_step": "coadjoint.analysis.suggested_step",
 }
 _MODULES = {
@@ -103,22 +103,22 @@ if TYPE_CHECKING:
     from coadjoint import methods as methods
     from coadjoint import systems as systems
     from coadjoint.algebra import catalogue as algebras
-    from coadjoint.algebra.invariant import Invariant as Invariant
+    from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra as MatrixAlgebra
+    from coadjoint.algebra.invariants.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
-    from coadjoint.algebra.matrix_states import MatrixAlgebra as MatrixAlgebra
-    from coadjoint.algebra.polynomial import Polynomial as Polynomial
-    from coadjoint.analysis.certificate import Certificate as Certificate
-    from coadjoint.analysis.certify import certify as certify
-    from coadjoint.analysis.corrector import Corrector as Corrector
-    from coadjoint.analysis.corrector import corrector as corrector
+    from coadjoint.algebra.polynomials.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.backward_error.corrector import Corrector as Corrector
+    from coadjoint.analysis.backward_error.corrector import corrector as corrector
+    from coadjoint.analysis.backward_error.modified_field import modified_field as modified_field
+    from coadjoint.analysis.backward_error.modified_field_base import ModifiedField as ModifiedField
+    from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
+    from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
+    from coadjoint.analysis.certificates.certificate import Certificate as Certificate
+    from coadjoint.analysis.certificates.certify import certify as certify
     from coadjoint.analysis.frequencies import Frequencies as Frequencies
     from coadjoint.analysis.frequencies import frequencies as frequencies
     from coadjoint.analysis.lyapunov import LyapunovExponents as LyapunovExponents
     from coadjoint.analysis.lyapunov import lyapunov as lyapunov
-    from coadjoint.analysis.modified_field import modified_field as modified_field
-    from coadjoint.analysis.modified_fields import ModifiedField as ModifiedField
-    from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
-    from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
     from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift
     from coadjoint.analysis.phase_drift import phase_drift as phase_drift
     from coadjoint.analysis.predicted_drift import predicted_drift as predicted_drift
@@ -126,10 +126,11 @@ if TYPE_CHECKING:
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
-    from coadjoint.files.archived_solution import open_archive as open_archive
-    from coadjoint.files.archives import resume as resume
-    from coadjoint.files.ensemble import ensemble as ensemble
-    from coadjoint.files.loaded_solution import load as load
+    from coadjoint.files.archives.archived_solution import open_archive as open_archive
+    from coadjoint.files.archives.ensemble import ensemble as ensemble
+    from coadjoint.files.archives.resume import resume as resume
+    from coadjoint.files.datasets.loaded_solution import load as load
+    from coadjoint.long_operations import LongWait as LongWait
     from coadjoint.methods.commutator_free import CommutatorFree as CommutatorFree
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
@@ -157,15 +158,14 @@ if TYPE_CHECKING:
     from coadjoint.systems import forces as forces
     from coadjoint.systems.batch import batch as batch
     from coadjoint.systems.forced import ForcedSystem as ForcedSystem
-    from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
+    from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian as Hamiltonian
+    from coadjoint.systems.hamiltonians.quadratic import Quadratic as Quadratic
+    from coadjoint.systems.hamiltonians.separable import Separable as Separable
+    from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
     from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem
     from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem as TwoLayerSystem
     from coadjoint.systems.poisson import PoissonSystem as PoissonSystem
-    from coadjoint.systems.quadratic import Quadratic as Quadratic
-    from coadjoint.systems.separable import Separable as Separable
-    from coadjoint.systems.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
-    from coadjoint.waiting import LongWait as LongWait
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other

@@ -13,8 +13,8 @@ from __future__ import annotations
 import os
 import sys
 
-from coadjoint.extras import need
 from coadjoint.interruption import hear, ignore
+from coadjoint.optional_packages import need
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -18,16 +18,16 @@ import click
 
 from coadjoint import __version__
 from coadjoint.errors import in_one_line, nearest
-from coadjoint.extras import need
-from coadjoint.run_endings import ending, writing
-from coadjoint.waiting import LongWait
-from coadjoint.wording import short
+from coadjoint.interrupted_runs import ending, writing
+from coadjoint.long_operations import LongWait
+from coadjoint.optional_packages import need
+from coadjoint.short_repr import short
 
 LONGEST_NUMBER = 60
 UNREAD = 141  # broken pipe: 128 + SIGPIPE
 
 if TYPE_CHECKING:
-    from coadjoint.files.configuration import Configuration
+    from coadjoint.files.configuration.configuration import Configuration
     from coadjoint.runs.solution import Solution
 
 
@@ -77,9 +77,9 @@ def run_file(
     A run that fails writes the solution so far, marked as failed, and ends with exit status 1. One that is interrupted
     writes the solution so far, marked as incomplete; `coadjoint resume` continues an archive.
     """
-    from coadjoint.files.archives import check_new
-    from coadjoint.files.configuration import load
-    from coadjoint.files.output import DATASETS, FIGURES, check_target, write_dataset, write_figure
+    from coadjoint.files.archives.resume import check_new
+    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target, write_dataset, write_figure
 
     configuration = load(file)
     kept = _place(configuration, "archive", archive, check_new)
@@ -103,7 +103,7 @@ def run_file(
 
 def _place(configuration: Configuration, key: str, option: str | None, check: Callable[[str], Path]) -> Path | None:
     """Return the path of a result from the option or else the key of the file, checked before the run."""
-    from coadjoint.files.configuration_parts import section
+    from coadjoint.files.configuration.construction import section
 
     if option is not None:
         return check(option)
@@ -120,8 +120,8 @@ def _place(configuration: Configuration, key: str, option: str | None, check: Ca
 
 
 def _movie_target(configuration: Configuration, path: str) -> Path:
-    from coadjoint.files.configuration_parts import section
-    from coadjoint.files.movie_file import check_movie
+    from coadjoint.files.configuration.construction import section
+    from coadjoint.files.output.movie_file import check_movie
 
     target = check_movie(path)
     from coadjoint.pictures.movie import declared_picture
@@ -164,10 +164,10 @@ def check_file(file: str) -> None:
     The time is estimated from a trial run of the first steps. Exit status 2, with one line, if the file is invalid; 1
     if the trial run fails, as the run would.
     """
-    from coadjoint.files.archives import check_new
-    from coadjoint.files.configuration import load
-    from coadjoint.files.output import DATASETS, FIGURES, check_target
-    from coadjoint.files.plan import plan
+    from coadjoint.files.archives.resume import check_new
+    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.configuration.dry_run import plan
+    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
 
     configuration = load(file)
     _place(configuration, "archive", None, check_new)
@@ -196,10 +196,10 @@ def resume_archive(
 
     A finished run is left unchanged, unless a later end is given.
     """
-    from coadjoint.files.archived_solution import open_archive
-    from coadjoint.files.archives import resume
-    from coadjoint.files.configuration import CONFIGURATION, system_of_text
-    from coadjoint.files.given_functions import asks_for
+    from coadjoint.files.archives.archived_solution import open_archive
+    from coadjoint.files.archives.resume import resume
+    from coadjoint.files.configuration.configuration import CONFIGURATION, system_of_text
+    from coadjoint.files.records.required_functions import asks_for
 
     place, system = Path(path), None
     said = open_archive(place).attributes
@@ -224,9 +224,9 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
 
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
-    from coadjoint.analysis.certify import certify
-    from coadjoint.files.configuration import load
-    from coadjoint.files.output import FIGURES, TEXTS, check_target, write_figure, write_text
+    from coadjoint.analysis.certificates.certify import certify
+    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 
     configuration = load(file)
     target = None if mapping is None else check_target(mapping, TEXTS)
@@ -261,7 +261,7 @@ def list_systems(name: str | None, mapping: str | None) -> None:
     The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
     exist, and a suggested scheme and step.
     """
-    from coadjoint.systems.ready_made import ready_made_systems
+    from coadjoint.systems.registry import ready_made_systems
 
     known = ready_made_systems()
     if name is not None:
@@ -282,8 +282,8 @@ def _known_system(name: str, known: Sequence[str]) -> str:
 def _show_system(name: str, mapping: str | None) -> None:
     import json
 
-    from coadjoint.files.output import TEXTS, check_target, write_text
-    from coadjoint.runs.system_text import system_text, told_of
+    from coadjoint.files.output.output_files import TEXTS, check_target, write_text
+    from coadjoint.runs.system_summary import system_text, told_of
 
     target = None if mapping is None else check_target(mapping, TEXTS)
     told = told_of(name)
@@ -301,7 +301,7 @@ def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
 
     Parameters of an algebra follow its name, such as A4,9 b=0.5.
     """
-    from coadjoint.algebra.algebra_text import algebra_of, algebra_text, listed_algebras
+    from coadjoint.algebra.algebra_summary import algebra_of, algebra_text, listed_algebras
 
     if name is None:
         for line in listed_algebras():
@@ -374,7 +374,7 @@ def print_schema() -> None:
     """Print the JSON Schema of configuration files, for editors."""
     import json
 
-    from coadjoint.files.schema import schema
+    from coadjoint.files.configuration.schema import schema
 
     click.echo(json.dumps(schema(), indent=1, ensure_ascii=False))
 
@@ -410,8 +410,8 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
 
     The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
     """
-    from coadjoint.files.output import write_figure, write_page
-    from coadjoint.systems.ready_made import told_systems
+    from coadjoint.files.output.output_files import write_figure, write_page
+    from coadjoint.systems.registry import told_systems
 
     need("a gallery", "matplotlib")
     from coadjoint.pictures.scenes import SCENES
@@ -482,9 +482,9 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 
 def _performed(arguments: list[str]) -> tuple[int, str]:
-    from coadjoint.files.archive_store import ArchiveError
-    from coadjoint.files.configuration import ConfigurationError
-    from coadjoint.files.output import OutputError
+    from coadjoint.files.archives.store import ArchiveError
+    from coadjoint.files.configuration.configuration import ConfigurationError
+    from coadjoint.files.output.output_files import OutputError
 
     try:
         # Replaces click's own `main`, which prints an empty line at an interrupt.

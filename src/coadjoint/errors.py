@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from coadjoint.wording import short
+from coadjoint.short_repr import short
 
 
 class IntegrationError(RuntimeError):

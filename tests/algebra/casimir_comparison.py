@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 from flint import fmpq, fmpq_mat
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 
 def generated(generators, degree):

@@ -5,8 +5,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.algebra_text import algebra_of, algebra_text, listed_algebras
-from coadjoint.algebra.low_dimensional import entries
+from coadjoint.algebra.algebra_summary import algebra_of, algebra_text, listed_algebras
+from coadjoint.algebra.families.low_dimensional import entries
 
 
 def rows_of(text):

@@ -9,9 +9,9 @@ from flint import fmpq, fmpq_mat
 from trace_casimirs import classical, symplectic
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.independence import independent_count
+from coadjoint.algebra.exact.independence import independent_count
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from long import long_where
 
 

@@ -8,12 +8,13 @@ import sys
 import numpy as np
 import pytest
 
-from coadjoint.algebra import catalogue, numerical_kernel, rational_kernel
+from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.derivations import equations, monomials
-from coadjoint.algebra.independence import independent_count
+from coadjoint.algebra.exact import numerical_kernel, rational_kernel
+from coadjoint.algebra.exact.independence import independent_count
+from coadjoint.algebra.invariants.casimir_equations import equations, monomials
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 UNIT_ROUNDOFF = 2.0**-53
 

@@ -11,9 +11,9 @@ from test_low_dimensional import CASES, label
 from trace_casimirs import classical, symplectic
 
 import coadjoint as co
-from coadjoint.algebra.logarithmic import LOGARITHM, QUOTIENT
-from coadjoint.algebra.low_dimensional import formulas, read_parameters
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.families.low_dimensional import formulas, read_parameters
+from coadjoint.algebra.invariants.logarithmic import LOGARITHM, QUOTIENT
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from long import long_beyond, long_where
 
 DEGREE = 4

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 POLYNOMIAL = [catalogue.so(n) for n in (2, 3, 4, 5, 6)] + [catalogue.e(3), catalogue.sl(2), catalogue.heisenberg(2)]
 

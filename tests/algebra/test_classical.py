@@ -7,9 +7,9 @@ import pytest
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.catalogue import e, gl, heisenberg, se, sl, so, sp, su, u
-from coadjoint.algebra.elimination import Span
-from coadjoint.algebra.matrix_algebras import LARGEST, Sparse, matrices
-from coadjoint.algebra.quadratic_forms import ROOM, within
+from coadjoint.algebra.exact.elimination import Span
+from coadjoint.algebra.families.matrix_bases import LARGEST, Sparse, matrices
+from coadjoint.algebra.polynomials.quadratic_forms import ROOM, within
 
 # algebra, dimension, number of Casimirs, semisimple
 FAMILIES = [

@@ -9,7 +9,7 @@ from classification import FORMS, ROOTS, Pair, structure
 from flint import fmpq, fmpq_mat, fmpq_poly
 from lie_invariants import adjoint_polynomial, exact, invariants, is_lie_algebra
 
-from coadjoint.algebra.low_dimensional import entries, exact_constants, parameters_of, read_parameters
+from coadjoint.algebra.families.low_dimensional import entries, exact_constants, parameters_of, read_parameters
 
 ROWS = structure()
 POINTS = [

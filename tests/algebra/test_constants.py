@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coadjoint.algebra import catalogue
+from coadjoint.algebra.bracket_parser import read_brackets as read_written
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.written_brackets import read_brackets as read_written
 
 
 def dense(g):
@@ -199,7 +199,7 @@ def test_many_copies_and_large_rotations_are_checked_sparsely():
 
 @pytest.mark.parametrize("chunk", [1, 7, 100])
 def test_the_jacobi_check_does_not_depend_on_the_runs_it_is_cut_into(monkeypatch, chunk):
-    monkeypatch.setattr("coadjoint.algebra.joins.CHUNK", chunk)
+    monkeypatch.setattr("coadjoint.algebra.exact.sparse_sums.CHUNK", chunk)
     g = catalogue.so(5)
     i, j, k, c = g.triples
     assert LieAlgebra(g.triples, dim=10, representation=g.representation) == g

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import coadjoint as co
-from coadjoint.algebra.elimination import Span
-from coadjoint.algebra.formulas import read_formula, read_polynomial, satisfied
-from coadjoint.algebra.logarithmic import LogarithmicSum
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.quadratic_forms import embedded, linear, quadratic, substituted
+from coadjoint.algebra.exact.elimination import Span
+from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+from coadjoint.algebra.polynomials.formulas import read_formula, read_polynomial, satisfied
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted
 
 X = {f"x{i + 1}": Polynomial.variable(i, 3) for i in range(3)}
 PARAMETERS = {"a": Fraction(1, 2)}

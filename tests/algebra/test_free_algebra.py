@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.algebra.free_algebra import (
+from coadjoint.algebra.exact.free_algebra import (
     bracketed,
     exponential,
     factors,

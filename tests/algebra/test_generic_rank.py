@@ -7,10 +7,10 @@ import pytest
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.exact.modular import random_prime, skew_rank, sparse_rank
+from coadjoint.algebra.exact.numerical_rank import clear_rank
+from coadjoint.algebra.exact.rational_constants import as_fraction, jacobi_exact, rational_constants
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.modular import random_prime, skew_rank, sparse_rank
-from coadjoint.algebra.numerical_rank import clear_rank
-from coadjoint.algebra.rational_constants import as_fraction, jacobi_exact, rational_constants
 
 
 def test_many_and_large_blocks():

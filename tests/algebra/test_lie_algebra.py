@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coadjoint.algebra import catalogue
+from coadjoint.algebra.bracket_format import count_of_brackets, shown_brackets
+from coadjoint.algebra.bracket_parser import read_brackets
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.shown_brackets import count_of_brackets, shown_brackets
-from coadjoint.algebra.written_brackets import read_brackets
 
 ALGEBRAS = [
     catalogue.so(3),

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.elimination import Span
-from coadjoint.algebra.low_dimensional import entries, exact_constants, formulas, parameters_of, read_parameters
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.exact.elimination import Span
+from coadjoint.algebra.families.low_dimensional import (
+    entries,
+    exact_constants,
+    formulas,
+    parameters_of,
+    read_parameters,
+)
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 U = 2.0**-53  # unit round-off
 

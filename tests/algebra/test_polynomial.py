@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from guards import bounded_work
 
 EXPONENTS = st.tuples(*[st.integers(0, 3)] * 3)
@@ -106,7 +106,7 @@ def test_states_of_each_kind_of_numbers_and_shape(kind, shape):
 
 
 def test_more_states_than_are_held_at_once(monkeypatch):
-    monkeypatch.setattr("coadjoint.algebra.product_sums.MOST_NUMBERS", 10)
+    monkeypatch.setattr("coadjoint.algebra.polynomials.product_sums.MOST_NUMBERS", 10)
     p = Polynomial({(2, 1): 0.5, (0, 3): 0.25, (2, 0): 1})
     x = np.arange(20.0).reshape(10, 2)
     assert p.gradient(x).tolist() == [p.gradient(y).tolist() for y in x]

@@ -8,9 +8,9 @@ from fractions import Fraction
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.polynomial_text import latex, plain, readable, readable_latex, rounded_if_long
-from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
-from coadjoint.extras import MissingPackageError
+from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
+from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
+from coadjoint.optional_packages import MissingPackageError
 
 
 def test_latex():

@@ -22,7 +22,7 @@ from coadjoint.algebra.catalogue import (
     so,
     subalgebra,
 )
-from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.invariants.invariant import Invariant
 
 U = 2.0**-53
 

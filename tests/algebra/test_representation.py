@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from coadjoint.algebra import catalogue, joins
+from coadjoint.algebra import catalogue
 from coadjoint.algebra import representation as module
+from coadjoint.algebra.exact import sparse_sums as joins
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import intertwiner, invariant_form
 

@@ -6,7 +6,7 @@ import numpy as np
 from flint import fmpq_mat
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 
 def from_matrices(rho):

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.analysis.linear_fit import straight_line
 from coadjoint.analysis.lyapunov import LyapunovExponents
 from coadjoint.analysis.order import fit_order
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.phase_drift import drift_of_series
-from coadjoint.analysis.straight_line import straight_line
 from coadjoint.rounding import UNIT_ROUNDOFF
 from long import long_where
 

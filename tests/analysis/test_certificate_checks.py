@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.certificate import Certificate, Row, verdict
+from coadjoint.analysis.certificates.certificate import Certificate, Row, verdict
+from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import attitude, convergence, invariants
 from coadjoint.analysis.checks.convergence import allowed
 from coadjoint.analysis.checks.growth import growth
@@ -19,7 +20,6 @@ from coadjoint.analysis.checks.slope import slope_of_defects
 from coadjoint.analysis.checks.study import LARGE, study
 from coadjoint.analysis.checks.subject import APART, Subject
 from coadjoint.analysis.checks.symmetry import symmetry_row
-from coadjoint.analysis.given_step import scheme_and_claims
 from coadjoint.methods import Properties
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.certificate import VERDICTS
+from coadjoint.analysis.certificates.certificate import VERDICTS
 from coadjoint.analysis.checks.growth import growth
 from coadjoint.analysis.checks.invariants import keeps
 from coadjoint.analysis.checks.slope import slope

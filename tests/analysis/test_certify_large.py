@@ -5,8 +5,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.checks import poisson, subject, symmetry
+from coadjoint.long_operations import LongWait
 from coadjoint.methods import Properties
-from coadjoint.waiting import LongWait
 
 RNG = np.random.default_rng(7)
 
@@ -72,8 +72,8 @@ def test_the_defect_along_directions_is_about_that_of_the_matrices(dear):
 
 
 def subject_of(system, scheme, x, h):
+    from coadjoint.analysis.certificates.claims import scheme_and_claims
     from coadjoint.analysis.checks.subject import Subject
-    from coadjoint.analysis.given_step import scheme_and_claims
 
     method, claims = scheme_and_claims(system, scheme, None, None, None)
     return Subject(system, method, claims, h, x[None], 1)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis import error_at_end as module
-from coadjoint.analysis.error_at_end import error_at_end
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.step_method import StepMethod
+from coadjoint.analysis import end_error as module
+from coadjoint.analysis.end_error import error_at_end
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import StepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

@@ -9,9 +9,9 @@ import pytest
 from fields_under_test import along, whole
 
 import coadjoint as co
-from coadjoint.analysis.corrector import Corrector
+from coadjoint.analysis.backward_error.corrector import Corrector
+from coadjoint.analysis.backward_error.symbols_of_hamiltonian import names_of
 from coadjoint.analysis.short_motion import short_motion
-from coadjoint.analysis.symbols_of_hamiltonian import names_of
 from coadjoint.systems.user_functions import sample_points
 
 SYSTEMS = {

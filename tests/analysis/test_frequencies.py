@@ -5,8 +5,8 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
-from coadjoint.analysis.line_fit import find_lines, spread_by_noise
-from coadjoint.analysis.sampled import sampled
+from coadjoint.analysis.signals import sampled
+from coadjoint.analysis.spectral_lines import find_lines, spread_by_noise
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -7,9 +7,9 @@ from itertools import permutations
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
-from coadjoint.analysis.hamiltonian_fields import bracket_change, hamiltonian_of
-from coadjoint.analysis.skew_fields import skew_factor
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.analysis.backward_error.hamiltonian_fields import bracket_change, hamiltonian_of
+from coadjoint.analysis.backward_error.skew_fields import skew_factor
 
 
 def heisenberg():

@@ -267,7 +267,7 @@ class Euler(co.methods.StepMethod):
 @pytest.mark.long
 def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
     """They give what products of their tangents give; complex steps and differences have some nine digits at least."""
-    from coadjoint.runs import stretching
+    from coadjoint.runs import tangent_stretching as stretching
 
     monkeypatch.setattr(stretching, "_said", set())
     given = {"t_span": (0.0, 2.0), "step": 0.125, "renormalize_every": 3, "save_every": 8}

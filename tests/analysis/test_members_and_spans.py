@@ -19,12 +19,12 @@ import pytest
 
 import coadjoint as co
 import coadjoint.analysis
-from coadjoint.analysis.error_at_end import error_at_end
+from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian
+from coadjoint.analysis.end_error import error_at_end
 from coadjoint.analysis.line_drift import line_drift
-from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
 from coadjoint.analysis.phase_drift import PhaseDrift
 from coadjoint.analysis.round_off import RandomWalk, orthogonality, round_off, spatial_momentum
-from coadjoint.analysis.sampled import sampled
+from coadjoint.analysis.signals import sampled
 
 INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.2))
 STARTS = np.array([[1.0, 0.2, 0.5], [0.4, 0.1, 1.1], [1.3, -0.3, 0.2]])

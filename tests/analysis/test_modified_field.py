@@ -11,8 +11,8 @@ import pytest
 from fields_under_test import ALGEBRAS, along, elementary, field_of, whole
 
 import coadjoint as co
-from coadjoint.methods.power_series import expand
-from coadjoint.methods.stages import linear_solve
+from coadjoint.methods.formal.power_series import expand
+from coadjoint.methods.numerics.stages import linear_solve
 from long import long_between, long_beyond
 
 pytestmark = pytest.mark.thinned(3)
@@ -216,7 +216,7 @@ def test_splitting_has_the_formula_of_so3() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
 def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
-    from coadjoint.algebra.exact_polynomials import ExactPolynomials
+    from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 
     system = whole(name, sign)
     found = co.modified_field(system, co.Splitting(order=2), 5 if system.dim < 6 else 3)
@@ -231,8 +231,8 @@ def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
 
 def test_a_nested_bracket_gives_the_term_of_a_splitting() -> None:
     """H2 = -{A, {A, D}}/24 + {D, {D, A}}/12, A the outermost part and D the rest, then the same for D."""
-    from coadjoint.algebra.exact import rational
-    from coadjoint.algebra.exact_polynomials import ExactPolynomials
+    from coadjoint.algebra.exact.numbers import rational
+    from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 
     m = np.array([1.0, 0.5, 0.25, 0.75, 1.5, 2.0])
     for sign in (1, -1):

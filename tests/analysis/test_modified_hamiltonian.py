@@ -14,8 +14,8 @@ from modified_systems import moments, systems
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.splitting_schemes import SCHEMES
-from coadjoint.program.second_order import second_order_term
+from coadjoint.methods.numerics.splitting_schemes import SCHEMES
+from coadjoint.program.modified_energy.second_order import second_order_term
 from long import long_where
 
 pytestmark = pytest.mark.thinned(3)
@@ -441,7 +441,7 @@ def test_refusals():
 
 def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
     system, _ = SYSTEMS["so(4), full"]
-    monkeypatch.setattr("coadjoint.program.sweep_logarithm.MOST_PRODUCTS", 10**5)
+    monkeypatch.setattr("coadjoint.program.modified_energy.sweep_logarithm.MOST_PRODUCTS", 10**5)
     assert co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4).terms[2].monomials
     with pytest.raises(ValueError, match=r"products of monomials or more, .* at most 1e\+05 are made"):
         co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 8)

@@ -5,9 +5,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.line_drift import demodulated, line_drift
-from coadjoint.analysis.line_fit import hann
 from coadjoint.analysis.phase import phase_error
 from coadjoint.analysis.phase_drift import drift_of_series
+from coadjoint.analysis.spectral_lines import hann
 
 X0 = (1.0, 0.2, 0.5)
 COORDINATES = co.Splitting(order=2, parts="coordinates")

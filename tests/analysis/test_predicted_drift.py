@@ -11,9 +11,9 @@ from coadjoint.analysis.periods import period
 from coadjoint.analysis.phase import phase_error
 from coadjoint.analysis.phase_drift import drift_of_series
 from coadjoint.analysis.predicted_drift import predicted_drift
-from coadjoint.program.decompose import decompose
-from coadjoint.program.second_order import second_order_term
-from coadjoint.systems.rigid_body import so3_body
+from coadjoint.program.modified_energy.second_order import second_order_term
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.systems.bodies.rigid_body import so3_body
 from long import long_beyond
 
 STATES = [(1.0, 0.2, 0.5), (0.2, 1.0, 0.3), (0.2, 0.3, 1.0)]  # around one axis, near the middle one, around the other

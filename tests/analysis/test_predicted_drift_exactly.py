@@ -5,7 +5,7 @@ import pytest
 
 from coadjoint.analysis import periods
 from coadjoint.analysis.predicted_drift import predicted_drift
-from coadjoint.systems.rigid_body import so3_body
+from coadjoint.systems.bodies.rigid_body import so3_body
 
 TENSOR = np.array([[3.0, 0.2, -0.1], [0.2, 1.0, 0.15], [-0.1, 0.15, 0.3]])  # of quick nutation: few steps make a period
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.sampled import sampled
+from coadjoint.analysis.signals import sampled
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 STARTS = np.array([[1.0, 0.2, 0.5], [0.1, 1.0, 0.2]])

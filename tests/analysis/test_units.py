@@ -7,11 +7,11 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
+from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import convergence
 from coadjoint.analysis.checks.reference import AGREEMENT, motion, natural_time
 from coadjoint.analysis.checks.study import study
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.given_step import scheme_and_claims
 
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),

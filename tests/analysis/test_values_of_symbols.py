@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.decompose import decompose
-from coadjoint.program.second_order import second_order_term
+from coadjoint.program.modified_energy.second_order import second_order_term
+from coadjoint.program.parts.decompose import decompose
 
 # Exponents and the factor of each symbol; of a square the symbol is twice its coefficient.
 SYSTEMS = {

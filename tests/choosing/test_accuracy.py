@@ -10,7 +10,7 @@ from coadjoint.choosing.candidates import admitted
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
-from coadjoint.methods.work import FUNCTION, MULTIPLICATION, flow_work, iteration_work
+from coadjoint.methods.protocol.cost_model import FUNCTION, MULTIPLICATION, flow_work, iteration_work
 from coadjoint.program.table import build_program
 
 pytestmark = pytest.mark.sensitive

@@ -9,10 +9,10 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import accuracy as choosing
-from coadjoint.choosing import remembered
+from coadjoint.choosing import system_cache as remembered
 from coadjoint.choosing.accuracy import PROCESSED, SCHEMES, Choice
 from coadjoint.choosing.growth import Growth
-from coadjoint.choosing.remembered import loops_of
+from coadjoint.choosing.system_cache import loops_of
 
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
 SO4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.5, 0.3, 0.2, 0.7, 0.9]), sign=-1)

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing import accuracy, sampling
+from coadjoint.choosing import accuracy
+from coadjoint.choosing import member_sample as sampling
 from coadjoint.choosing.candidates import admitted
 from coadjoint.choosing.growth import Growth
+from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
-from coadjoint.choosing.sampling import sample_of
-from coadjoint.kernels.description import limit
-from coadjoint.methods.work import CROWD, newton_work
+from coadjoint.kernels.interface import limit
+from coadjoint.methods.protocol.cost_model import CROWD, newton_work
 
 X0 = (1.0, 0.2, 0.5)
 SPAN = (0.0, 40.0)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing import accuracy, remembered
+from coadjoint.choosing import accuracy
 from coadjoint.choosing import pilot as pilots
+from coadjoint.choosing import system_cache as remembered
+from coadjoint.choosing.cost_model import AHEAD, KIN, NEAR_KIN, Foresight, Law, law_of
 from coadjoint.choosing.growth import Growth
-from coadjoint.choosing.law import AHEAD, KIN, NEAR_KIN, Foresight, Law, law_of
 from coadjoint.choosing.pilot import Trial
 from random_runs.algebras import some_algebra
 

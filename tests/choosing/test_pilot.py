@@ -7,8 +7,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import pilot as pilots
+from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
-from coadjoint.choosing.sampling import sample_of
 from coadjoint.methods.gauss_legendre import GaussLegendre
 
 MASSES = np.array([1.0, 0.5, 0.4])

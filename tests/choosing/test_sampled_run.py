@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing import sampled_run
+from coadjoint.choosing import validated_run as sampled_run
 
 BODY = co.systems.rigid_body((1, 2, 2.5))
 SPAN = (0.0, 40.0)

@@ -183,7 +183,7 @@ def test_a_run_that_goes_on_otherwise_is_noticed(monkeypatch):
         x0 = np.array([subjects.state_of(system, number) for number in range(2)])
         return co.integrate(system, x0 * (1 + 2e-16), (0, t_end), checks.STEP, method)
 
-    monkeypatch.setattr("coadjoint.files.archives.resume", other)
+    monkeypatch.setattr("coadjoint.files.archives.resume.resume", other)
     monkeypatch.setattr(checks, "schemes", lambda: [co.Splitting()])
     assert failing(checks.resumed) == ["cut and resumed: 1"]
 

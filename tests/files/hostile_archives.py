@@ -17,8 +17,8 @@ import numpy as np
 from numcodecs import Blosc
 
 import coadjoint as co
-from coadjoint.files.archive_store import ArchiveUnwritten
-from coadjoint.files.archives import archive_run
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.3, -1.0, 0.7)

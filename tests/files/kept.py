@@ -10,8 +10,8 @@ from fractions import Fraction
 import numpy as np
 
 import coadjoint as co
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 
 X = (0.3, -0.2, 0.5)
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import coadjoint as co
-from coadjoint.files.archive_store import FORMAT
-from coadjoint.files.archives import archive_run
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.archives.store import FORMAT
 from coadjoint.runs.prepared_run import PreparedRun
 
 KEPT = Path(__file__).parent / "kept_archives"

@@ -18,7 +18,7 @@ import numpy as np
 import xarray
 
 import coadjoint as co
-from coadjoint.files import archived_run, stored_arrays
+from coadjoint.files.archives import archived_run, stored_arrays
 
 STEP, STEPS, EVERY = 0.05, 6000, 5
 KILLS, LONGEST = 5, 0.6

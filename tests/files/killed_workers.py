@@ -19,8 +19,8 @@ import numpy as np
 from distributed import Client, WorkerPlugin
 
 import coadjoint as co
-from coadjoint.files import archived_run, block_run, stored_arrays
-from coadjoint.files.local_cluster import local_cluster
+from coadjoint.files.archives import archived_run, block_run, stored_arrays
+from coadjoint.files.archives.local_cluster import local_cluster
 
 STEP, STEPS, EVERY, MEMBERS = 0.125, 3 * 10**6, 2000, 8
 ROWS = 64

@@ -5,7 +5,7 @@ import pytest
 from configuration_files import READY_MADE
 
 import coadjoint as co
-from coadjoint.files.configuration import ConfigurationError, load
+from coadjoint.files.configuration.configuration import ConfigurationError, load
 
 CHOSEN = READY_MADE.replace("step = 0.1", "accuracy = 1e-8")
 BODY, X0 = co.systems.rigid_body((1.0, 2.0, 2.5)), (1.0, 0.1, 0.5)

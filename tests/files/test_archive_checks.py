@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.archive_checks import check_archive, reading
-from coadjoint.files.archive_store import ArchiveError, read_root
-from coadjoint.files.archives import archive_run
+from coadjoint.files.archives.metadata_checks import check_archive, reading
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.archives.store import ArchiveError, read_root
 from coadjoint.runs.prepared_run import PreparedRun
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.3, -1.0, 0.7)
@@ -193,10 +193,10 @@ def test_errors_of_damaged_content_are_one_sentence(error):
 def test_numbers_of_a_state_fit_the_invariants(tmp_path):
     """A state of another run, with the digest that fits, is refused when the archive is opened."""
     archive_run(PreparedRun(DAMPED, co.GaussLegendre(1), STEP), [X, X], SPAN[::-1], 2, tmp_path / "run", until=13)
-    from coadjoint.files.archive_checks import check_reported
-    from coadjoint.files.archive_store import read_kept
-    from coadjoint.files.archived_run import states_of
-    from coadjoint.files.archived_solution import REPORTED
+    from coadjoint.files.archives.archived_run import states_of
+    from coadjoint.files.archives.archived_solution import REPORTED
+    from coadjoint.files.archives.metadata_checks import check_reported
+    from coadjoint.files.archives.store import read_kept
 
     arrays, attributes = read_root(tmp_path / "run")
     stored = read_kept(tmp_path / "run", states_of(attributes)[-1])

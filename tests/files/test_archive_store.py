@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import xarray
 
-from coadjoint.files.archive_folder import ArchiveFolder
-from coadjoint.files.archive_store import (
+from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.store import (
     FORMAT,
     ROOT,
     ArchiveError,
@@ -22,7 +22,7 @@ from coadjoint.files.archive_store import (
     read_kept,
     read_root,
 )
-from coadjoint.files.stored_arrays import StoredArray
+from coadjoint.files.archives.stored_arrays import StoredArray
 
 ROWS = 16
 X, T = np.arange(300.0).reshape(100, 3), np.arange(100.0)

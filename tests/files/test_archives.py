@@ -9,12 +9,12 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.files.archive_store import ArchiveError
-from coadjoint.files.archived_solution import ArchivedSolution
-from coadjoint.files.archives import archive_run
-from coadjoint.files.content_checksum import CHECKSUM
-from coadjoint.files.fingerprints import fingerprint_of, same_fingerprint
-from coadjoint.files.output import write_dataset
+from coadjoint.files.archives.archived_solution import ArchivedSolution
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.archives.store import ArchiveError
+from coadjoint.files.datasets.content_checksum import CHECKSUM
+from coadjoint.files.output.output_files import write_dataset
+from coadjoint.files.records.fingerprints import fingerprint_of, same_fingerprint
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from verification.test_archived_runs import assert_same
@@ -241,7 +241,7 @@ def test_another_system_is_refused_also_without_functions(tmp_path):
 def test_a_first_step_with_other_bits_is_noticed(tmp_path, monkeypatch):
     """As on a machine, or by a library, that rounds in another way; or by a function that reads something else."""
     cut(tmp_path / "run.zarr")
-    monkeypatch.setattr("coadjoint.files.archives.first_step", lambda *_: "other")
+    monkeypatch.setattr("coadjoint.files.archives.resume.first_step", lambda *_: "other")
     with pytest.raises(
         ArchiveError, match="the first step, recomputed, has other bits than when the archive was begun"
     ):
@@ -250,7 +250,7 @@ def test_a_first_step_with_other_bits_is_noticed(tmp_path, monkeypatch):
 
 def test_a_finished_run_is_resumed_at_once(tmp_path, monkeypatch):
     found = co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
-    monkeypatch.setattr("coadjoint.files.archives.ArchiveStore", None)
+    monkeypatch.setattr("coadjoint.files.archives.resume.ArchiveStore", None)
     again = co.resume(tmp_path / "run.zarr")
     assert again.finished and np.array_equal(again.x, found.x)
 
@@ -332,7 +332,7 @@ def test_an_archive_that_cannot_be_made_is_refused_before_the_run(tmp_path, monk
 def test_a_last_point_of_its_own_behind_whole_chunks(tmp_path, monkeypatch, rows):
     """It comes sooner than save_every steps after the one before, and that one may have filled the memory."""
     for name in ("FEWEST_ROWS", "MOST_ROWS"):
-        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{name}", rows)
+        monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{name}", rows)
     for steps in range(4 * rows - 5, 4 * rows + 5):
         run, path = (BODY, X, (0, steps * STEP), STEP, co.GaussLegendre(2)), tmp_path / f"{steps}.zarr"
         whole, found = co.integrate(*run, save_every=4), co.integrate(*run, save_every=4, archive=path)
@@ -379,8 +379,8 @@ def test_another_helper_under_a_compiled_function_is_refused(tmp_path):
 
 def test_a_failure_is_told_with_its_numbers(tmp_path):
     """Step, time and residual, by the archive of one run and by the marker of a block."""
-    from coadjoint.files.archive_folder import ArchiveFolder
-    from coadjoint.files.blocks import read_marker, write_marker
+    from coadjoint.files.archives.blocks import read_marker, write_marker
+    from coadjoint.files.archives.folder import ArchiveFolder
 
     run = (BODY, (3.0, -20.0, 7.0), (7.0, 107.0), STEP, co.ExplicitRungeKutta("runge2"))
     said = {"failed_step": 3, "failed_time": 7.25, "failed_residual": 0.5}
@@ -427,7 +427,7 @@ def test_a_link_at_the_place_of_an_archive_stays(tmp_path):
 
 
 def test_a_new_archive_removes_what_a_killed_run_has_left(tmp_path):
-    from coadjoint.files.unfinished import LOCK, _prefix
+    from coadjoint.files.output.atomic_output import LOCK, _prefix
 
     left = tmp_path / f"{_prefix(tmp_path / 'run.zarr')}01234567"
     left.mkdir()
@@ -439,8 +439,8 @@ def test_a_new_archive_removes_what_a_killed_run_has_left(tmp_path):
 @pytest.mark.parametrize("commits", [1, 3, 100])
 def test_a_run_that_commits_while_it_is_opened(tmp_path, monkeypatch, commits):
     """The state that the root named may be removed before it is read: the root is read again, but not forever."""
-    from coadjoint.files import archived_solution
-    from coadjoint.files.archive_store import ArchiveMoved
+    from coadjoint.files.archives import archived_solution
+    from coadjoint.files.archives.store import ArchiveMoved
 
     cut(tmp_path / "run.zarr")
     read, moved = archived_solution.read_kept, []
@@ -464,7 +464,7 @@ def test_a_run_that_commits_while_it_is_opened(tmp_path, monkeypatch, commits):
 def test_committed_chunks_are_all_looked_for_before_a_run_goes_on(tmp_path, monkeypatch, name):
     """Any of them may be missing; the last ones, to which the run adds, may be damaged as well."""
     for each in ("FEWEST_ROWS", "MOST_ROWS"):
-        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{each}", 2)
+        monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{each}", 2)
     path = tmp_path / "run.zarr"
     cut(path, until=9, every=1)
     chunks = sorted((path / name).glob("c.*"))
@@ -550,7 +550,7 @@ def test_a_later_end_of_every_kind_of_run(tmp_path, monkeypatch, system, x0, met
     """
     ready, path, every = PreparedRun(system, method, STEP, **options), tmp_path / "run.zarr", rows or 3
     for name in ("FEWEST_ROWS", "MOST_ROWS") if rows else ():
-        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{name}", rows)
+        monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{name}", rows)
     first, last = (0.7 + direction * STEP * steps for steps in (16, 31))
     archive_run(ready, x0, (0.7, first), every, path, until=None if rows else 4)
     for cut_at in () if rows else (11, None):
@@ -572,7 +572,7 @@ def test_states_that_fill_a_chunk(tmp_path, monkeypatch, every):
         advance(self, until)
 
     monkeypatch.setattr(PiecewiseRun, "advance", bounded)
-    monkeypatch.setattr("coadjoint.files.stored_arrays.BYTES", 8)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.BYTES", 8)
     x0 = np.multiply.outer([1.0, 0.5, -0.25], X)
     for name, start in (("one", X), ("members", x0)):
         whole = co.integrate(BODY, start, SPAN, STEP, co.GaussLegendre(2), save_every=every)

@@ -134,7 +134,7 @@ def test_one_line_with_file_and_key(name, tmp_path, monkeypatch, capsys):
 
 
 def test_file_without_an_end(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("coadjoint.files.configuration_text.MOST_BYTES", 1000)
+    monkeypatch.setattr("coadjoint.files.configuration.parsing.MOST_BYTES", 1000)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.toml").write_text("#" * 1001)
     assert cli.main(["run", "run.toml"]) == 2

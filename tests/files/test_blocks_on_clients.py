@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files import on_workers
-from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
-from coadjoint.files.block_run import BUSY
-from coadjoint.files.run_in_blocks import Team, run_in_blocks
+from coadjoint.files.archives import dask_blocks as on_workers
+from coadjoint.files.archives.block_run import BUSY
+from coadjoint.files.archives.run_in_blocks import Team, run_in_blocks
+from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

@@ -21,13 +21,13 @@ from distributed import Client, LocalCluster
 from distributed.comm import CommClosedError
 
 import coadjoint as co
-from coadjoint.files import on_workers
-from coadjoint.files.archive_folder import ArchiveFolder
-from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
-from coadjoint.files.blocks import read_about
-from coadjoint.files.local_cluster import local_cluster
-from coadjoint.files.run_in_blocks import team_of
-from coadjoint.files.unfinished import locked
+from coadjoint.files.archives import dask_blocks as on_workers
+from coadjoint.files.archives.blocks import read_about
+from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.local_cluster import local_cluster
+from coadjoint.files.archives.run_in_blocks import team_of
+from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
+from coadjoint.files.output.atomic_output import locked
 from long import long_between, long_beyond
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -52,13 +52,13 @@ def derive(*given, **more):
 
 def forbid():
     """Let every derivation of tables on this worker fail."""
-    from coadjoint.methods.base import Method
+    from coadjoint.methods.protocol.method import Method
 
     Method.kept_loop, Method.loop = Method.loop, derive
 
 
 def allow():
-    from coadjoint.methods.base import Method
+    from coadjoint.methods.protocol.method import Method
 
     Method.loop = Method.kept_loop
 
@@ -117,7 +117,7 @@ def test_a_client_needs_an_archive(client):
 
 
 def test_a_folder_that_workers_do_not_see(tmp_path, client, monkeypatch):
-    from coadjoint.files import on_workers
+    from coadjoint.files.archives import dask_blocks as on_workers
 
     real = on_workers.run_block
     monkeypatch.setattr(on_workers, "run_block", lambda archive, *given: real(f"{archive}-elsewhere", *given))
@@ -130,7 +130,7 @@ def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client,
     archive = tmp_path / "many.zarr"
     with pytest.raises(ArchiveUnwritten):
         with monkeypatch.context() as lost:
-            lost.setattr("coadjoint.files.run_in_blocks.run_block", lambda *given: {"busy": True})
+            lost.setattr("coadjoint.files.archives.run_in_blocks.run_block", lambda *given: {"busy": True})
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
     lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
     began = time.monotonic()
@@ -144,7 +144,7 @@ SLOW = """
 import sys
 import numpy as np
 import coadjoint as co
-import coadjoint.files.block_run as block_run
+import coadjoint.files.archives.block_run as block_run
 
 X = np.random.default_rng(3).standard_normal((11, 3))
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -323,7 +323,7 @@ archive = "many.zarr"
 @pytest.mark.long
 def test_a_sweep_by_the_command(tmp_path, monkeypatch, capsys):
     from coadjoint import cli
-    from coadjoint.files.configuration import load
+    from coadjoint.files.configuration.configuration import load
 
     monkeypatch.chdir(tmp_path)
     Path("run.toml").write_text(SWEEP)

@@ -7,9 +7,9 @@ import pytest
 from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
-from coadjoint.algebra.written_brackets import read_brackets
-from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.polynomials import read_polynomial
+from coadjoint.algebra.bracket_parser import read_brackets
+from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.polynomials import read_polynomial
 from coadjoint.methods import registry
 
 

@@ -10,11 +10,11 @@ from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files import configuration as configurations
-from coadjoint.files import plan as planning
-from coadjoint.files.configuration import CONFIGURATION, ConfigurationError, load
-from coadjoint.files.content_checksum import CHECKSUM
-from coadjoint.files.plan import plan
+from coadjoint.files.configuration import configuration as configurations
+from coadjoint.files.configuration import dry_run as planning
+from coadjoint.files.configuration.configuration import CONFIGURATION, ConfigurationError, load
+from coadjoint.files.configuration.dry_run import plan
+from coadjoint.files.datasets.content_checksum import CHECKSUM
 from coadjoint.runs import prepared_run
 from coadjoint.runs.times import times_of
 

@@ -11,11 +11,11 @@ from configuration_files import GROWING, READY_MADE
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.configuration import Configuration
-from coadjoint.files.configuration import load as load_configuration
-from coadjoint.files.content_checksum import CHECKSUM, checksum_of, with_checksum
-from coadjoint.files.export import mark_failed
-from coadjoint.files.output import write_dataset
+from coadjoint.files.configuration.configuration import Configuration
+from coadjoint.files.configuration.configuration import load as load_configuration
+from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of, with_checksum
+from coadjoint.files.datasets.export import mark_failed
+from coadjoint.files.output.output_files import write_dataset
 from coadjoint.interruption import Told
 
 PIECE, LENGTH = 4, 11
@@ -37,7 +37,7 @@ def dataset(**changed):
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("coadjoint.files.content_checksum.PIECE", PIECE)
+    monkeypatch.setattr("coadjoint.files.datasets.content_checksum.PIECE", PIECE)
 
 
 @pytest.mark.parametrize("name", VALUES)

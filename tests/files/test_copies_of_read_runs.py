@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.extras import MissingPackageError
-from coadjoint.files.archives import archive_run
-from coadjoint.files.output import write_dataset
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.output.output_files import write_dataset
 from coadjoint.kernels import matrix_functions
+from coadjoint.optional_packages import MissingPackageError
 from coadjoint.runs.prepared_run import PreparedRun
 
 SPAN, STEP, EVERY = (0.5, 2.5), 0.125, 3

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.export import dataset_of, rebuild
+from coadjoint.files.datasets.export import dataset_of, rebuild
 from coadjoint.methods import registry
 from guards import bounded_work
 from served import served

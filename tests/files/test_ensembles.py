@@ -10,12 +10,9 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.files import run_in_blocks as ensembles
-from coadjoint.files.archive_checks import CROSSINGS, RESERVED, SERIES
-from coadjoint.files.archive_folder import ArchiveFolder
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
-from coadjoint.files.block_run import BlockRun
-from coadjoint.files.blocks import (
+from coadjoint.files.archives import run_in_blocks as ensembles
+from coadjoint.files.archives.block_run import BlockRun
+from coadjoint.files.archives.blocks import (
     blocks_of,
     lock_file,
     marker_file,
@@ -24,10 +21,13 @@ from coadjoint.files.blocks import (
     size_of_blocks,
     write_marker,
 )
-from coadjoint.files.ensemble_archive import left_of
-from coadjoint.files.output import write_dataset
-from coadjoint.files.run_in_blocks import Team
-from coadjoint.files.unfinished import locked
+from coadjoint.files.archives.ensemble_archive import left_of
+from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.metadata_checks import CROSSINGS, RESERVED, SERIES
+from coadjoint.files.archives.run_in_blocks import Team
+from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
+from coadjoint.files.output.atomic_output import locked
+from coadjoint.files.output.output_files import write_dataset
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.times import times_of
 
@@ -283,7 +283,7 @@ def test_other_archives_and_versions(tmp_path, monkeypatch):
     co.integrate(BODY, X, (0, 4), 0.125, archive=one)
     with pytest.raises(ArchiveError, match="is the archive of one run, not of an ensemble"):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=one)
-    monkeypatch.setattr("coadjoint.files.block_run.__version__", "0.0.1")
+    monkeypatch.setattr("coadjoint.files.archives.block_run.__version__", "0.0.1")
     with pytest.raises(ArchiveError, match=r"was begun by coadjoint .*, and the worker on .* has 0.0.1"):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=tmp_path / "many.zarr")
 
@@ -399,7 +399,7 @@ def small_chunks(monkeypatch):
     """Chunks of eight points, so that a block of a run of 33 points has five; nobody waits for the disk."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     for name in ("FEWEST_ROWS", "MOST_ROWS"):
-        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{name}", 8)
+        monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{name}", 8)
 
 
 @pytest.mark.parametrize("options", [{}, {"attitude": True, "save_every": 3}])

@@ -9,10 +9,10 @@ import scipy.linalg
 import xarray
 
 import coadjoint as co
-from coadjoint.extras import MissingPackageError
-from coadjoint.files.export import dataset_of, mark_failed, rebuild, solution_inputs
-from coadjoint.files.output import write_dataset
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.datasets.export import dataset_of, mark_failed, rebuild, solution_inputs
+from coadjoint.files.output.output_files import write_dataset
+from coadjoint.files.records.records import record_of, system_of
+from coadjoint.optional_packages import MissingPackageError
 
 X = (1.0, 0.1, 0.5)
 

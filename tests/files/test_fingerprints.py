@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.fingerprints import fingerprint_of, functions_in, made_of_system, same_fingerprint
+from coadjoint.files.records.fingerprints import fingerprint_of, functions_in, made_of_system, same_fingerprint
 from coadjoint.systems.matrices.streams import Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 

@@ -8,12 +8,12 @@ import pytest
 
 import coadjoint as co
 from coadjoint.cli import main
-from coadjoint.files.configuration import load
-from coadjoint.files.configuration_parts import ConfigurationError
-from coadjoint.files.export import dataset_of, rebuild
-from coadjoint.files.loaded_solution import LoadedSolution
-from coadjoint.files.output import write_dataset
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.files.datasets.export import dataset_of, rebuild
+from coadjoint.files.datasets.loaded_solution import LoadedSolution
+from coadjoint.files.output.output_files import write_dataset
+from coadjoint.files.records.records import record_of, system_of
 
 X = (0.6, 0.0, 0.8)
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

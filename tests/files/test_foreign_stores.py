@@ -11,8 +11,8 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
 import coadjoint as co
-from coadjoint.files.checked_files import check_zarr
-from coadjoint.files.loaded_solution import LoadError
+from coadjoint.files.datasets.loaded_solution import LoadError
+from coadjoint.files.output.file_validation import check_zarr
 from coadjoint.memory import SMALL
 
 pytestmark = [

@@ -14,10 +14,10 @@ from numcodecs import Blosc
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.archive_store import ArchiveError
-from coadjoint.files.archives import archive_run
-from coadjoint.files.stored_arrays import StoredArray
-from coadjoint.files.unfinished import remove_leftovers
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.archives.store import ArchiveError
+from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.output.atomic_output import remove_leftovers
 from coadjoint.runs.prepared_run import PreparedRun
 
 NAMES = ("vector", "members", "finished", "blocks")
@@ -137,7 +137,7 @@ def test_leftovers_are_folders_and_no_links(tmp_path):
     precious.mkdir()
     for name in ("lock", "kept"):
         (precious / name).touch()
-    from coadjoint.files.unfinished import _prefix
+    from coadjoint.files.output.atomic_output import _prefix
 
     (tmp_path / f"{_prefix(target)}01234567").symlink_to(precious)
     remove_leftovers(target)
@@ -251,8 +251,8 @@ def test_parts_are_read_as_of_any_array(tmp_path):
     """By xarray: slices in both directions, single entries and lists, over several chunks."""
     path = tmp_path / "run.zarr"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("coadjoint.files.stored_arrays.FEWEST_ROWS", 5)
-        patched.setattr("coadjoint.files.stored_arrays.MOST_ROWS", 5)
+        patched.setattr("coadjoint.files.archives.stored_arrays.FEWEST_ROWS", 5)
+        patched.setattr("coadjoint.files.archives.stored_arrays.MOST_ROWS", 5)
         found = co.integrate(BODY, X, SPAN, STEP, archive=path).to_xarray()["x"]
     x = co.integrate(BODY, X, SPAN, STEP).x
     rng = np.random.default_rng(1)

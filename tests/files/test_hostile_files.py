@@ -13,10 +13,10 @@ import xarray
 from numcodecs import Blosc, Pickle, Zstd
 
 import coadjoint as co
-from coadjoint.files.checked_files import _length, check_hdf5, check_zarr
-from coadjoint.files.content_checksum import CHECKSUM, checksum_of
-from coadjoint.files.loaded_solution import LoadError
-from coadjoint.files.output import write_dataset
+from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
+from coadjoint.files.datasets.loaded_solution import LoadError
+from coadjoint.files.output.file_validation import _length, check_hdf5, check_zarr
+from coadjoint.files.output.output_files import write_dataset
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 2.5))
 pytestmark = pytest.mark.filterwarnings(

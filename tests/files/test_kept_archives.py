@@ -11,7 +11,7 @@ from kept_archives import BODY, CUT, EVERY, KEPT, RUNS, SPAN, STEP
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.archive_store import FORMAT, ArchiveError
+from coadjoint.files.archives.store import FORMAT, ArchiveError
 from coadjoint.rounding import UNIT_ROUNDOFF
 from verification.test_archived_runs import assert_same
 

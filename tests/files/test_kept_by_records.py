@@ -21,13 +21,13 @@ from kept import (
 )
 
 import coadjoint as co
-from coadjoint.files.export import rebuild
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.datasets.export import rebuild
+from coadjoint.files.records.records import record_of, system_of
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.suggested import suggested_scheme
-from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.ready_made import ready_made_systems
+from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.registry import ready_made_systems
 from long import long_where
 from served import state_of
 

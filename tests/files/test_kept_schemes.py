@@ -9,12 +9,12 @@ import pytest
 from kept import PLAIN, SL2, WITH, X, parameters, seen_of_hamiltonian, variants
 
 import coadjoint as co
-from coadjoint.files.configuration import load
-from coadjoint.files.configuration_models import File, HamiltonianTable, RunTable
-from coadjoint.files.export import rebuild, solution_inputs
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.models import File, HamiltonianTable, RunTable
+from coadjoint.files.datasets.export import rebuild, solution_inputs
 from coadjoint.methods import registry
 from coadjoint.runs.solution import PARTS
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 

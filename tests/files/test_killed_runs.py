@@ -14,7 +14,7 @@ import pytest
 from killed_runs import check_what_is_there, killed
 
 import coadjoint as co
-from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
+from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
 from long import long_beyond
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
@@ -30,13 +30,13 @@ def test_killed_at_random_moments(tmp_path, seed):
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("coadjoint.files.archived_run.SECONDS_OF_PIECE", 0)
-    monkeypatch.setattr("coadjoint.files.archived_run.SHARE_OF_COMMITS", 0)
-    monkeypatch.setattr("coadjoint.files.archived_run.FIRST_STRETCH", 10)
-    monkeypatch.setattr("coadjoint.files.archived_run.BLOCKS", 2)
-    monkeypatch.setattr("coadjoint.files.archived_run.SECONDS_OF_STRETCH", 0.0)
-    monkeypatch.setattr("coadjoint.files.stored_arrays.FEWEST_ROWS", 8)
-    monkeypatch.setattr("coadjoint.files.stored_arrays.MOST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.SECONDS_OF_PIECE", 0)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.SHARE_OF_COMMITS", 0)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_STRETCH", 10)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.BLOCKS", 2)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.SECONDS_OF_STRETCH", 0.0)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.FEWEST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MOST_ROWS", 8)
 
 
 FULL = "No space left on device"
@@ -108,7 +108,7 @@ def test_no_room_for_a_later_end(tmp_path, monkeypatch):
     path = tmp_path / "run.zarr"
     co.integrate(*RUN, archive=path)
     with monkeypatch.context() as patched:
-        patched.setattr("coadjoint.files.longer_runs.ArchiveStore.keep", from_then_on(1, None))
+        patched.setattr("coadjoint.files.archives.extended_runs.ArchiveStore.keep", from_then_on(1, None))
         with pytest.raises(ArchiveError, match=re.escape(f"cannot be written ({FULL}); what it holds stays")):
             co.resume(path, 10.0)
     assert co.open_archive(path).finished
@@ -119,8 +119,8 @@ SMALL_DISK = """
 import os, sys
 import numpy as np
 import coadjoint as co
-from coadjoint.files import stored_arrays
-from coadjoint.files.archive_store import ArchiveUnwritten
+from coadjoint.files.archives import stored_arrays
+from coadjoint.files.archives.store import ArchiveUnwritten
 
 stored_arrays.MOST_ROWS = 1024  # a commit for each of so many points
 folder = sys.argv[1]

@@ -14,9 +14,9 @@ from configuration_files import READY_MADE
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.archived_solution import ArchivedSolution
-from coadjoint.files.loaded_solution import LoadedSolution
-from coadjoint.files.output import write_dataset
+from coadjoint.files.archives.archived_solution import ArchivedSolution
+from coadjoint.files.datasets.loaded_solution import LoadedSolution
+from coadjoint.files.output.output_files import write_dataset
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -132,7 +132,7 @@ def test_a_run_that_failed_is_opened_as_far_as_it_came(tmp_path):
     grows = co.LiePoissonSystem(co.algebras.get("A2_1"), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
     with pytest.raises(co.IntegrationError) as failed:
         co.integrate(grows, (1.0, 1.0), (0, 1000), 1.0, save_every=100)
-    from coadjoint.files.export import mark_failed
+    from coadjoint.files.datasets.export import mark_failed
 
     partial = failed.value.partial
     mark_failed(partial.to_xarray(), failed.value).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")

@@ -7,10 +7,10 @@ import pytest
 
 import coadjoint as co
 from coadjoint.cli import main
-from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.export import rebuild
-from coadjoint.files.output import write_dataset
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.datasets.export import rebuild
+from coadjoint.files.output.output_files import write_dataset
+from coadjoint.files.records.records import record_of, system_of
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from served import state_of

@@ -14,11 +14,11 @@ import xarray
 from matplotlib.figure import Figure
 
 import coadjoint
-from coadjoint.extras import MissingPackageError
-from coadjoint.files.content_checksum import with_checksum
-from coadjoint.files.netcdf_file import LARGEST_KEPT, PAGE, SteadfastFile
-from coadjoint.files.output import OutputError, check_target, write_dataset, write_figure
-from coadjoint.files.unfinished import Stopped, Unfinished
+from coadjoint.files.datasets.content_checksum import with_checksum
+from coadjoint.files.datasets.netcdf_file import LARGEST_KEPT, PAGE, SteadfastFile
+from coadjoint.files.output.atomic_output import Stopped, Unfinished
+from coadjoint.files.output.output_files import OutputError, check_target, write_dataset, write_figure
+from coadjoint.optional_packages import MissingPackageError
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -31,7 +31,7 @@ LARGE = SMALL.assign(y=("point", np.arange(2.0 * LARGEST_KEPT / 8)))
 LIMITED = """
 import os, resource, sys
 import numpy as np, xarray
-from coadjoint.files.output import write_dataset
+from coadjoint.files.output.output_files import write_dataset
 dataset = xarray.open_dataset(sys.argv[1], engine="h5netcdf").load()
 target = sys.argv[2]
 for limit in map(int, sys.argv[3:]):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.variables import parameters_of
+from coadjoint.files.datasets.variables import parameters_of
 
 CONSTANTS = np.array([2.5, 3.0, 4.0])
 BODIES = co.batch([co.systems.rigid_body(inertia=(2, 3, c)) for c in CONSTANTS])

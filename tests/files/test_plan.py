@@ -9,9 +9,9 @@ import pytest
 from configuration_files import GROWING, OWN, READY_MADE
 
 from coadjoint import cli
-from coadjoint.files import plan as planning
-from coadjoint.files.configuration import load
-from coadjoint.files.plan import plan
+from coadjoint.files.configuration import dry_run as planning
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.dry_run import plan
 from coadjoint.systems.batch import Batch
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))

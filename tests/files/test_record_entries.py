@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.record_entries import DEEPEST, LARGEST_WHOLE, MOST_LETTERS, Entry, made_of, parsed
-from coadjoint.files.records import record_of, safe_name, system_of
-from coadjoint.systems.kinds import unforced
+from coadjoint.files.records.entries import DEEPEST, LARGEST_WHOLE, MOST_LETTERS, Entry, made_of, parsed
+from coadjoint.files.records.records import record_of, safe_name, system_of
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
+from coadjoint.systems.system_checks import unforced
 from served import state_of
 
 INFINITE, NAN = float("inf"), float("nan")
@@ -344,7 +344,8 @@ def test_sums_and_monomials_are_checked():
 @pytest.mark.parametrize("kind", ["an algebra", "a representation", "matrices of"])
 def test_memory_is_asked_for_before_it_is_taken(monkeypatch, kind):
     """A record of few letters may ask for arrays of any size."""
-    from coadjoint.files import matrix_records, record_reading
+    from coadjoint.files.records import matrix_records
+    from coadjoint.files.records import reconstruction as record_reading
 
     asked = {}
 
@@ -360,7 +361,7 @@ def test_memory_is_asked_for_before_it_is_taken(monkeypatch, kind):
 
 
 def test_complex_parameters_have_both_parts():
-    from coadjoint.files.records import _plain
+    from coadjoint.files.records.records import _plain
 
     matrix = np.array([[1.0, 2.0 + 3.0j], [2.0 - 3.0j, 0.5]])
     wanted = {"real": matrix.real.tolist(), "imaginary": matrix.imag.tolist()}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.records.records import record_of, system_of
 
 
 def quadratic(rng, n):

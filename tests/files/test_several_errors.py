@@ -4,8 +4,8 @@ import pytest
 
 from coadjoint import cli
 from coadjoint.errors import in_one_line
-from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.several_errors import LETTERS, told_together
+from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.error_collector import LETTERS, told_together
 
 FILE = """
 [system]

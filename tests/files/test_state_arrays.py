@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray
 
-from coadjoint.files.state_arrays import DIMENSIONS, in_parts, state_dimensions, state_of
+from coadjoint.files.datasets.state_arrays import DIMENSIONS, in_parts, state_dimensions, state_of
 
 SHAPES = {"component": (3,), "matrix": (2, 4), "layers": (3, 2, 4)}
 

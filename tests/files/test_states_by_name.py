@@ -7,9 +7,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.configuration_models import InitialTable
-from coadjoint.files.states_by_name import state_by_name
+from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.models import InitialTable
+from coadjoint.files.configuration.named_states import state_by_name
 
 FLUID = """
 [system]

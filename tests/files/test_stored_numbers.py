@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from coadjoint.files.stored_numbers import numbers_from, numbers_to
+from coadjoint.files.archives.stored_numbers import numbers_from, numbers_to
 
 GRID = np.arange(24.0).reshape(2, 3, 4)
 ARRAYS = {

@@ -9,8 +9,8 @@ import xarray
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.swept_settings import as_coordinates, drawn, moved_on_orbit
+from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.swept_settings import as_coordinates, drawn, moved_on_orbit
 
 BODY = """
 [system]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration import load
-from coadjoint.files.configuration_parts import ConfigurationError
-from coadjoint.files.export import rebuild
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.files.datasets.export import rebuild
 
 LINES = """
 system = {{name = "rigid_body", parameters = {{inertia = [1, 2, 3]}}}}

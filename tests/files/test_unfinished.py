@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from coadjoint import interruption
-from coadjoint.files import unfinished
-from coadjoint.files.unfinished import LOCK, REPLACED, Unfinished, locked, remove_leftovers
+from coadjoint.files.output import atomic_output as unfinished
+from coadjoint.files.output.atomic_output import LOCK, REPLACED, Unfinished, locked, remove_leftovers
 
 STRANGER = 65534
 AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
@@ -259,7 +259,7 @@ def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at
     with monkeypatch.context() as patched:
         cannot_be_removed(one, kind, patched)
         with monkeypatch.context() as listed:
-            listed.setattr("coadjoint.files.unfinished.os.scandir", in_order)
+            listed.setattr("coadjoint.files.output.atomic_output.os.scandir", in_order)
             remove_leftovers(target)
     left = [] if kind == "gone" else [one.name]
     assert sorted(os.listdir(tmp_path)) == [*left, "run.zarr"] and os.listdir(target) == ["old"]

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files import run_in_blocks as ensembles
-from coadjoint.files.archive_folder import ArchiveFolder
-from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten, read_root
-from coadjoint.files.archived_run import FINISHED
-from coadjoint.files.block_run import BlockRun, run_block
-from coadjoint.files.blocks import Block, lock_file, marker_file
+from coadjoint.files.archives import run_in_blocks as ensembles
+from coadjoint.files.archives.archived_run import FINISHED
+from coadjoint.files.archives.block_run import BlockRun, run_block
+from coadjoint.files.archives.blocks import Block, lock_file, marker_file
+from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten, read_root
 from coadjoint.runs.prepared_run import PreparedRun
 
 MEMBERS = 7

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from coadjoint.files import whole_files
-from coadjoint.files.whole_files import settle, write_whole
+from coadjoint.files.output import atomic_files as whole_files
+from coadjoint.files.output.atomic_files import settle, write_whole
 
 NEW, OLD = b"new" * 100, b"old"
 

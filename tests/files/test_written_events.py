@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration import load
-from coadjoint.files.configuration_parts import ConfigurationError
-from coadjoint.files.export import rebuild
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.files.datasets.export import rebuild
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (0.1, 1.0, 0.1)

@@ -7,8 +7,8 @@ from fractions import Fraction
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.written_brackets import read_brackets
-from coadjoint.files.polynomials import read_polynomial
+from coadjoint.algebra.bracket_parser import read_brackets
+from coadjoint.files.configuration.polynomials import read_polynomial
 from guards import bounded_work
 
 
@@ -47,7 +47,9 @@ def test_highest_degree_and_largest_coefficient():
 
 
 def test_more_terms_than_memory(monkeypatch):
-    monkeypatch.setattr("coadjoint.algebra.formula_reader.check_room", lambda count, what: wanted.append((count, what)))
+    monkeypatch.setattr(
+        "coadjoint.algebra.polynomials.formula_parser.check_room", lambda count, what: wanted.append((count, what))
+    )
     wanted = []
     read_polynomial(" + ".join(f"x{i + 1}" for i in range(1100)), 1100)
     assert [what for _, what in wanted] == ["a polynomial of 1024 terms or more in 1100 coordinates"]

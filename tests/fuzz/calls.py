@@ -16,10 +16,10 @@ import scipy.sparse
 
 import coadjoint as co
 from coadjoint import algebras, forces, systems
-from coadjoint.files.configuration import load
-from coadjoint.files.export import rebuild
-from coadjoint.files.output import check_target
-from coadjoint.wording import short
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.datasets.export import rebuild
+from coadjoint.files.output.output_files import check_target
+from coadjoint.short_repr import short
 from hostile_values import HOSTILE
 from test_hostile_input import ALONG, BODY, CALLS, CROWD, FORCED, LONG, SAMPLED, SO3, STEP, TURNING, P, X
 

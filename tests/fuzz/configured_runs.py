@@ -13,8 +13,8 @@ import warnings
 from pathlib import Path
 
 from coadjoint import commands
-from coadjoint.files.configuration import Configuration, ConfigurationError
-from coadjoint.files.output import OutputError
+from coadjoint.files.configuration.configuration import Configuration, ConfigurationError
+from coadjoint.files.output.output_files import OutputError
 
 from .configurations import draw
 from .folder import make, seen

@@ -7,7 +7,7 @@ import traceback
 from pathlib import Path
 
 import coadjoint as co
-from coadjoint.extras import MissingPackageError
+from coadjoint.optional_packages import MissingPackageError
 
 TESTS = Path(__file__).parents[1]
 SOURCE = str(Path(co.__file__).parent)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration import load
-from coadjoint.files.output import check_target
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.output.output_files import check_target
 
 BODY, X = co.systems.rigid_body(), (0.1, 1.0, 0.2)
 HUGE = 10**400

@@ -9,9 +9,9 @@ import numpy as np
 from coadjoint.kernels import runge_kutta
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.loop import Crew, Stop, remembered
+from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.watching import schedule_of
 
 STATE = ("momenta", "errors", "groups", "group_errors", "memory")
 PADDING = 32  # no crowd has more lanes on any processor

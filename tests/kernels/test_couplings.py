@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.couplings import MOST_COUPLINGS, WIDEST, narrow_band
+from coadjoint.kernels.bandwidth import MOST_COUPLINGS, WIDEST, narrow_band
 
 SITES = 40
 

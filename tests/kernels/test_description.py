@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels import description, structures
+from coadjoint.kernels import interface as description
+from coadjoint.kernels import structures
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.field import GroupField
-from coadjoint.methods.projection import independent, project
+from coadjoint.methods.numerics.projection import independent, project
 
 
 def text():

@@ -8,10 +8,10 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.kernels.unshift import Unshifting
-from coadjoint.kernels.watching import schedule_of
-from coadjoint.program.shift import quadratic_casimirs
-from coadjoint.program.unshift import Turn, unshift_tables
+from coadjoint.kernels.casimir_shift import Unshifting
+from coadjoint.kernels.recording_tables import schedule_of
+from coadjoint.program.shifts.group_correction import Turn, unshift_tables
+from coadjoint.program.shifts.shift import quadratic_casimirs
 
 pytestmark = pytest.mark.thinned(3)
 

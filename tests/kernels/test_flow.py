@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from scipy.sparse import coo_array
 
 import coadjoint as co
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 from coadjoint.runs.shifted_attitude import Unshift
 from coadjoint.runs.start import Start

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra import logarithmic
-from coadjoint.algebra.logarithmic import ANGLE, LOGARITHM, QUOTIENT, LogarithmicInvariant, LogarithmicSum
+from coadjoint.algebra.invariants import logarithmic
+from coadjoint.algebra.invariants.logarithmic import ANGLE, LOGARITHM, QUOTIENT, LogarithmicInvariant, LogarithmicSum
 from coadjoint.kernels.functions import CompiledFunction, TabledFunction
+from coadjoint.kernels.recording_tables import values_along
 from coadjoint.kernels.tables import invariants_table
-from coadjoint.kernels.watching import values_along
 from long import long_between
 
 # Every kind of term, several terms of a kind, products of coordinates and powers.

@@ -7,10 +7,10 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.tangents import vectors_in
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 from coadjoint.runs.times import Times
-from coadjoint.systems.free_rigid_body import exact_solution
+from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from group_elements import random_element
 from verification.carried import run_with
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.fingerprints import fingerprint_of, same_fingerprint
+from coadjoint.files.records.fingerprints import fingerprint_of, same_fingerprint
 from coadjoint.kernels.function_contents import contents_of
 
 # Every {k} is a place for an edit, given as (text, another text).

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.description import limit
 from coadjoint.kernels.input_tables import InputTables, NotPlaced, fields_of
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import watch_tables
 from verification.systems_under_test import full_matrix

@@ -11,7 +11,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels import loop
-from coadjoint.kernels.description import codes
+from coadjoint.kernels.interface import codes
 from long import long_where
 
 # A hang guard, far above the fraction of a second that is measured.

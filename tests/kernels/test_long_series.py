@@ -6,7 +6,7 @@ import scipy.linalg
 
 import coadjoint as co
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 
 TURNS = scipy.linalg.block_diag([[0, 1], [-1, 0]], [[0, 2], [-2, 0]])

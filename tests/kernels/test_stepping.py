@@ -11,11 +11,11 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels import stepping
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.description import codes
+from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.kernels.step_tables import step_tables
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.watching import schedule_of
 
 pytestmark = pytest.mark.thinned(3)
 

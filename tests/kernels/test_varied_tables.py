@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.description import limit
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.structures import varied_fields
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.varied_tables import stacked, structure_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.attitude import check_attitude
+from coadjoint.methods.protocol.attitude import check_attitude
 
 GAUSS = (co.GaussLegendre(2), co.ModifiedGaussLegendre(1, freeze="gradient"))
 

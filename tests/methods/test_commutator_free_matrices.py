@@ -7,9 +7,9 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.methods.commutator_free import SCHEMES
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
-from coadjoint.systems.torus_euler import torus_euler
 from torus import first_modes, last_modes
 
 

@@ -14,7 +14,7 @@ import pytest
 from own_schemes import NOTHING, Relaxed
 
 import coadjoint as co
-from coadjoint.methods import preprocessed_source, step_compiler
+from coadjoint.methods.compiled_steps import preprocessed_source, step_compiler
 
 SOURCE = Path(__file__).with_name("own_step.cpp")
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.short_orbit import rate_at, short_orbit
-from coadjoint.methods.step_derivatives import derivative_of
+from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
+from coadjoint.methods.protocol.step_derivatives import derivative_of
 
 U = 2.0**-53
 JUMP = 1 / (2 - 2 ** (1 / 3))

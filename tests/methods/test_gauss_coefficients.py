@@ -8,7 +8,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from coadjoint.methods.gauss_coefficients import (
+from coadjoint.methods.gauss_legendre import MOST
+from coadjoint.methods.numerics.gauss_coefficients import (
     DIGITS,
     FEW,
     _collocation,
@@ -20,7 +21,6 @@ from coadjoint.methods.gauss_coefficients import (
     gauss_legendre,
     radau,
 )
-from coadjoint.methods.gauss_legendre import MOST
 from guards import bounded_work
 
 pytestmark = pytest.mark.thinned(3)

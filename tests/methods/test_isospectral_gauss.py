@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.matrices.streams import Weights
-from coadjoint.systems.torus_euler import torus_euler
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -8,9 +8,9 @@ import pytest
 import coadjoint as co
 from coadjoint.methods.line_splitting import lines
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.matrices.streams import Circulants, Weights
 from coadjoint.systems.matrices.torus_modes import modes_of_matrix
-from coadjoint.systems.torus_euler import torus_euler
 from torus import first_modes, last_modes, mode, smooth
 
 ORDERS = [2, 4, 6]

@@ -7,7 +7,7 @@ import pytest
 from own_schemes import Classical
 
 import coadjoint as co
-from coadjoint.systems.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)

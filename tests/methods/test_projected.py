@@ -10,7 +10,7 @@ from own_schemes import NOTHING, Classical, Failing
 import coadjoint as co
 from coadjoint.methods.registry import description_of, from_description
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 
 
 def full(n, seed=0):

@@ -10,7 +10,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import address
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 from long import long_where
 

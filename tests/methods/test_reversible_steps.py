@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration import load
-from coadjoint.files.export import rebuild
+from coadjoint.files.configuration.configuration import load
+from coadjoint.files.datasets.export import rebuild
 from coadjoint.methods import registry
-from coadjoint.methods.speed import speed_of
+from coadjoint.methods.numerics.motion_speed import speed_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 TOP = co.LiePoissonSystem(

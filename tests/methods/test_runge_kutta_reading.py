@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.stages import linear_solve
+from coadjoint.methods.numerics.stages import linear_solve
 from long import long_where
 
 pytestmark = pytest.mark.thinned(3)

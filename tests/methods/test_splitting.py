@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods import tuned_parts
-from coadjoint.methods.short_orbit import PART, rate_at, short_orbit
-from coadjoint.methods.tuned_parts import ErrorsOfOrders
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.program.decompose import candidates, decompose
-from coadjoint.program.modified_terms import leading_term
-from coadjoint.program.nested_brackets import NestedBrackets
-from coadjoint.program.second_order import Samples
-from coadjoint.program.split import split
+from coadjoint.methods.numerics import tuned_parts
+from coadjoint.methods.numerics.short_orbit import PART, rate_at, short_orbit
+from coadjoint.methods.numerics.tuned_parts import ErrorsOfOrders
+from coadjoint.program.modified_energy.modified_terms import leading_term
+from coadjoint.program.modified_energy.nested_brackets import NestedBrackets
+from coadjoint.program.modified_energy.second_order import Samples
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import candidates, decompose
+from coadjoint.program.parts.split import split
 from long import long_beyond
 
 

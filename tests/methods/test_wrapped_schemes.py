@@ -17,12 +17,12 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.tangents import Frame
 from coadjoint.methods import FlowMethod, Properties, RungeKuttaMethod
-from coadjoint.methods.base import Method
-from coadjoint.methods.composed import ComposedFlows, Substeps
 from coadjoint.methods.forced import WAYS, Forced
-from coadjoint.methods.formal_numbers import is_short
-from coadjoint.methods.projection import casimirs_restored, polynomial_casimirs
-from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.methods.formal.formal_numbers import is_short
+from coadjoint.methods.numerics.projection import casimirs_restored, polynomial_casimirs
+from coadjoint.methods.protocol.composed import ComposedFlows, Substeps
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.stepped_method import SteppedMethod
 from coadjoint.methods.symmetrized import PairOfFlows, PairOfTableaux
 from coadjoint.rounding import UNIT_ROUNDOFF
 from verification.systems_under_test import Case, all_cases, cases

@@ -8,11 +8,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.between import MOST_BETWEEN, SMOOTH, TURN, few_times, times_between
-from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.sites import places_of_sites
+from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.refinement_times import MOST_BETWEEN, SMOOTH, TURN, few_times, times_between
+from coadjoint.pictures.site_positions import places_of_sites
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (0.1, 1.0, 0.1)

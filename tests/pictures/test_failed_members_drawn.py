@@ -12,9 +12,9 @@ import pytest
 from drawn_runs import axes_of
 
 import coadjoint as co
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
 
 T0 = 7.3
 BODY = co.systems.rigid_body((1.0, 2.0, 3.0))

@@ -9,8 +9,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.periods import period
-from coadjoint.pictures.flips import flips
-from coadjoint.runs.telling_run import telling_run
+from coadjoint.pictures.sign_changes import flips
+from coadjoint.runs.example_run import telling_run
 
 ROOT = Path(__file__).parents[2]
 

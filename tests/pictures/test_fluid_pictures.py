@@ -5,14 +5,14 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.fluids import part_on_grid
 from coadjoint.pictures.gallery import piece
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.scenes import SCENES, Scene, decaying_turbulence
+from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.matrices.scale_separation import large_scales
-from coadjoint.systems.telling import Picture
 from long import long_beyond
 
 

@@ -8,12 +8,12 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.gallery import gallery
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, kind, kinds, read_picture
-from coadjoint.runs.telling_run import telling_run
-from coadjoint.systems.ready_made import telling_of, told_systems
-from coadjoint.systems.telling import Picture, Telling
+from coadjoint.runs.example_run import telling_run
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.registry import telling_of, told_systems
 from group_elements import random_element
 from long import long_where
 
@@ -107,7 +107,7 @@ def test_pictures_that_need_an_attitude_are_left_out_without_one():
 
 
 def test_a_run_read_back_shows_what_its_system_declares():
-    from coadjoint.files.export import dataset_of, solution_inputs
+    from coadjoint.files.datasets.export import dataset_of, solution_inputs
 
     top = co.systems.lagrange_top(lever=0.5)
     run = co.integrate(top, telling_of("lagrange_top").start(), (0.0, 4.0), 0.05, attitude=True)

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 import coadjoint as co
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, kinds
-from coadjoint.pictures.sites import places_of_sites, sites_of_row
-from coadjoint.systems.lattices import CELLS, graph
-from coadjoint.systems.ready_made import telling_of
-from coadjoint.systems.telling import Picture
+from coadjoint.pictures.site_positions import places_of_sites, sites_of_row
+from coadjoint.systems.gallery_entry import Picture
+from coadjoint.systems.lattices.neighbours import CELLS, graph
+from coadjoint.systems.registry import telling_of
 
 
 def shown(run, picture):
@@ -58,7 +58,7 @@ def test_neighbours_are_neighbours_in_the_picture(lattice):
 @pytest.mark.parametrize("field", ["driven", "for each site"])
 def test_a_lattice_is_drawn_as_it_is_where_its_parameters_are_not_kept(field, monkeypatch):
     """A picture of a square lattice must not show a ring."""
-    monkeypatch.setattr(sys.modules["coadjoint.systems.spin_lattice"], "MOST_KEPT", 10)
+    monkeypatch.setattr(sys.modules["coadjoint.systems.lattices.spin_lattice"], "MOST_KEPT", 10)
     given = (lambda t: (0.0, np.sin(t), 0.5)) if field == "driven" else 0.1 * np.ones((12, 3))
     lattice = co.systems.spin_lattice("square", (3, 4), field=given)
     assert lattice.parameters is None and lattice.layout == {"lattice": "square", "shape": (3, 4)}
@@ -258,7 +258,7 @@ def test_observed_quantities_are_drawn():
 def test_both_vectors_of_so4_keep_their_lengths():
     body = co.systems.so_n_body((1.0, 2.0, 4.0, 5.0))
     run = co.integrate(body, np.random.default_rng(3).normal(size=6), (0.0, 5.0), 0.05)
-    from coadjoint.systems.manakov_integrals import halves_of_so4
+    from coadjoint.systems.closed_forms.manakov_integrals import halves_of_so4
 
     for sign in (1.0, -1.0):
         sizes = np.linalg.norm(run.x @ np.array(halves_of_so4(sign)).T, axis=1)

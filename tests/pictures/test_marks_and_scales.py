@@ -13,19 +13,19 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.between import SMOOTH, _length_of_path
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.gallery import _told
 from coadjoint.pictures.globe import VIEW, Globe, view_of
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.movie import frames_of
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.projections import PROJECTIONS
+from coadjoint.pictures.refinement_times import SMOOTH, _length_of_path
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.section import draw_crossings
 from coadjoint.pictures.spatial import _raised, axis_in_space
 from coadjoint.pictures.style import INK, colour
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
 
 T0 = 7.3
 SENSES = [1.0, -1.0]

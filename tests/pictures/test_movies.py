@@ -14,13 +14,13 @@ from PIL import Image
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.movie_file import check_speed, write_movie
-from coadjoint.files.output import OutputError
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.files.output.movie_file import check_speed, write_movie
+from coadjoint.files.output.output_files import OutputError
 from coadjoint.pictures.movie import frames_of
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import kinds, read_picture
-from coadjoint.systems.ready_made import telling_of
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
+from coadjoint.systems.registry import telling_of
 
 SMALL = {"size": (96, 64)}
 
@@ -140,7 +140,7 @@ def test_ffmpeg_is_given_every_frame(fluid, tmp_path, ffmpeg):
 
 def test_no_ffmpeg_and_one_that_fails(fluid, tmp_path, monkeypatch, ffmpeg):
     (tmp_path / "old.mp4").write_text("kept")
-    monkeypatch.setattr("coadjoint.files.movie_file.shutil.which", lambda name: None)
+    monkeypatch.setattr("coadjoint.files.output.movie_file.shutil.which", lambda name: None)
     with pytest.raises(OutputError, match=r"MP4 needs the program ffmpeg.*\.gif"):
         fluid.movie(tmp_path / "old.mp4")
     monkeypatch.undo()
@@ -209,7 +209,7 @@ def test_the_command_makes_movies(tmp_path, monkeypatch, capsys):
 def test_the_command_refuses_before_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("coadjoint.runs.run.Run.advance", None)
-    monkeypatch.setattr("coadjoint.files.movie_file.shutil.which", lambda name: None)
+    monkeypatch.setattr("coadjoint.files.output.movie_file.shutil.which", lambda name: None)
     (tmp_path / "fluid.toml").write_text(FLUID)
     body = '[system]\nname = "rigid_body"\n[initial]\nx = [1.0, 0.1, 0.5]\n[run]\nt_span = [0, 1]\nstep = 0.1\n'
     (tmp_path / "body.toml").write_text(body)

@@ -18,16 +18,16 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 import coadjoint as co
-from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.flips import flips
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.phase_drift import draw_phase_drift
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import kinds
 from coadjoint.pictures.series import COLUMNS, envelope
+from coadjoint.pictures.sign_changes import flips
 from coadjoint.pictures.style import colour
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
 
 T0 = 7.3
 INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.2))

@@ -7,11 +7,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.flips import flips
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.series import draw_series, envelope, turning_points
+from coadjoint.pictures.sign_changes import flips
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 

@@ -14,10 +14,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.between import _divided
-from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.flips import flips
+from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.refinement_times import _divided
 from coadjoint.pictures.series import draw_series, envelope
+from coadjoint.pictures.sign_changes import flips
 
 T0 = 7.3
 BODY = co.systems.rigid_body((1.0, 2.0, 3.0))

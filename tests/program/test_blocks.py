@@ -8,7 +8,7 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.program.block_table import blocks_of
 from coadjoint.program.blocks import Kind
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 from commuting_actions import acting
 

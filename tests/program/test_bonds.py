@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.methods.registry import description_of, from_description
-from coadjoint.program.bonds import bonds, colours
-from coadjoint.program.part_polynomials import part_polynomials
-from coadjoint.program.split import NotSplit
+from coadjoint.program.parts.bonds import bonds, colours
+from coadjoint.program.parts.part_polynomials import part_polynomials
+from coadjoint.program.parts.split import NotSplit
 
 U = 2.0**-53
 SO3 = co.algebras.so(3)
@@ -154,7 +154,7 @@ def test_other_refusals(monkeypatch):
         # Each of them is the first or the second one of some bond.
         with pytest.raises(ValueError, match=rf'parts="bonds" takes no inputs for e1\[{spin + 1}\]'):
             co.prepare(bound, by_bonds(), 0.1, inputs={"field": (3 * spin, 3 * spin + 1, 3 * spin + 2)})
-    monkeypatch.setattr("coadjoint.program.bonds.MOST_BONDS", 4)
+    monkeypatch.setattr("coadjoint.program.parts.bonds.MOST_BONDS", 4)
     with pytest.raises(ValueError, match="it has 5 bonds, and 4 are the most"):
         by_bonds().properties(co.systems.spin_lattice("chain", 6))
 

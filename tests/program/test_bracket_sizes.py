@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.bracket_sizes import products_ahead
-from coadjoint.program.split import split
+from coadjoint.program.modified_energy.bracket_cost import products_ahead
+from coadjoint.program.parts.split import split
 
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.program.decompose import best_decomposition, best_decompositions, decompose
-from coadjoint.program.order_of_parts import best_order
-from coadjoint.program.pencil import singular_factors
-from coadjoint.program.second_order import part_jets, second_order_term
-from coadjoint.program.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.split import split
+from coadjoint.program.modified_energy.second_order import part_jets, second_order_term
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import best_decomposition, best_decompositions, decompose
+from coadjoint.program.parts.order_of_parts import best_order
+from coadjoint.program.parts.split import split
+from coadjoint.program.shifts.pencil import singular_factors
+from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
 
 pytestmark = pytest.mark.sensitive
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.decompose import decompose
-from coadjoint.program.split import split
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.split import split
 
 # Number of sets of commuting coordinates, and parameters.
 COVERS = {

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.methods.registry import description_of, from_description
-from coadjoint.program.free_bodies import free_bodies, triples_of
-from coadjoint.program.part_polynomials import part_polynomials
+from coadjoint.program.parts.free_bodies import free_bodies, triples_of
+from coadjoint.program.parts.part_polynomials import part_polynomials
 
 U = 2.0**-53
 

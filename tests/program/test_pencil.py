@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from coadjoint.program.pencil import singular_factors
+from coadjoint.program.shifts.pencil import singular_factors
 
 U = 2.0**-53
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 from long import long_where
 

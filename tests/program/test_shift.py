@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.decompose import decompose
-from coadjoint.program.shift import candidate_shifts, quadratic_casimirs, shifted_terms
-from coadjoint.program.split import split
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.split import split
+from coadjoint.program.shifts.shift import candidate_shifts, quadratic_casimirs, shifted_terms
 
 # Algebras with a nondegenerate quadratic Casimir x.A x/2, diagonal in the basis, up to a factor.
 FACTORS = {

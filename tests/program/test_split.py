@@ -9,8 +9,8 @@ import pytest
 from scipy.sparse import coo_array
 
 import coadjoint as co
-from coadjoint.program.reading import Reading
-from coadjoint.program.split import split
+from coadjoint.program.interpreter import Reading
+from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
 from guards import bounded_work
 

@@ -5,10 +5,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.program.offsets_of_squares import ExactSums, Reduced
+from coadjoint.program.parts.offsets_of_squares import ExactSums, Reduced
+from coadjoint.program.parts.sparse_squares import sparse_squares
+from coadjoint.program.parts.squares import LARGEST_RATIONAL, complete_squares
 from coadjoint.program.sparse_rows import SparseRows
-from coadjoint.program.sparse_squares import sparse_squares
-from coadjoint.program.squares import LARGEST_RATIONAL, complete_squares
 
 U = 2.0**-53
 

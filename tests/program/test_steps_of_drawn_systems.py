@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.program.decompose import decompose
-from coadjoint.program.reading import Reading
-from coadjoint.program.second_order import part_jets
+from coadjoint.program.interpreter import Reading
+from coadjoint.program.modified_energy.second_order import part_jets
+from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.table import build_program
 
 U = 2.0**-53

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program import taylor_shares
-from coadjoint.program.parts import FunctionShare, PolynomialShare
-from coadjoint.program.taylor_shares import parts_at, taylor_polynomial
-from coadjoint.systems.terms import FunctionTerm
+from coadjoint.program.parts import taylor_shares
+from coadjoint.program.parts.part import FunctionShare, PolynomialShare
+from coadjoint.program.parts.taylor_shares import parts_at, taylor_polynomial
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 
 def drawn_polynomial(rng, m, degree):

@@ -13,18 +13,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.program.decompose import decompose
-from coadjoint.program.order_of_parts import best_order
-from coadjoint.program.reading import Reading
-from coadjoint.program.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.shift_counts import numbers_of_parts
+from coadjoint.program.interpreter import Reading
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.order_of_parts import best_order
+from coadjoint.program.parts.sparse_squares import _Reduction
+from coadjoint.program.parts.split import split
+from coadjoint.program.parts.squares import complete_squares
+from coadjoint.program.shifts.group_correction import Turn, unshift_tables
+from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
+from coadjoint.program.shifts.shift_counts import numbers_of_parts
 from coadjoint.program.sparse_rows import SparseRows
-from coadjoint.program.sparse_squares import _Reduction
-from coadjoint.program.split import split
-from coadjoint.program.squares import complete_squares
 from coadjoint.program.table import build_program
-from coadjoint.program.unshift import Turn, unshift_tables
 from commuting_actions import acting
 
 pytestmark = pytest.mark.sensitive
@@ -344,8 +344,8 @@ def test_rounding_does_not_choose_between_orders_that_are_equal():
 
 def elements(algebra, carried, shift, x, time, exactly=True):
     """exp(t X) of the library and in 60 digits."""
-    from coadjoint.kernels.unshift import Unshifting
-    from coadjoint.kernels.watching import schedule_of
+    from coadjoint.kernels.casimir_shift import Unshifting
+    from coadjoint.kernels.recording_tables import schedule_of
 
     tables = unshift_tables(algebra, carried, -1, shift)
     held, out = np.tile(np.eye(tables.size).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, tables.size, tables.size))

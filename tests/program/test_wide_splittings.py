@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program import blocks, clashing_forms, commutation, decompose, table
+from coadjoint.long_operations import LongWait
+from coadjoint.program import blocks, commutation, table
 from coadjoint.program.commutation import Commutation
-from coadjoint.program.quadratic_atoms import quadratic_atoms
-from coadjoint.program.wide_generators import TooWide, check_products
-from coadjoint.waiting import LongWait
+from coadjoint.program.parts import clashing_forms, decompose
+from coadjoint.program.parts.generator_cost import TooWide, check_products
+from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from guards import bounded_work
 from long import long_beyond, long_where
 
@@ -147,7 +148,7 @@ def test_lattices_are_not_too_wide():
 
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
-    from coadjoint.program import modified_terms, sweep_logarithm
+    from coadjoint.program.modified_energy import modified_terms, sweep_logarithm
 
     monkeypatch.setattr(modified_terms, "products_ahead", lambda *given: 0.0)
 
@@ -171,7 +172,7 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
 )
 def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, monkeypatch):
     """Never more than are made; where all coordinates are coupled more than half of them."""
-    from coadjoint.program import modified_terms, sweep_logarithm
+    from coadjoint.program.modified_energy import modified_terms, sweep_logarithm
 
     g = co.algebras.get(name)
     M = symmetric(np.random.default_rng(1), g.dim, 1.0) if coupled else np.linspace(1.0, 2.0, g.dim)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import coadjoint as co
-from coadjoint.algebra.low_dimensional import parameters_of
+from coadjoint.algebra.families.low_dimensional import parameters_of
 
 FAMILIES = {
     "so(n)": (3, 8),

@@ -14,7 +14,8 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from argument_cases import ACCURACY, LINEAR, MEMBERS, NEAR, STEP, WORLDS, Case
-from coadjoint.files import local_cluster, on_workers
+from coadjoint.files.archives import dask_blocks as on_workers
+from coadjoint.files.archives import local_cluster
 from coadjoint.runs import prepared_run, run
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.export import rebuild
-from coadjoint.files.output import write_dataset
+from coadjoint.files.datasets.export import rebuild
+from coadjoint.files.output.output_files import write_dataset
 from coadjoint.runs.solution import Drift
 from long import long_beyond
 

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import prepared_run
-from coadjoint.runs.end_of_run import EndOfRun
+from coadjoint.runs.final_state import EndOfRun
 from methods.own_schemes import Failing, Interpreted
 from random_runs.cases import case_of
 
@@ -179,7 +179,7 @@ def test_threads_share_one():
 
 
 def test_arrays_of_large_states_are_not_kept(monkeypatch):
-    monkeypatch.setattr("coadjoint.runs.end_of_run.LARGEST", 8)
+    monkeypatch.setattr("coadjoint.runs.final_state.LARGEST", 8)
     ready = co.prepare(BODY, None, 0.1)
     assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])
     monkeypatch.setattr(prepared_run.PreparedRun, "follow", no_run)

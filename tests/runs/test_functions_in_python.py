@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.extras import MissingPackageError
 from coadjoint.kernels import matrix_functions
+from coadjoint.optional_packages import MissingPackageError
 from methods.own_schemes import NOTHING
 
 U = 2.0**-53

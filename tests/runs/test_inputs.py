@@ -9,11 +9,11 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels import input_tables
-from coadjoint.program import decompose
-from coadjoint.program.offsets_of_squares import offsets_of_squares
-from coadjoint.program.split import split
+from coadjoint.program.parts import decompose
+from coadjoint.program.parts.offsets_of_squares import offsets_of_squares
+from coadjoint.program.parts.split import split
 from coadjoint.runs.inputs import Inputs
-from coadjoint.systems.linear_term import linear_of, with_linear
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 from verification.schemes_under_test import schemes, serves
 from verification.systems_under_test import full_matrix
 

@@ -14,8 +14,9 @@ import coadjoint as co
 from argument_cases import STEP, WORLDS
 from coadjoint.analysis import lyapunov
 from coadjoint.choosing import accuracy
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.runs import crews_at_work, prepared_run
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.runs import batch_execution as crews_at_work
+from coadjoint.runs import prepared_run
 from coadjoint.runs.stepper import Stepper
 
 SPAN = (1.0, 13.0)

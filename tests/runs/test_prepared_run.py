@@ -10,7 +10,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.loop import Crew
-from coadjoint.runs import crews_at_work, prepared_run, run
+from coadjoint.runs import batch_execution as crews_at_work
+from coadjoint.runs import prepared_run, run
 from coadjoint.runs.solution import FEW_NUMBERS, PARTS, Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))

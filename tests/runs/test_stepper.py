@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.reading import Reading
+from coadjoint.program.interpreter import Reading
 
 pytestmark = pytest.mark.thinned(3)
 

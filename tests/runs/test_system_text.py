@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.formulas import read_polynomial
-from coadjoint.methods.suggested import suggested_scheme
-from coadjoint.runs.system_text import system_text, told_of
+from coadjoint.algebra.polynomials.formulas import read_polynomial
+from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.runs.system_summary import system_text, told_of
 from long import long_between
 
 

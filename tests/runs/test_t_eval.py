@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import any_time, state_at
+from coadjoint.runs import output_times as any_time
+from coadjoint.runs import state_at
 from failing_parts import failing_parts
 from group_elements import random_element
 
@@ -311,9 +312,9 @@ def test_times_are_those_that_were_given_whatever_becomes_of_them():
 @pytest.mark.parametrize("step", [STEP, 2.0**-13])
 def test_more_times_than_there_is_memory_for(monkeypatch, step):
     """Between the steps, or at steps: as many saved points, which save_every would not change."""
-    monkeypatch.setattr("coadjoint.runs.room.SMALL", 0)
+    monkeypatch.setattr("coadjoint.runs.memory_estimate.SMALL", 0)
     monkeypatch.setattr("coadjoint.memory.available", lambda: 2 * 10**5)
-    monkeypatch.setattr("coadjoint.runs.any_time.PartsOfSteps", None)  # nothing is computed
+    monkeypatch.setattr("coadjoint.runs.output_times.PartsOfSteps", None)  # nothing is computed
     with pytest.raises(ValueError, match=r"^\d+ saved points of 1 member need about .* give fewer times in t_eval$"):
         co.integrate(BODY, X, (0, 1), step, t_eval=np.linspace(0.0, 1.0, 2**13 + 1))
 

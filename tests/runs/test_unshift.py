@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.files.export import rebuild
-from coadjoint.program.decompose import decompose
+from coadjoint.files.datasets.export import rebuild
+from coadjoint.program.parts.decompose import decompose
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -150,7 +150,7 @@ def test_an_element_depends_on_its_step_and_the_start_alone(name):
 
 
 def test_long_runs_are_filled_in_several_calls(monkeypatch):
-    from coadjoint.kernels import unshift
+    from coadjoint.kernels import casimir_shift as unshift
 
     system, x0 = SHIFTED["so(5)"], np.linspace(-0.3, 0.4, 10)
     once = co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude

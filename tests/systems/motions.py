@@ -4,8 +4,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.algebra.exact import fraction
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.exact.numbers import fraction
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 
 U = 2.0**-53
 FULL = np.array([[2.0, 0.25, -0.1], [0.25, 3.0, 0.5], [-0.1, 0.5, 4.0]])

@@ -7,7 +7,7 @@ import pytest
 from motions import FULL, ORDERS, U, assert_bounded, assert_integrals, by_hand, errors, turned
 
 import coadjoint as co
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.records.records import record_of, system_of
 
 MASS = np.array([[3.0, -0.5, 0.2], [-0.5, 2.0, 0.1], [0.2, 0.1, 4.0]])
 MIXED = np.array([[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]])

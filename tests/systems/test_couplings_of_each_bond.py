@@ -6,7 +6,7 @@ from spins_by_hand import by_hand, energy_by_hand
 
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.lattices import graph
+from coadjoint.systems.lattices.neighbours import graph
 
 spin_lattice = co.systems.spin_lattice
 LATTICES = {

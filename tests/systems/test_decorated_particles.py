@@ -7,8 +7,8 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
-from coadjoint.algebra.products import copies
+from coadjoint.algebra.families.products import copies
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.systems.canonical import beside, canonical_state
 
 decorated_particles = co.systems.decorated_particles

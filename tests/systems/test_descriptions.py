@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.systems.description import LONGEST_FORMULA, description
-from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from coadjoint.systems.registry import ready_made_systems, telling_of
 
 NAMES = co.systems.names()
 

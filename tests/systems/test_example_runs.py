@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.systems.closed_forms.sphere_points import over_sphere
 from coadjoint.systems.coordinate_names import coordinate_names
-from coadjoint.systems.ready_made import ready_made, telling_of
-from coadjoint.systems.starts import over_sphere
-from coadjoint.systems.telling import Picture, Telling
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.registry import ready_made, telling_of
 
 
 def example(name):

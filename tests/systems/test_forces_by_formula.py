@@ -6,9 +6,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.systems.forces.described import from_description
 from coadjoint.systems.forces.double_bracket import exponential
 from coadjoint.systems.forces.normal_deviates import normal_deviates, words_of
+from coadjoint.systems.forces.registry import from_description
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 X = np.array([0.7, -0.4, 1.1])

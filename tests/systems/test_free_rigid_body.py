@@ -10,9 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from coadjoint import systems
-from coadjoint.systems.elliptic_integrals import across_integral, amplitude
-from coadjoint.systems.free_rigid_body import free_rigid_body
-from coadjoint.systems.rigid_body import so3_body
+from coadjoint.systems.bodies.rigid_body import so3_body
+from coadjoint.systems.closed_forms.elliptic_integrals import across_integral, amplitude
+from coadjoint.systems.closed_forms.free_rigid_body import free_rigid_body
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -6,12 +6,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.hamiltonian import Hamiltonian, HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.separable import Separable
-from coadjoint.systems.split_hamiltonian import SplitHamiltonian
-from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.hamiltonian import (
+    Hamiltonian,
+    HamiltonianLike,
+    PolynomialHamiltonian,
+    as_hamiltonian,
+)
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separable import Separable
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 X = np.array([0.3, -0.7, 1.1, 0.4])
 CUBIC = Polynomial({(3, 0): 1.0, (1, 2): -2.0, (0, 1): 0.5})

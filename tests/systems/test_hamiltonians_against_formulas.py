@@ -8,10 +8,10 @@ import pytest
 import scipy.sparse
 
 import coadjoint as co
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.driven import Driven
-from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.polynomial_form import polynomial_of
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.driven import Driven
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 
 U = 2.0**-53
 TIMES = (0.0, 0.7, -1.3)

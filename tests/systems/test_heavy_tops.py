@@ -18,8 +18,8 @@ from scipy.integrate import quad
 from scipy.special import ellipj, ellipk
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
-from coadjoint.systems.goryachev_chaplygin_top import goryachev_chaplygin_integral
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.systems.bodies.goryachev_chaplygin_top import goryachev_chaplygin_integral
 
 
 @pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.75), FULL])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.records import record_of, system_of
+from coadjoint.files.records.records import record_of, system_of
 
 SO3, E3 = co.algebras.so(3), co.algebras.e(3)
 THIRD = co.Polynomial({(0, 0, 1): 1})

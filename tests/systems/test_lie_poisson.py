@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.families.products import direct_sum
+from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.products import direct_sum
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.forces.linear_damping import LinearDamping
-from coadjoint.systems.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separable import Separable
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.separable import Separable
-from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 
 U = 2.0**-53
 ALGEBRAS = {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.linear_term import PRESENT, check_linear, linear_of, with_all_present, with_linear
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.linear_term import PRESENT, check_linear, linear_of, with_all_present, with_linear
 
 M = np.array([[1.0, 0.5, 0.0, -0.25], [0.5, 2.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.75], [-0.25, 0.0, 0.75, 0.5]])
 X = np.array([0.3, -0.7, 1.1, 0.4])

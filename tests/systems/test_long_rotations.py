@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.free_rigid_body import exact_solution
+from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 
 U = 2.0**-53
 CASES = json.loads((Path(__file__).parent / "long_rotations_reference.json").read_text())["cases"]

@@ -9,7 +9,7 @@ import pytest
 from two_steps import assert_order
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 
 REFERENCES = Path(__file__).parents[1] / "verification" / "references" / "lie_poisson_systems.json"
 REFERENCE = next(s for s in json.loads(REFERENCES.read_text())["systems"] if s["name"] == "maxwell_bloch_real")

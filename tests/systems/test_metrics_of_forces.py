@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.forces.matrices import applied, root_of
+from coadjoint.systems.forces.rates import applied, root_of
 
 ORDERS = list(itertools.permutations(range(3)))
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import coadjoint as co
 from coadjoint.program.blocks import Kind
 from coadjoint.program.term_table import LINEAR
-from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 
 RNG = np.random.default_rng(20)
 

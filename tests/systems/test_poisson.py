@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separable import Separable
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.separable import Separable
 
 A = np.array([[0.0, 1.0, -2.0], [-1.0, 0.0, 0.5], [2.0, -0.5, 0.0]])
 

@@ -8,8 +8,8 @@ import pytest
 import scipy.sparse
 
 import coadjoint as co
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 U = 2.0**-53
 

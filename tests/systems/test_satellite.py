@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from two_steps import assert_bounded_by_order, assert_order, power
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 
 satellite = co.systems.satellite
 MOMENTS, MASS, GRAVITY = (1.0, 2.0, 2.5), 1.5, 0.8

@@ -7,8 +7,8 @@ from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
 from coadjoint.kernels.functions import TabledFunction
+from coadjoint.kernels.recording_tables import values_along
 from coadjoint.kernels.tables import invariants_table
-from coadjoint.kernels.watching import values_along
 
 CASES = {
     "A3,7": ({"a": 1.5}, (1.0, 0.7, -0.3), (0.7, 0.5, 0.4)),

@@ -13,8 +13,8 @@ from spins_by_hand import by_hand, energy_by_hand
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
-from coadjoint.systems.lattices import graph
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.systems.lattices.neighbours import graph
 from long import long_beyond
 
 spin_lattice = co.systems.spin_lattice

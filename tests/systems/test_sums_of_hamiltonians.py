@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.sum_of_hamiltonians import SumOfHamiltonians
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -193,7 +193,7 @@ def test_many_entries_stay_sparse():
 
 
 def test_sums_are_saved_and_read_back(tmp_path):
-    from coadjoint.files.records import record_of, system_of
+    from coadjoint.files.records.records import record_of, system_of
 
     H = co.Polynomial("x1^3 + 0.1*x2*x3", dim=3) + co.SplitHamiltonian([((0,), co.Quadratic(2.0))]) / 2
     system = co.LiePoissonSystem(co.algebras.so(3), H)
@@ -212,7 +212,7 @@ def test_sums_are_saved_and_read_back(tmp_path):
 
 
 def test_the_linear_term_of_a_sum_can_change():
-    from coadjoint.systems.linear_term import linear_of, with_linear
+    from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 
     for H in (co.Quadratic([1.0, 2.0, 3.0], linear=a[:3]) + KINDS["split"](), KINDS["split"]() + KINDS["separable"]()):
         system = co.LiePoissonSystem(co.algebras.so(3), H)
@@ -235,7 +235,7 @@ def test_ready_made_systems_give_their_hamiltonians():
 
 
 def test_driven_ones():
-    from coadjoint.systems.driven import Driven
+    from coadjoint.systems.hamiltonians.driven import Driven
 
     H = Driven(co.Quadratic([1.0, 2.0, 3.0]), lambda t: (0.0, np.sin(t), 2.0), sites=1, axes=3, what="field")
     x = POINTS[0]
@@ -247,7 +247,7 @@ def test_driven_ones():
 
 
 def made_of_each_kind():
-    from coadjoint.systems.driven import Driven
+    from coadjoint.systems.hamiltonians.driven import Driven
 
     def force(t):
         return 0.0, np.sin(t), 2.0

@@ -6,9 +6,9 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
-from coadjoint.systems.polynomial_form import polynomial_of
-from coadjoint.systems.toda import traces
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
+from coadjoint.systems.lattices.toda import traces
 
 LENGTHS = [2, 3, 5]
 MADE = {"open": co.systems.toda, "ring": co.systems.toda_ring}

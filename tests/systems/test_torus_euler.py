@@ -5,8 +5,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.matrices.torus_modes import modes_of_matrix
-from coadjoint.systems.torus_euler import torus_euler
 from torus import first_modes, last_modes, mode, of_size, smooth
 
 

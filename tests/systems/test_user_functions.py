@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time
 
 

@@ -6,7 +6,7 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 
 K, L = 0.75, 1.25
 FIRST, SECOND = (1.0, 0.5), (-0.25, 1.5)

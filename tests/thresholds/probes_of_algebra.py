@@ -6,21 +6,21 @@ from fractions import Fraction
 import numpy as np
 
 import coadjoint as co
-from coadjoint.algebra.exact import fits
-from coadjoint.algebra.formulas import read_formula
+from coadjoint.algebra.exact.numbers import fits
+from coadjoint.algebra.exact.numerical_kernel import _leading_form
+from coadjoint.algebra.exact.numerical_rank import clear_rank
+from coadjoint.algebra.exact.rational_constants import as_fraction
+from coadjoint.algebra.families.moments import moments
 from coadjoint.algebra.group_elements import why_no_automorphism
-from coadjoint.algebra.logarithmic import LogarithmicSum
-from coadjoint.algebra.moments import moments
-from coadjoint.algebra.numerical_kernel import _leading_form
-from coadjoint.algebra.numerical_rank import clear_rank
-from coadjoint.algebra.rational_constants import as_fraction
+from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+from coadjoint.algebra.polynomials.formulas import read_formula
+from coadjoint.algebra.polynomials.number_literals import read_constant
 from coadjoint.algebra.representation import invariant_form
-from coadjoint.algebra.written_numbers import read_constant
 from commuting_actions import acting
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
 
 ELEMENTS, REPRESENTATION = "algebra/group_elements.py", "algebra/representation.py"
-FORMULAS = "algebra/formula_reader.py"
+FORMULAS = "algebra/polynomials/formula_parser.py"
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -57,7 +57,7 @@ def a_coadjoint_matrix_keeps_the_brackets(off):
     return why_no_automorphism(K[None], co.algebras.so(3).structure_matrix) is None
 
 
-@probe(("algebra/joins.py", "DEFECT_FACTOR"), at=64 * U)
+@probe(("algebra/exact/sparse_sums.py", "DEFECT_FACTOR"), at=64 * U)
 def the_jacobi_identity_holds(off):
     """Two matrices that act on a plane commute up to a difference of two products of one size."""
     r = math.pi
@@ -65,7 +65,7 @@ def the_jacobi_identity_holds(off):
     return accepted(lambda: acting(first, second), "Jacobi")
 
 
-@limit(("algebra/logarithmic.py", "DENOMINATOR"), at=1000)
+@limit(("algebra/invariants/logarithmic.py", "DENOMINATOR"), at=1000)
 def two_angles_have_a_common_period(denominator):
     x, y = co.Polynomial.variable(0, 2), co.Polynomial.variable(1, 2)
     angle = LogarithmicSum.angle(y, x)
@@ -74,58 +74,58 @@ def two_angles_have_a_common_period(denominator):
     return period is not None
 
 
-@limit(("algebra/matrix_states.py", "LARGEST"), at=4096)
+@limit(("algebra/families/matrix_algebra.py", "LARGEST"), at=4096)
 def a_matrix_algebra_is_not_too_large(N):
     return accepted(lambda: co.MatrixAlgebra("su", N), "4096")
 
 
-@probe(("algebra/matrix_states.py", "ROUNDED"), at=64 * U)
+@probe(("algebra/families/matrix_algebra.py", "ROUNDED"), at=64 * U)
 def a_matrix_is_in_its_algebra(off):
     """Times N = 4; the nearest skew matrix takes half of what one entry is off."""
     W = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -1, 0]])
     return accepted(lambda: co.MatrixAlgebra("so", 4).read(perturbed(W, (0, 2), 8 * off), "W"), "differs by")
 
 
-@probe(("algebra/matrix_states.py", "SPARED"), at=8 * U)
+@probe(("algebra/families/matrix_algebra.py", "SPARED"), at=8 * U)
 def a_mean_of_the_diagonal_is_left(mean):
     W = 1j * (np.diag([1.0, -1.0]) + mean * np.eye(2)) / 2.0
     return bool(np.trace(co.MatrixAlgebra("su", 2).read(W, "W")))
 
 
 @probe(
-    ("algebra/numerical_rank.py", "GAP"),
-    ("algebra/numerical_rank.py", "singular[rank - 1] < GAP * roundoff"),
+    ("algebra/exact/numerical_rank.py", "GAP"),
+    ("algebra/exact/numerical_rank.py", "singular[rank - 1] < GAP * roundoff"),
     at=2.0**10,
 )
 def a_singular_value_is_not_clear(ratio):
     return not accepted(lambda: clear_rank(np.array([1.0, ratio * 1e-15]), 1e-15, "J(x)"), "rank")
 
 
-@probe(("algebra/numerical_rank.py", "singular > roundoff"), at=1.0)
+@probe(("algebra/exact/numerical_rank.py", "singular > roundoff"), at=1.0)
 def a_singular_value_is_zero(ratio):
     """Of the round-off; above, it is refused."""
     found = []
     return accepted(lambda: found.append(clear_rank(np.array([1.0, ratio * 1e-15]), 1e-15, "J(x)"))) and found == [1]
 
 
-@probe(("algebra/numerical_kernel.py", "PIVOT"), at=2.0**-20)
+@probe(("algebra/exact/numerical_kernel.py", "PIVOT"), at=2.0**-20)
 def a_leading_coefficient_is_not_clear(size):
     return not accepted(lambda: _leading_form(np.array([[size, np.sqrt(1.0 - size**2)]]), 1e-14), "leading")
 
 
-@limit(("algebra/moments.py", "HIGHEST_DETERMINANT"), at=10)
+@limit(("algebra/families/moments.py", "HIGHEST_DETERMINANT"), at=10)
 def the_catalecticant_is_known(degree):
     return "catalecticant" in moments(degree + degree % 2).casimirs_known
 
 
-@limit(("algebra/moments.py", "max(i, j) < 10"), at=9)
+@limit(("algebra/families/moments.py", "max(i, j) < 10"), at=9)
 def moments_have_names_of_two_digits(degree):
-    from coadjoint.algebra.moments import moment_name
+    from coadjoint.algebra.families.moments import moment_name
 
     return "," not in moment_name(degree, 0)
 
 
-@limit(("algebra/moments.py", "HIGHEST"), at=100)
+@limit(("algebra/families/moments.py", "HIGHEST"), at=100)
 def a_degree_of_moments_is_in_range(degree):
     """An odd degree in range is refused for another reason."""
     try:
@@ -135,7 +135,7 @@ def a_degree_of_moments_is_in_range(degree):
     raise AssertionError("an odd degree is accepted")
 
 
-@limit(("algebra/polynomial.py", "MOST_DEGREE"), at=1024)
+@limit(("algebra/polynomials/polynomial.py", "MOST_DEGREE"), at=1024)
 def a_degree_is_not_too_high(degree):
     x = co.Polynomial.variable(0, 1)
     by_power, by_mapping = (
@@ -163,23 +163,23 @@ def a_product_has_not_too_many_terms(counts):
     return accepted(lambda: read_formula("*".join(factors), {}, 2), "terms")
 
 
-@limit(("algebra/written_numbers.py", "MOST_DIGITS"), at=400)
+@limit(("algebra/polynomials/number_literals.py", "MOST_DIGITS"), at=400)
 def a_written_number_has_not_too_many_digits(digits):
     """Leading zeros leave the number small."""
     return accepted(lambda: read_constant("1".zfill(digits)), "digits")
 
 
-@limit(("algebra/exact.py", "value.denominator.bit_length() > 4096"), at=4096)
+@limit(("algebra/exact/numbers.py", "value.denominator.bit_length() > 4096"), at=4096)
 def a_fraction_is_not_too_long(bits):
     return fits(Fraction(1, 2 ** (bits - 1)))
 
 
-@limit(("algebra/rational_constants.py", "DENOMINATOR"), at=10**6)
+@limit(("algebra/exact/rational_constants.py", "DENOMINATOR"), at=10**6)
 def a_float_is_a_simple_fraction(denominator):
     return as_fraction(1 / denominator) is not None
 
 
-@probe(("algebra/rational_constants.py", "SIZE"), at=2.0**45)
+@probe(("algebra/exact/rational_constants.py", "SIZE"), at=2.0**45)
 def a_fraction_is_believed(size):
     """An odd numerator over 2^16."""
     return as_fraction((size / 2.0**16 + 1) / 2.0**16) is not None

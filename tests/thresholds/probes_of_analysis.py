@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 import coadjoint as co
+from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks.convergence import allowed
 from coadjoint.analysis.checks.reference import motion, natural_time
-from coadjoint.analysis.given_step import scheme_and_claims
 from coadjoint.analysis.order import fit_order
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.poisson_defect import defect_of_tangent
@@ -83,7 +83,7 @@ def invariants_are_kept_over_a_run(off):
     return found
 
 
-@probe(("analysis/sampled.py", "off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))"), at=64 * U)
+@probe(("analysis/signals.py", "off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))"), at=64 * U)
 def times_are_even(off):
     t = perturbed(np.arange(129.0) / 128.0, (64,), off)
     return accepted(lambda: co.frequencies(t, np.cos(40.0 * t), count=1), "equidistant")
@@ -101,7 +101,7 @@ def errors_are_enough_for_an_order(count):
     return accepted(lambda: fit_order(h, h**2, 1e-15), "needs 3")
 
 
-@limit(("analysis/modified_field.py", "MOST"), at=64)
+@limit(("analysis/backward_error/modified_field.py", "MOST"), at=64)
 def an_order_of_a_modified_field_is_in_range(order):
     """Refused for its number, and not for the Hamiltonian in time."""
     timed = co.LiePoissonSystem(
@@ -114,12 +114,12 @@ def an_order_of_a_modified_field_is_in_range(order):
     raise AssertionError("accepted")
 
 
-@limit(("analysis/given_step.py", "MOST_ORDER"), at=256)
+@limit(("analysis/certificates/claims.py", "MOST_ORDER"), at=256)
 def a_stated_order_is_in_range(order):
     return accepted(lambda: scheme_and_claims(TURNING, lambda x, h: x, order, None, None), "256")
 
 
-@limit(("analysis/certify.py", "MOST_STEPS"), at=10**7)
+@limit(("analysis/certificates/certify.py", "MOST_STEPS"), at=10**7)
 def a_certificate_has_not_too_many_steps(steps):
     """Refused for their number, and otherwise for the state."""
     try:
@@ -129,7 +129,7 @@ def a_certificate_has_not_too_many_steps(steps):
     raise AssertionError("accepted")
 
 
-@sides(("analysis/certify.py", "SIZES"), below=(2e-75, 0.5e75), above=(0.5e-75, 2e75))
+@sides(("analysis/certificates/certify.py", "SIZES"), below=(2e-75, 0.5e75), above=(0.5e-75, 2e75))
 def states_of_a_certificate_have_a_size(sizes):
     """States at rest; what is in range is looked at."""
     (found,) = {accepted(lambda s=s: co.certify(TURNING, co.GaussLegendre(1), (s, 0, 0), 0.1, steps=1)) for s in sizes}

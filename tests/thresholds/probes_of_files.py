@@ -5,19 +5,19 @@ import time
 
 import numpy as np
 
-from coadjoint.files.configuration_text import tables_of
-from coadjoint.files.record_entries import Entry
-from coadjoint.files.stored_arrays import StoredArray
-from coadjoint.files.stored_numbers import numbers_from
-from coadjoint.files.sweep_models import SweepTable
-from coadjoint.given import check_power, read_title
-from coadjoint.methods.preprocessed_source import settled
+from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.archives.stored_numbers import numbers_from
+from coadjoint.files.configuration.parsing import tables_of
+from coadjoint.files.configuration.sweep_models import SweepTable
+from coadjoint.files.records.entries import Entry
+from coadjoint.methods.compiled_steps.preprocessed_source import settled
+from coadjoint.validation import check_power, read_title
 from thresholds.probing import accepted, limit, probe, sides
 
-ARRAYS, ENTRIES = "files/stored_arrays.py", "files/record_entries.py"
+ARRAYS, ENTRIES = "files/archives/stored_arrays.py", "files/records/entries.py"
 
 
-@limit(("files/configuration_text.py", "MOST_NESTED"), at=64)
+@limit(("files/configuration/parsing.py", "MOST_NESTED"), at=64)
 def a_key_has_not_too_many_parts(parts):
     return accepted(lambda: tables_of("run.toml", ".".join(["a"] * parts) + " = 1"), "64")
 
@@ -45,18 +45,18 @@ def a_whole_number_is_in_range(number):
     return accepted(lambda: Entry(number, "steps").whole(), "whole")
 
 
-@limit(("files/sweep_models.py", "LARGEST_SEED"), at=2**63 - 1)
+@limit(("files/configuration/sweep_models.py", "LARGEST_SEED"), at=2**63 - 1)
 def a_seed_of_a_sweep_is_in_range(seed):
     given = {"samples": 2, "seed": seed, "over": {"x": {"uniform": [0.0, 1.0]}}}
     return accepted(lambda: SweepTable.model_validate(given))
 
 
-@limit(("given.py", "LONGEST_TITLE"), at=200)
+@limit(("validation.py", "LONGEST_TITLE"), at=200)
 def a_title_is_not_too_long(letters):
     return accepted(lambda: read_title("x" * letters, "name"), "200")
 
 
-@probe(("given.py", "power * math.log2(max(abs(number), 1.0)) >= 1024.0"), at=1024.0)
+@probe(("validation.py", "power * math.log2(max(abs(number), 1.0)) >= 1024.0"), at=1024.0)
 def a_power_is_in_range(bits):
     return accepted(lambda: check_power(2.0 ** (bits / 4), 4, "step"), "range")
 
@@ -86,14 +86,14 @@ def a_chunk_has_not_too_many_bytes(rows):
     return stored(("time", "x"), (1, 2**10), (rows, 2**10))
 
 
-@sides(("methods/preprocessed_source.py", "SETTLED"), below=4.0, above=1.0)
+@sides(("methods/compiled_steps/preprocessed_source.py", "SETTLED"), below=4.0, above=1.0)
 def files_are_settled(seconds):
     """Compared with the clock, of which a second is left for the call."""
     when = time.time_ns() - int(seconds * 1e9)
     return settled({b"source": (0, 0, 0, when, when)})
 
 
-@limit(("files/stored_numbers.py", "MOST_AXES"), at=8)
+@limit(("files/archives/stored_numbers.py", "MOST_AXES"), at=8)
 def stored_numbers_have_not_too_many_axes(axes):
     content = io.BytesIO()
     np.savez(content, x=np.zeros((1,) * axes))

@@ -3,10 +3,10 @@
 import numpy as np
 
 import coadjoint as co
-from coadjoint.program.bonds import bonds
-from coadjoint.program.split import NotSplit
-from coadjoint.program.unshift import _cholesky
-from coadjoint.runs.stretching import make_orthonormal
+from coadjoint.program.parts.bonds import bonds
+from coadjoint.program.parts.split import NotSplit
+from coadjoint.program.shifts.group_correction import _cholesky
+from coadjoint.runs.tangent_stretching import make_orthonormal
 from coadjoint.runs.times import times_between
 from thresholds.probing import U, accepted, limit, probe, sides
 
@@ -61,7 +61,7 @@ def substeps_are_not_too_many(count):
 
 
 @probe(
-    ("methods/order_conditions.py", "UNIT_ROUNDOFF * 8 * len(coefficients) * scale ** order"),
+    ("methods/formal/order_conditions.py", "UNIT_ROUNDOFF * 8 * len(coefficients) * scale ** order"),
     at=24 * U * 1.7024143839193153**3,
 )
 def a_triple_jump_has_order_four(off):
@@ -106,13 +106,13 @@ def bonded(system):
     return True
 
 
-@sides(("program/bonds.py", "8 * UNIT_ROUNDOFF"), below=0.0, above=2.0 * U)
+@sides(("program/parts/bonds.py", "8 * UNIT_ROUNDOFF"), below=0.0, above=2.0 * U)
 def a_coupling_of_spins_is_isotropic(off):
     """Coordinates of spins have the scale 1, and are compared to the last bit."""
     return bonded(co.systems.spin_lattice("chain", 2, tensor=(1.0, 1.0, 1.0 + off)))
 
 
-@probe(("program/bonds.py", "8 * UNIT_ROUNDOFF"), at=8 * U)
+@probe(("program/parts/bonds.py", "8 * UNIT_ROUNDOFF"), at=8 * U)
 def a_coupling_of_scaled_spins_is_isotropic(off):
     """[e1, e2] = 4 e3, [e2, e3] = e1, [e3, e1] = e2: an isotropic energy has the form (1, 1, 1/4) or the like."""
     brackets = {}
@@ -158,17 +158,17 @@ def events_are_not_too_many(count):
     return accepted(lambda: co.integrate(BODY, (1, 2, 3), (0.0, 1.0), 0.5, events=[co.Event(0)] * count), "64")
 
 
-@probe(("runs/any_time.py", "ROUNDINGS"), at=4)
+@probe(("runs/output_times.py", "ROUNDINGS"), at=4)
 def a_time_is_that_of_the_end(places):
     t = 1.0 + places * np.spacing(1.0)
     return accepted(lambda: co.integrate(BODY, (1, 2, 3), (0.0, 1.0), 0.25, t_eval=[t]), "t_eval")
 
 
-@probe(("runs/stretching.py", "NEARLY_DEPENDENT"), at=2.0**-26)
+@probe(("runs/tangent_stretching.py", "NEARLY_DEPENDENT"), at=2.0**-26)
 def vectors_are_nearly_dependent(angle):
     return make_orthonormal(np.array([[1.0, np.cos(angle)], [0.0, np.sin(angle)]])) is None
 
 
-@sides(("program/unshift.py", "WORST_PIVOT"), below=2.0**-19, above=2.0**-21)
+@sides(("program/shifts/group_correction.py", "WORST_PIVOT"), below=2.0**-19, above=2.0**-21)
 def a_form_is_definite(pivot):
     return _cholesky(np.diag([1.0, pivot])) is not None

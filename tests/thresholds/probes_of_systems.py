@@ -6,17 +6,17 @@ import numpy as np
 from scipy.sparse import csr_array
 
 import coadjoint as co
-from coadjoint.systems.forces.matrices import root_of
+from coadjoint.systems.closed_forms.spin_integrals import _kernel
+from coadjoint.systems.forces.rates import root_of
 from coadjoint.systems.matrices.streams import DiagonalSolve
 from coadjoint.systems.matrices.torus_grid import coordinates, recognized
-from coadjoint.systems.spin_integrals import _kernel
 from coadjoint.systems.unit_range import read_in_range
 from coadjoint.systems.user_functions import SEED, check_derivative, sample_points
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
 
-BODY_WARNINGS, PARTICLES = "systems/bodies_there_are.py", "systems/decorated_particles.py"
+BODY_WARNINGS, PARTICLES = "systems/bodies/inertia_warnings.py", "systems/fluids/decorated_particles.py"
 SPHERE, TORUS = "systems/matrices/spherical_modes.py", "systems/matrices/torus_modes.py"
-ENERGY, LATTICE = "systems/matrices/matrix_energy.py", "systems/spin_lattice.py"
+ENERGY, LATTICE = "systems/matrices/matrix_energy.py", "systems/lattices/spin_lattice.py"
 
 
 def silent(call):
@@ -38,7 +38,7 @@ def a_quadratic_form_is_symmetric(off):
     return dense
 
 
-@probe(("systems/inertia.py", "asymmetry.max() > 64 * UNIT_ROUNDOFF * np.abs(matrix).max()"), at=64 * U)
+@probe(("systems/bodies/inertia.py", "asymmetry.max() > 64 * UNIT_ROUNDOFF * np.abs(matrix).max()"), at=64 * U)
 def an_inertia_tensor_is_symmetric(off):
     tensor = perturbed([[2.0, 0.25, 0.0], [0.25, 2.0, 0.0], [0.0, 0.0, 2.0]], (0, 1), 2.0 * off)
     return accepted(lambda: co.systems.rigid_body(tensor), "symmetric")
@@ -56,7 +56,10 @@ def a_mass_is_negative_by_rounding(share):
 
 
 @probe(
-    ("systems/so_n_body.py", "lightest <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max())"),
+    (
+        "systems/bodies/so_n_body.py",
+        "lightest <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max())",
+    ),
     at=12 * U,
 )
 def two_principal_values_of_a_tensor_vanish(light):
@@ -67,14 +70,18 @@ def two_principal_values_of_a_tensor_vanish(light):
         return not accepted(lambda: co.systems.so_n_body(tensor), "whose sum")
 
 
-@probe(("systems/clebsch_body.py", "abs(missed) > 8 * UNIT_ROUNDOFF * size"), at=8 * U)
+@probe(("systems/bodies/clebsch_body.py", "abs(missed) > 8 * UNIT_ROUNDOFF * size"), at=8 * U)
 def coefficients_are_of_a_clebsch_case(off):
     """Of I = c = (1, 2, 3) the absolute products add up to 1 * 5 + 2 * 4 + 3 * 3 = 22; c3 counts I1 - I2 = -1 times."""
     return accepted(lambda: co.systems.clebsch_body((1.0, 2.0, 3.0), (1.0, 2.0, 3.0 + 22.0 * off)), "Clebsch")
 
 
 @probe(
-    ("systems/decorated_potential.py", "abs(right - left) <= 64 * UNIT_ROUNDOFF * (abs(right) + abs(left))"), at=64 * U
+    (
+        "systems/hamiltonians/decorated_potential.py",
+        "abs(right - left) <= 64 * UNIT_ROUNDOFF * (abs(right) + abs(left))",
+    ),
+    at=64 * U,
 )
 def a_pair_potential_is_even(off):
     """1 for positive r, and for negative r a little more; no derivative sees that."""
@@ -108,7 +115,10 @@ class Stated:
 
 
 @probe(
-    ("systems/own_hamiltonian.py", "np.abs(found - stated) <= 2.0 ** 10 * UNIT_ROUNDOFF * (size + np.abs(stated))"),
+    (
+        "systems/hamiltonians/user_hamiltonian_check.py",
+        "np.abs(found - stated) <= 2.0 ** 10 * UNIT_ROUNDOFF * (size + np.abs(stated))",
+    ),
     at=2.0**10 * U,
 )
 def terms_and_gradient_agree(off):
@@ -122,7 +132,10 @@ def a_structure_matrix_is_skew(off):
     return accepted(lambda: co.PoissonSystem(lambda x: J, co.Quadratic((1.0, 2.0))), "skew")
 
 
-@probe(("systems/spin_integrals.py", "np.abs(units @ axis).max() <= 16 * UNIT_ROUNDOFF / min(size, 1.0)"), at=16 * U)
+@probe(
+    ("systems/closed_forms/spin_integrals.py", "np.abs(units @ axis).max() <= 16 * UNIT_ROUNDOFF / min(size, 1.0)"),
+    at=16 * U,
+)
 def an_axis_is_left_by_all_rows(tilt):
     """Two rows leave the third axis, up to the entry that the third row has there."""
     return bool(len(_kernel(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, tilt]]))))
@@ -175,7 +188,7 @@ def coefficients_of_a_torus_are_of_a_real_field(off):
     return found
 
 
-@probe(("systems/torus_euler.py", "np.abs(w) > 1e-14 * size"), at=1e-14)
+@probe(("systems/fluids/torus_euler.py", "np.abs(w) > 1e-14 * size"), at=1e-14)
 def a_mode_of_a_torus_is_rounding(size):
     """Of a matrix of the algebra: entries are sums of modes of size 1, so that the smaller one is added here."""
     torus = co.systems.torus_euler(5)
@@ -190,18 +203,18 @@ def coordinates_are_equally_spaced(off):
     return accepted(lambda: recognized(perturbed(coordinates(8), (3,), off), "x"), "spaced")
 
 
-@probe(("systems/forces/own_force.py", "np.max(np.abs(still - x)) > 1e-09 * np.max(np.abs(x))"), at=1e-9)
+@probe(("systems/forces/custom_force.py", "np.max(np.abs(still - x)) > 1e-09 * np.max(np.abs(x))"), at=1e-9)
 def a_flow_moves_nothing_in_no_time(off):
     force = co.forces.OwnForce(lambda x, t, tau: x * (1.0 + off))
     return accepted(lambda: co.ForcedSystem(co.systems.rigid_body((1, 2, 3)), [force]), "tau = 0")
 
 
-@probe(("systems/forces/matrices.py", "64 * n * UNIT_ROUNDOFF * size"), at=3 * 64 * U)
+@probe(("systems/forces/rates.py", "64 * n * UNIT_ROUNDOFF * size"), at=3 * 64 * U)
 def a_metric_is_positive_up_to_rounding(below):
     return accepted(lambda: root_of(((1.0, 0.0, 0.0), (0.0, -below, 0.0), (0.0, 0.0, 1.0)), "metric"), "semidefinite")
 
 
-@probe(("systems/forces/matrices.py", "64 * n * UNIT_ROUNDOFF * size"), at=2 * 64 * U)
+@probe(("systems/forces/rates.py", "64 * n * UNIT_ROUNDOFF * size"), at=2 * 64 * U)
 def a_small_entry_of_a_metric_is_rounding(size):
     return root_of(((1.0, 0.0), (0.0, size)), "metric")[1, 1] == 0.0
 
@@ -270,14 +283,14 @@ def a_unit_is_in_range(size):
     return large
 
 
-@probe(("systems/sphere_euler.py", "FASTEST"), at=1e100)
+@probe(("systems/fluids/sphere_euler.py", "FASTEST"), at=1e100)
 def a_sphere_turns_slowly_enough(rotation):
     return accepted(lambda: co.systems.sphere_euler(4, rotation), "rotation") and accepted(
         lambda: co.systems.sphere_euler(4, -rotation), "rotation"
     )
 
 
-@sides(("systems/torus_euler.py", "LARGEST"), below=1001, above=1003)
+@sides(("systems/fluids/torus_euler.py", "LARGEST"), below=1001, above=1003)
 def a_torus_is_not_too_large(N):
     return accepted(lambda: co.systems.torus_euler(N), "1001")
 
@@ -318,30 +331,30 @@ def parameters_of_a_lattice_are_kept(numbers):
     return co.systems.spin_lattice(ring, sites).parameters is not None
 
 
-@limit(("systems/spin_integrals.py", "LARGEST_SQUARE"), at=64)
+@limit(("systems/closed_forms/spin_integrals.py", "LARGEST_SQUARE"), at=64)
 def the_square_of_the_total_spin_is_given(sites):
     return "|total S|^2" in co.systems.spin_lattice("chain", sites, field=(0.0, 0.0, 0.5)).integrals
 
 
-@limit(("systems/toda.py", "COMPLETE"), at=8)
+@limit(("systems/lattices/toda.py", "COMPLETE"), at=8)
 def all_traces_of_a_toda_lattice_are_given(sites):
     return f"tr L^{sites}" in co.systems.toda(sites).integrals
 
 
-@limit(("systems/toda.py", "LONGEST_POLYNOMIALS"), at=64)
+@limit(("systems/lattices/toda.py", "LONGEST_POLYNOMIALS"), at=64)
 def traces_of_a_toda_lattice_are_given(sites):
     ring = co.systems.toda_ring(sites)
     assert ("product of a" in ring.casimirs) == bool(ring.integrals)
     return bool(co.systems.toda(sites).integrals)
 
 
-@limit(("systems/manakov_integrals.py", "HIGHEST_N"), at=6)
+@limit(("systems/closed_forms/manakov_integrals.py", "HIGHEST_N"), at=6)
 def integrals_of_higher_degree_are_given(n):
     a = np.arange(1.0, n + 1)
     return "X^4 a" in co.systems.manakov_top(a, a**2).integrals
 
 
-@limit(("systems/manakov_integrals.py", "HIGHEST_POWER"), at=12)
+@limit(("systems/closed_forms/manakov_integrals.py", "HIGHEST_POWER"), at=12)
 def there_is_a_quadratic_integral_for_each_power(n):
     """Powers from 1 to n - 2, and 10 at most."""
     a = np.arange(1.0, n + 1)
@@ -364,7 +377,7 @@ def traces_of_powers_are_not_too_many(powers):
     return accepted(lambda: co.MatrixSystem(co.MatrixAlgebra("so", 4), lambda W: 2.0 * W, powers=powers), "powers")
 
 
-@limit(("systems/lattices.py", "MOST_SITES"), at=2**30)
+@limit(("systems/lattices/neighbours.py", "MOST_SITES"), at=2**30)
 def sites_are_not_too_many(sites):
     """Refused for their number; below that for an edge that leaves the lattice."""
     try:
@@ -374,13 +387,13 @@ def sites_are_not_too_many(sites):
     raise AssertionError("accepted")
 
 
-@limit(("systems/vlasov_moments.py", "MOST_LETTERS"), at=10_000)
+@limit(("systems/fluids/vlasov_moments.py", "MOST_LETTERS"), at=10_000)
 def a_written_potential_is_not_too_long(letters):
     return accepted(lambda: co.systems.vlasov_moments(potential="1/2*x20".ljust(letters)), "characters")
 
 
 @probe(
-    ("systems/followed_casimirs.py", "operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)"),
+    ("systems/recorded_casimirs.py", "operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)"),
     at=(64 + 2 * 3 + 3) * U,
 )
 def a_function_is_a_casimir(off):
@@ -401,7 +414,7 @@ def _largest_casimir(off):
 
 
 @probe(
-    ("systems/known_integrals.py", "rate > (work + found[2]) * UNIT_ROUNDOFF * float(found[1] @ sizes)"),
+    ("systems/integral_checks.py", "rate > (work + found[2]) * UNIT_ROUNDOFF * float(found[1] @ sizes)"),
     at=2 * (64 + 2 * 3 + 3) * U,
 )
 def a_function_is_an_integral(off):

@@ -8,8 +8,8 @@ import numpy as np
 
 import coadjoint as co
 from coadjoint.kernels.tangents import Frame, stretches_in, vectors_in
-from coadjoint.methods.flow_method import FlowMethod
-from coadjoint.program.reading import Reading
+from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.program.interpreter import Reading
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of

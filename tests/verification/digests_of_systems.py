@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
-from coadjoint.methods.suggested import suggested_scheme
-from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.systems.registry import ready_made_systems, telling_of
 from random_runs.cases import case_of
 from random_runs.comparisons import run
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.archives import archive_run
-from coadjoint.files.records import record_of
+from coadjoint.files.archives.resume import archive_run
+from coadjoint.files.records.records import record_of
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.batch import Batch
@@ -175,9 +175,9 @@ def test_there_are_enough_cases():
 @pytest.mark.parametrize("members", [None, 5])
 def test_points_are_let_go(tmp_path, monkeypatch, method, members):
     """Of a run of many chunks no more than one chunk is in memory, and a commit between them makes no difference."""
-    monkeypatch.setattr("coadjoint.files.stored_arrays.FEWEST_ROWS", 8)
-    monkeypatch.setattr("coadjoint.files.stored_arrays.MOST_ROWS", 8)
-    monkeypatch.setattr("coadjoint.files.archived_run.FIRST_STRETCH", 5)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.FEWEST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MOST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_STRETCH", 5)
     held, original = [], PiecewiseRun.piece
     monkeypatch.setattr(PiecewiseRun, "piece", lambda self: (held.append(len(self.run.saved["x"])), original(self))[1])
     system, x = systems()["e(3), heavy top"]

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.systems.rigid_body import so3_body
+from coadjoint.systems.bodies.rigid_body import so3_body
 
 from .measures import U, group_bound, order_of
 from .schemes_under_test import schemes, serves

@@ -8,12 +8,12 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing.pilot import short_run
 from coadjoint.program.blocks import Kind
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.program.reading import Reading
-from coadjoint.program.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.split import split
+from coadjoint.program.interpreter import Reading
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.split import split
+from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
 from coadjoint.runs import run as run_module
-from coadjoint.systems.rigid_body import so3_body
+from coadjoint.systems.bodies.rigid_body import so3_body
 from group_elements import random_element
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket

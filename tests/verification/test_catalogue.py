@@ -14,9 +14,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.algebra.low_dimensional import entries, parameters_of
-from coadjoint.program.decompose import decompose
-from coadjoint.program.squares import complete_squares
+from coadjoint.algebra.families.low_dimensional import entries, parameters_of
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.squares import complete_squares
 
 from .measures import MeasuredOrder, U, final_states, gradient_of, order_of, poisson_defect, states_around
 from .systems_under_test import Case, full_matrix

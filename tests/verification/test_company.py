@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.files.archived_run import FIRST_STRETCH
+from coadjoint.files.archives.archived_run import FIRST_STRETCH
 from coadjoint.systems.matrices.streams import Weights
 
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))

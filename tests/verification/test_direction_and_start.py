@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.export import dataset_of, rebuild, solution_inputs
+from coadjoint.files.datasets.export import dataset_of, rebuild, solution_inputs
 
 from .schemes_under_test import schemes, serves
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
-from coadjoint.program.reading import Reading
+from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.program.interpreter import Reading
 from coadjoint.program.table import build_program
 from long import long_between, long_beyond, long_where
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.gauss_coefficients import gauss_legendre
+from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 
 from .measures import U, drift_bounds, measured_order
 from .systems_under_test import all_cases, cases, full_matrix

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.parts_of_steps import PartsOfSteps
+from coadjoint.runs.partial_steps import PartsOfSteps
 
 from .measures import U
 from .schemes_under_test import pairs, schemes
@@ -100,7 +100,7 @@ def test_members_of_another_structure_and_inputs():
 
 
 def test_threads_and_chunks_change_no_bit(monkeypatch):
-    from coadjoint.runs import parts_of_steps
+    from coadjoint.runs import partial_steps as parts_of_steps
 
     system, method = co.systems.kovalevskaya_top(), co.Splitting(order=4)
     rng = np.random.default_rng(3)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
-from coadjoint.methods.power_series import expand
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.methods.formal.power_series import expand
 from long import long_beyond
 from random_runs.algebras import some_algebra
 from random_runs.hamiltonians import matrix, polynomial

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.description import limit
+from coadjoint.kernels.interface import limit
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import Run
 from coadjoint.runs.state import RunState

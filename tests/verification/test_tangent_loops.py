@@ -149,7 +149,7 @@ def test_many_rotations_at_once_and_series():
 
 def test_a_large_state_is_watched_alone():
     """Beyond the dimension up to which steps go side by side the same loop runs with one number at a time."""
-    from coadjoint.kernels.description import limit
+    from coadjoint.kernels.interface import limit
 
     spins = limit("WIDEST") // 3 + 2
     algebra = co.algebras.copies(co.algebras.so(3), spins)

@@ -6,17 +6,17 @@ import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.algebra.classical import gl, sl, sp
-from coadjoint.algebra.heisenberg import heisenberg
+from coadjoint.algebra.families.classical import gl, sl, sp
+from coadjoint.algebra.families.heisenberg import heisenberg
+from coadjoint.algebra.families.low_dimensional import A3_7, entries, low_dimensional
+from coadjoint.algebra.families.orthogonal import e, se, so
+from coadjoint.algebra.families.products import copies, direct_sum, semidirect
+from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra
+from coadjoint.algebra.families.unitary import su, u
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.low_dimensional import A3_7, entries, low_dimensional
-from coadjoint.algebra.orthogonal import e, se, so
-from coadjoint.algebra.products import copies, direct_sum, semidirect
-from coadjoint.algebra.subspaces import change_of_basis, quotient, subalgebra
-from coadjoint.algebra.unitary import su, u
 from coadjoint.errors import no_attribute, unknown_name
-from coadjoint.given import read_whole
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_whole
 
 __all__ = [
     "A3_7",

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra import written_brackets
-from coadjoint.algebra.joins import Floats, Integers
-from coadjoint.given import read_list, read_numbers, read_title, read_whole
+from coadjoint.algebra import bracket_parser as written_brackets
+from coadjoint.algebra.exact.sparse_sums import Floats, Integers
 from coadjoint.memory import check_room
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_list, read_numbers, read_title, read_whole
 
 # Peak during construction: names and their lookup table; four columns, twice.
 BYTES_PER_DIMENSION = 140

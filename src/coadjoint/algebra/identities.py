@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from coadjoint.algebra.constants import Triples, triple_name
-from coadjoint.algebra.joins import DEFECT_FACTOR, chunks, expand, groups, largest_alike, violated
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, chunks, expand, groups, largest_alike, violated
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.algebra.bracket_format import count_of_brackets, shown_brackets
+from coadjoint.algebra.bracket_parser import names_in
 from coadjoint.algebra.constants import Triples, read_basis, read_brackets, read_constants
+from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.joins import Floats
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
-from coadjoint.algebra.shown_brackets import count_of_brackets, shown_brackets
 from coadjoint.algebra.structure import Structure
-from coadjoint.algebra.written_brackets import names_in
-from coadjoint.given import read_list, read_title, read_whole
-from coadjoint.wording import html_table, short
+from coadjoint.short_repr import html_table, short
+from coadjoint.validation import read_list, read_title, read_whole
 
 FEW_BRACKETS = 6
 """Number of brackets shown in a one-line repr."""
@@ -245,9 +245,9 @@ class LieAlgebra(Structure):
         There can be more than ``dim - generic_rank()`` of them, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
-        If the constants round simple fractions (`coadjoint.algebra.rational_constants`), the equations are solved
+        If the constants round simple fractions (`coadjoint.algebra.exact.rational_constants`), the equations are solved
         exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
-        clear gap (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Direct summands visible in
+        clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible in
         the basis are solved separately, equal ones once.
 
         Parameters
@@ -284,7 +284,7 @@ class LieAlgebra(Structure):
         >>> co.algebras.so(4).casimirs()
         {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
         """
-        from coadjoint.algebra.casimirs import NoPolynomials, casimirs
+        from coadjoint.algebra.invariants.casimirs import NoPolynomials, casimirs
 
         found = casimirs(self._triples, self._dim, max_degree)
         return found or NoPolynomials(self._dim - self.generic_rank(), max_degree, list(self._casimirs))

@@ -9,10 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples, triple_name
-from coadjoint.algebra.joins import DEFECT_FACTOR, Floats, Integers, chunks, expand, groups, largest_alike, violated
-from coadjoint.given import read_numbers
+from coadjoint.algebra.exact.sparse_sums import (
+    DEFECT_FACTOR,
+    Floats,
+    Integers,
+    chunks,
+    expand,
+    groups,
+    largest_alike,
+    violated,
+)
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.validation import read_numbers
 
 FOLDED_ROWS = 1 << 12  # equations reduced to triangular form at a time
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact import exact_numbers
+from coadjoint.algebra.exact.numbers import exact_numbers
+from coadjoint.algebra.exact.sparse_sums import Integers, expand, groups
 from coadjoint.algebra.identities import both_orders
-from coadjoint.algebra.joins import Integers, expand, groups
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact import exact_numbers
-from coadjoint.algebra.generic_rank import generic_rank
-from coadjoint.algebra.joins import Integers
+from coadjoint.algebra.exact.numbers import exact_numbers
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.invariants.generic_rank import generic_rank
 from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
-from coadjoint.given import array_given, no_numbers, read_whole
 from coadjoint.memory import check_room
+from coadjoint.validation import array_given, no_numbers, read_whole
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -242,7 +242,7 @@ class Structure:
 
         Constants are interpreted as simple fractions (q <= 10^6), or as exact floats. If they then fulfil the Jacobi
         identity exactly, the rank is the larger of two, modulo random 62-bit primes at seeded random points: never too
-        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.modular`). For
+        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.exact.modular`). For
         constants known only to round-off, singular values decide the rank.
 
         Returns

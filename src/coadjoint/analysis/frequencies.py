@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.line_fit import IN_THE_END, Lines, correct_lines, find_lines, hann, spread_by_noise
-from coadjoint.analysis.sampled import sampled
-from coadjoint.given import read_finite, read_whole
+from coadjoint.analysis.signals import sampled
+from coadjoint.analysis.spectral_lines import IN_THE_END, Lines, correct_lines, find_lines, hann, spread_by_noise
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite, read_whole
 
 Floats = NDArray[np.float64]
 

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.line_fit import hann
+from coadjoint.analysis.linear_fit import FEWEST_SAMPLES
 from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
 from coadjoint.analysis.reference_motion import motion_of
-from coadjoint.analysis.sampled import Sampled, sampled
-from coadjoint.analysis.straight_line import FEWEST_SAMPLES
-from coadjoint.given import read_number, read_positive
+from coadjoint.analysis.signals import Sampled, sampled
+from coadjoint.analysis.spectral_lines import hann
 from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.wording import short
+from coadjoint.validation import read_number, read_positive
 
 POWER = 3
 PLACES = 96  # positions of the window along the span

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number, read_whole
 from coadjoint.kernels.tangents import Frame
+from coadjoint.long_operations import waiting
 from coadjoint.memory import check_room
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.start import start_of
-from coadjoint.runs.stretching import make_orthonormal, stretching
+from coadjoint.runs.tangent_stretching import make_orthonormal, stretching
 from coadjoint.runs.times import Times, times_between, times_of
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, check_system, check_vectors
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.waiting import waiting
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System, check_system, check_vectors
+from coadjoint.validation import read_number, read_whole
 
 POINTS = 200  # default number of saved times
 BLOCKS = 10  # time blocks, whose scatter gives the uncertainty

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite
 
 FEWEST_POINTS = 3
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.given import read_finite
-from coadjoint.systems.points import QUIET
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import QUIET
+from coadjoint.validation import read_finite
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.reference_motion import Motion, field_along, motion_of
-from coadjoint.given import read_finite
-from coadjoint.systems.kinds import System, check_vectors
-from coadjoint.systems.points import QUIET
+from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_finite
 
 MOST_ITERATIONS = 30
 FIRST = 4  # points with initial guess zero; afterwards known leads are extrapolated to as many points again

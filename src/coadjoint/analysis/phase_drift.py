@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coadjoint.analysis.linear_fit import FEWEST_SAMPLES, straight_line
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.rotations import turns_space, twist
-from coadjoint.analysis.straight_line import FEWEST_SAMPLES, straight_line
-from coadjoint.given import read_choice, read_finite, read_numbers
 from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.wording import short
+from coadjoint.validation import read_choice, read_finite, read_numbers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

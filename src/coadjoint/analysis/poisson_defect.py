@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite, read_whole
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
-from coadjoint.systems.kinds import in_coordinates, shape_of
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.system_checks import in_coordinates, shape_of
+from coadjoint.validation import read_finite, read_whole
 
 
 class PoissonDefect(NamedTuple):

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.modified_fields import ModifiedField
-from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian
+from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
+from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.rotations import turns_space, twist
-from coadjoint.given import read_finite, read_flag, read_number, read_numbers
-from coadjoint.systems.kinds import check_vectors
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import QUIET
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.points import QUIET
+from coadjoint.systems.system_checks import check_vectors
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.wording import short
+from coadjoint.validation import read_finite, read_flag, read_number, read_numbers
 
 Floats = NDArray[np.float64]
 Function = Callable[[Floats], Any]

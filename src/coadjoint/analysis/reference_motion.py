@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.given import check_finite, read_numbers
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.kinds import System
+from coadjoint.short_repr import short
+from coadjoint.systems.system_checks import System
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.wording import short
+from coadjoint.validation import check_finite, read_numbers
 
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
-from coadjoint.given import read_finite
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite
 
 
 def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.given import read_finite, read_whole
+from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.runs.solution import check_solution
 from coadjoint.systems.batch import Batch
+from coadjoint.validation import read_finite, read_whole
 
 
 @dataclass(frozen=True)

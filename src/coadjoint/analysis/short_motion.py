@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.short_orbit import FEWEST, PART, STEPS, cannot_follow, rate_at
+from coadjoint.methods.numerics.short_orbit import FEWEST, PART, STEPS, cannot_follow, rate_at
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian, read_subject
+from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian, read_subject
 from coadjoint.analysis.short_motion import short_motion
-from coadjoint.given import read_finite, read_positive
-from coadjoint.methods.base import Method
+from coadjoint.long_operations import waiting
+from coadjoint.methods.protocol.method import Method
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.waiting import waiting
+from coadjoint.validation import read_finite, read_positive
 
 HALVINGS = 40
 

@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, admitted
+from coadjoint.choosing.cost_model import Foresight
 from coadjoint.choosing.fitting import Fit, confirmed, fit
-from coadjoint.choosing.law import Foresight
+from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
-from coadjoint.choosing.sampling import sample_of
 from coadjoint.choosing.tolerances import expected, first_look, fit_of_tolerance
-from coadjoint.given import read_flag, read_list, read_number
-from coadjoint.keywords import told
-from coadjoint.methods.base import Method
+from coadjoint.keyword_hints import told
+from coadjoint.long_operations import waiting
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.taylor import Taylor
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
-from coadjoint.systems.kinds import System, check_vectors
-from coadjoint.waiting import waiting
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_flag, read_list, read_number
 
 # Safety factor of the target error; rounding alone may take at most half of the accuracy (ROUNDING_SHARE).
 SAFETY = 3.0

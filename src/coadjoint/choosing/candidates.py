@@ -8,13 +8,13 @@ from functools import cached_property, partial
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
-from coadjoint.choosing.remembered import remembered
-from coadjoint.kernels.description import limit
-from coadjoint.methods.base import Method
-from coadjoint.methods.work import CROWD, Work, newton_work
+from coadjoint.choosing.system_cache import remembered
+from coadjoint.kernels.interface import limit
+from coadjoint.long_operations import at
+from coadjoint.methods.protocol.cost_model import CROWD, Work, newton_work
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.start import momenta_of, representations_of, start_of
-from coadjoint.systems.kinds import System
-from coadjoint.waiting import at
+from coadjoint.systems.system_checks import System
 
 
 @dataclass(frozen=True)

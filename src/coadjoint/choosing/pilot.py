@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.choosing.growth import Growth
-from coadjoint.choosing.remembered import loops_of
-from coadjoint.methods.base import Method
+from coadjoint.choosing.system_cache import loops_of
+from coadjoint.long_operations import at
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
-from coadjoint.systems.kinds import System
-from coadjoint.waiting import at
+from coadjoint.systems.system_checks import System
 
 REFERENCE = GaussLegendre(8)
 # Points of a window at which errors are measured; many divisors, so that runs of any number of steps share some.

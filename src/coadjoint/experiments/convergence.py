@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.order import OrderFit, fit_order
-from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
 
 SLOPE_TOLERANCE = 0.2  # contribution of the next error term to a slope at the steps used here
 

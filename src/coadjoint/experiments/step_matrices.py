@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.methods.gauss_coefficients import gauss_legendre
+from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Floats = npt.NDArray[np.float64]

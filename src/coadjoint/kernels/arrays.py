@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.description import described
+from coadjoint.kernels.interface import described
 from coadjoint.kernels.structures import pointed
 
 # First number of a contiguous, writable array as a ctypes object; twenty times faster than `array.ctypes`.

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.recording_tables import Watch
 from coadjoint.kernels.structures import pointed
-from coadjoint.kernels.watching import Watch
 
 ROWS, SPARE = 4, 2**14
 """Rows that can be recorded: `ROWS` per step and member, plus `SPARE`."""

@@ -13,7 +13,7 @@ from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.functions import CompiledFunction, Kept
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.program.term_table import TermTable
-from coadjoint.systems.kinds import System, tabulated
+from coadjoint.systems.system_checks import System, tabulated
 
 
 def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:

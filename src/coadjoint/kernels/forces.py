@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.extras import need
-from coadjoint.kernels.description import codes
 from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, remembered
 from coadjoint.kernels.matrix_tables import stream_tables
 from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
 from coadjoint.kernels.stepping import STEP_LOOP
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import watch_tables
+from coadjoint.optional_packages import need
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 

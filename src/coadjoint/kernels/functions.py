@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.logarithmic import Forms
-from coadjoint.extras import installed, need
+from coadjoint.algebra.invariants.logarithmic import Forms
 from coadjoint.kernels.structures import pointed
+from coadjoint.optional_packages import installed, need
 
 
 class CompiledFunction:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import number_at
-from coadjoint.kernels.description import limit
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.structures import ARRAYS, SCALARS, VARIED, pointed
 from coadjoint.memory import check_room
-from coadjoint.program.offsets_of_squares import ExactSums, Reduced, offsets_of_squares
-from coadjoint.program.parts import Parts
+from coadjoint.program.parts.offsets_of_squares import ExactSums, Reduced, offsets_of_squares
+from coadjoint.program.parts.part import Parts
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from coadjoint.kernels import compiling
-from coadjoint.wording import short
+from coadjoint.short_repr import short
 
 FOLDER = Path(__file__).parent
 # The libraries are not Python extension modules: their names do not contain the Python version.

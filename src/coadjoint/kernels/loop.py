@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.kernels.description import codes
+from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
-from coadjoint.program.parts import Parts
+from coadjoint.program.parts.part import Parts
 
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
 # are passed as C types: conversion by declared argtypes takes half as long as a short call.

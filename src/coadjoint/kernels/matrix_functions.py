@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.extras import MissingPackageError, need
+from coadjoint.optional_packages import MissingPackageError, need
 from coadjoint.systems.matrices.function_stream import FunctionStream
 
 # W, time, P; matrices in C order.

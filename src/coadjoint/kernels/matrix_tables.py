@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.kernels.description import codes
+from coadjoint.kernels.interface import codes
 from coadjoint.kernels.matrix_functions import MatrixFunction
 from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled

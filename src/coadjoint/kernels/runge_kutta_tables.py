@@ -8,12 +8,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.couplings import NO_BAND, narrow_band
-from coadjoint.kernels.description import codes, limit
+from coadjoint.kernels.bandwidth import NO_BAND, narrow_band
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
+from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables import Compiled
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
 
 
 class Tableau(Protocol):

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.extras import MissingPackageError, need
-from coadjoint.systems.kinds import tabulated
+from coadjoint.optional_packages import MissingPackageError, need
+from coadjoint.systems.system_checks import tabulated
 
 Step = Callable[[Any, Any, Any, Any], Any]
 

@@ -12,13 +12,13 @@ from coadjoint.kernels.field import GroupField
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.recording_tables import Watch
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
-from coadjoint.kernels.watching import Watch
+from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.term_table import TermTable
-from coadjoint.program.unshift import unshift_tables
-from coadjoint.systems.kinds import System, tabulated
+from coadjoint.systems.system_checks import System, tabulated
 
 PLACE_OF_INNER = 1
 """Index, among the integers, of the address of the tables of an inner loop."""

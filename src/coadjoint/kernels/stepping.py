@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.watching import Watch
+from coadjoint.kernels.recording_tables import Watch
 
 
 class StepTables(NamedTuple):

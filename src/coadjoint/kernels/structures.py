@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.kernels.description import check_fields, described
+from coadjoint.kernels.interface import check_fields, described
 
 # Types of fields in `source/boundary/tables.hpp`: numbers, or elements of arrays.
 SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}

@@ -8,20 +8,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.logarithmic import LogarithmicInvariant
-from coadjoint.kernels.bodies import body_tables
-from coadjoint.kernels.description import limit
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
 from coadjoint.kernels.flow import FlowTables
+from coadjoint.kernels.free_body_tables import body_tables
 from coadjoint.kernels.functions import CalledFunction, CompiledFunction, Kept, TabledFunction, tell_of_compiling
-from coadjoint.kernels.watching import Watch
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.recording_tables import Watch
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.rational_rotations import acts_rationally
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import LINEAR, ValueTable
-from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import Formula, forms_of, takes_time
 
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}

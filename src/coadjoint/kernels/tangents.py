@@ -14,8 +14,8 @@ from coadjoint.kernels.functions import CompiledFunction, Kept
 from coadjoint.kernels.loop import CompiledLoop, remembered
 from coadjoint.kernels.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables import addresses_of
-from coadjoint.systems.kinds import System
-from coadjoint.systems.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.system_checks import System
 
 NUMBERS_OF_A_STRETCH = 3
 """Numbers that store a product of lengths, (high + low) 2^exponent."""

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from coadjoint.kernels.description import limit
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.structures import varied_fields
 
 Tables = TypeVar("Tables", bound=tuple[Any, ...])

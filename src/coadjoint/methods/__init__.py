@@ -10,17 +10,17 @@ import importlib
 TYPE_CHECKING = False
 
 _HOME = {
-    "Coefficients": "coadjoint.methods.stages",
-    "CompiledStepMethod": "coadjoint.methods.compiled_step",
-    "FlowMethod": "coadjoint.methods.flow_method",
+    "Coefficients": "coadjoint.methods.numerics.stages",
+    "CompiledStepMethod": "coadjoint.methods.protocol.compiled_step",
+    "FlowMethod": "coadjoint.methods.protocol.flow_method",
     "Forced": "coadjoint.methods.forced",
-    "Method": "coadjoint.methods.base",
-    "Operations": "coadjoint.methods.work",
-    "Properties": "coadjoint.methods.properties",
-    "RungeKuttaMethod": "coadjoint.methods.runge_kutta",
-    "StepMethod": "coadjoint.methods.step_method",
+    "Method": "coadjoint.methods.protocol.method",
+    "Operations": "coadjoint.methods.protocol.cost_model",
+    "Properties": "coadjoint.methods.protocol.properties",
+    "RungeKuttaMethod": "coadjoint.methods.protocol.runge_kutta",
+    "StepMethod": "coadjoint.methods.protocol.step_method",
     "Sweep": "coadjoint.program.sweeps",
-    "compile_step": "coadjoint.methods.step_compiler",
+    "compile_step": "coadjoint.methods.compiled_steps.step_compiler",
     "even_order": "coadjoint.methods.symmetrized",
     "get": "coadjoint.methods.registry",
     "names": "coadjoint.methods.registry",
@@ -32,20 +32,20 @@ __all__ = sorted(_HOME)
 if TYPE_CHECKING:
     from typing import Any
 
-    from coadjoint.methods.base import Method as Method
-    from coadjoint.methods.compiled_step import CompiledStepMethod as CompiledStepMethod
-    from coadjoint.methods.flow_method import FlowMethod as FlowMethod
+    from coadjoint.methods.compiled_steps.step_compiler import compile_step as compile_step
     from coadjoint.methods.forced import Forced as Forced
-    from coadjoint.methods.properties import Properties as Properties
+    from coadjoint.methods.numerics.stages import Coefficients as Coefficients
+    from coadjoint.methods.protocol.compiled_step import CompiledStepMethod as CompiledStepMethod
+    from coadjoint.methods.protocol.cost_model import Operations as Operations
+    from coadjoint.methods.protocol.flow_method import FlowMethod as FlowMethod
+    from coadjoint.methods.protocol.method import Method as Method
+    from coadjoint.methods.protocol.properties import Properties as Properties
+    from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod as RungeKuttaMethod
+    from coadjoint.methods.protocol.step_method import StepMethod as StepMethod
     from coadjoint.methods.registry import get as get
     from coadjoint.methods.registry import names as names
     from coadjoint.methods.registry import register as register
-    from coadjoint.methods.runge_kutta import RungeKuttaMethod as RungeKuttaMethod
-    from coadjoint.methods.stages import Coefficients as Coefficients
-    from coadjoint.methods.step_compiler import compile_step as compile_step
-    from coadjoint.methods.step_method import StepMethod as StepMethod
     from coadjoint.methods.symmetrized import even_order as even_order
-    from coadjoint.methods.work import Operations as Operations
     from coadjoint.program.sweeps import Sweep as Sweep
 
 

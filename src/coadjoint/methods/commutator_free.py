@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.given import read_whole
-from coadjoint.methods.base import Representation
-from coadjoint.methods.compiled_step import CompiledStepMethod
-from coadjoint.methods.orbits import MatrixOrbit, VectorOrbit, orbit_of
-from coadjoint.methods.properties import Properties
+from coadjoint.methods.numerics.orbits import MatrixOrbit, VectorOrbit, orbit_of
+from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_whole
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.formal_numbers import FormalNumber
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.protocol.cost_model import Work
 
 DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
@@ -211,7 +211,7 @@ class CommutatorFree(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products in its series."""
-        from coadjoint.methods.work import work_of_evaluations, work_of_products
+        from coadjoint.methods.protocol.cost_model import work_of_evaluations, work_of_products
 
         scheme = SCHEMES[self.order]
         products = DEGREE * (len(scheme.stages) + len(scheme.out))
@@ -254,7 +254,7 @@ def extent(norm: float, unit: Any) -> tuple[int, int]:
     """Return the number of substeps of an exponential, each of norm at most 1, and the degree with a remainder below
     rounding.
     """
-    from coadjoint.kernels.description import limit
+    from coadjoint.kernels.interface import limit
 
     if unit == 0:
         raise TypeError(

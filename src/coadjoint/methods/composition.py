@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_finite
-from coadjoint.methods.base import Method, Representation, check_base
-from coadjoint.methods.composed import Composed
+from coadjoint.methods.protocol.composed import Composed
+from coadjoint.methods.protocol.method import Method, Representation, check_base
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_finite
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tangents import Frame
-    from coadjoint.methods.formal_numbers import FormalNumber
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_choice
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.stages import Coefficients
+from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number, convert
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_choice
 
 HALF = Fraction(1, 2)
 TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tuple[Any, ...]]] = {

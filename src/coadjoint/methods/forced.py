@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, Representation, check_base, declared_by
-from coadjoint.methods.properties import Properties
+from coadjoint.methods.protocol.method import Method, Representation, check_base, declared_by
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.protocol.cost_model import Work
 
 WAYS = ("formula", "complex step", "differences")
 
@@ -150,7 +150,7 @@ class Forced(Method):
         return max(self._with_tangent(system, x, t, h)[2], key=WAYS.index)
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
-        from coadjoint.methods.step_derivatives import derivative_of
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
 
         self.properties(system)
         plain, half, y, P, ways = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_whole
-from coadjoint.methods.base import has_quadratic_energy
-from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre, gauss_nodes
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.stages import Coefficients
+from coadjoint.methods.numerics.gauss_coefficients import extrapolation, gauss_legendre, gauss_nodes
+from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.protocol.method import has_quadratic_energy
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_whole
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:

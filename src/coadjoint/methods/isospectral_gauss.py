@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_whole
-from coadjoint.methods.base import Representation
-from coadjoint.methods.gauss_coefficients import gauss_legendre
-from coadjoint.methods.isospectral_stages import derivative_of, increment_of, stages_of
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.stepped import SteppedMethod
-from coadjoint.methods.two_layer_step import two_layer_increment
-from coadjoint.systems.kinds import System
+from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
+from coadjoint.methods.numerics.isospectral_stages import derivative_of, increment_of, stages_of
+from coadjoint.methods.numerics.two_layer_step import two_layer_increment
+from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_whole
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.protocol.cost_model import Work
 
 MOST_STAGES = 8
 
@@ -112,7 +112,7 @@ class IsospectralGauss(SteppedMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""
-        from coadjoint.methods.work import work_of_products
+        from coadjoint.methods.protocol.cost_model import work_of_products
 
         # With one stage, an iteration is a Newton step.
         products = 12 if self.stages == 1 else 3 * self.stages

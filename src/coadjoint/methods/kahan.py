@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Representation, has_quadratic_energy
-from coadjoint.methods.compiled_step import CompiledStepMethod
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.stages import linear_solve
+from coadjoint.methods.numerics.stages import linear_solve
+from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.method import Representation, has_quadratic_energy
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.protocol.cost_model import Work
 
 COLUMNS = 24  # typical number of products with f' in a step of many dimensions
 
@@ -97,7 +97,7 @@ class Kahan(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the field, of its derivative, and of the linear system."""
-        from coadjoint.methods.work import work_of_evaluations
+        from coadjoint.methods.protocol.cost_model import work_of_evaluations
 
         return work_of_evaluations(system, substeps * (1 + min(system.dim, COLUMNS)), self.explicit)
 

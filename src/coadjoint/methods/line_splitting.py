@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_whole
 from coadjoint.memory import check_room
-from coadjoint.methods.base import Representation
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
-from coadjoint.methods.stepped import SteppedMethod
-from coadjoint.systems.kinds import System
+from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_whole
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.protocol.cost_model import Work
 
 Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
@@ -76,7 +76,7 @@ class LineSplitting(SteppedMethod):
     --------
     >>> import coadjoint as co
     >>> import numpy as np
-    >>> from coadjoint.systems.torus_euler import torus_euler
+    >>> from coadjoint.systems.fluids.torus_euler import torus_euler
     >>> s = torus_euler(N=7)
     >>> W0 = s.from_modes({(1, 0): 1.0, (0, 1): 0.5, (1, 1): 0.3j})
     >>> sol = co.integrate(s, W0, t_span=(0, 100), step=0.1, method=co.LineSplitting())
@@ -135,7 +135,7 @@ class LineSplitting(SteppedMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""
-        from coadjoint.methods.work import Work
+        from coadjoint.methods.protocol.cost_model import Work
 
         numbers = system.dim / 2  # N^2 numbers, transformed for each of N lines
         cost = substeps * len(self.fractions) * TRANSFORM * numbers**1.5 * np.log2(1.0 + numbers)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from coadjoint.given import read_choice
-from coadjoint.methods.base import has_quadratic_energy
-from coadjoint.methods.gauss_coefficients import gauss_nodes
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.stages import Coefficients
+from coadjoint.methods.numerics.gauss_coefficients import gauss_nodes
+from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.protocol.method import has_quadratic_energy
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_choice
 
 FREEZES = ("structure", "gradient")
 

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, Representation, check_base
-from coadjoint.methods.composed import WithBase, with_settled_base
-from coadjoint.methods.projection import (
+from coadjoint.methods.numerics.projection import (
     casimirs_restored,
     polynomial_casimirs,
     project,
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.properties import Properties
+from coadjoint.methods.protocol.composed import WithBase, with_settled_base
+from coadjoint.methods.protocol.method import Method, Representation, check_base
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.protocol.cost_model import Work
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Projected(WithBase):
 
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of the base, and of a projection."""
-        from coadjoint.methods.work import work_of_projection
+        from coadjoint.methods.protocol.cost_model import work_of_projection
 
         return work_of_projection(self.base.work(system), 1 + len(self.restored(system)))
 

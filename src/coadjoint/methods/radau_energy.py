@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.compiled_step import CompiledStepMethod
-from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import stages_given
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.solvers import settle
-from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
+from coadjoint.methods.numerics.gauss_coefficients import radau
+from coadjoint.methods.numerics.solvers import settle
+from coadjoint.methods.numerics.stages import Coefficients, Step, begin, linear_solve
+from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "

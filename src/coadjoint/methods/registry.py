@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import check_parameters, read_choice
-from coadjoint.methods.base import Method
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.wording import short
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.methods.protocol.method import Method
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.validation import check_parameters, read_choice
 
 Scheme = TypeVar("Scheme", bound=type[Method])
 

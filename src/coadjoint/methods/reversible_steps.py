@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
-from coadjoint.given import read_number
-from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation, check_base
-from coadjoint.methods.composed import with_settled_base
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.speed import Speed, speed_of
-from coadjoint.methods.step_length import MANY
+from coadjoint.methods.numerics.motion_speed import Speed, speed_of
+from coadjoint.methods.numerics.step_length import MANY
+from coadjoint.methods.protocol.composed import with_settled_base
+from coadjoint.methods.protocol.method import OWN_LOOKS, Finer, Method, Representation, check_base
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System, check_vectors
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.protocol.cost_model import Work
 
 NO_STEP = (
     "the speed of the motion fell to zero or below (a smaller stride may help), or grew until the steps no longer "
@@ -215,14 +215,14 @@ class ReversibleSteps(Method):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the motion over h and its derivative, by complex steps or differences."""
-        from coadjoint.methods.step_derivatives import derivative_of
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
 
         found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
         return found.value, found.derivative
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how the derivative is computed."""
-        from coadjoint.methods.step_derivatives import derivative_of
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
 
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Representation
-from coadjoint.methods.compiled_step import CompiledStepMethod
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.solvers import settle
-from coadjoint.methods.stages import Coefficients, Step, begin
+from coadjoint.methods.numerics.solvers import settle
+from coadjoint.methods.numerics.stages import Coefficients, Step, begin
+from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
 
 if TYPE_CHECKING:
-    from coadjoint.methods.formal_numbers import FormalNumber
-    from coadjoint.methods.work import Work
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.protocol.cost_model import Work
 
 ITERATIONS = 8  # typical number per step
 
@@ -132,7 +132,7 @@ class SphericalMidpoint(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations."""
-        from coadjoint.methods.work import work_of_iterations
+        from coadjoint.methods.protocol.cost_model import work_of_iterations
 
         return work_of_iterations(system, group)
 

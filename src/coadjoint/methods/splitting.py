@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_choice, read_finite, read_flag, read_list, read_number, read_whole
-from coadjoint.methods.base import Method
-from coadjoint.methods.flow_method import FlowMethod
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
-from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.program.decompose import CALLED, check_parts
+from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
+from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import CALLED, check_parts
 from coadjoint.program.sweeps import Sweep
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.hamiltonians.separable import MOST_COORDINATES
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.points import QUIET
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.separable import MOST_COORDINATES
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_choice, read_finite, read_flag, read_list, read_number, read_whole
 
 if TYPE_CHECKING:
     from coadjoint.program.describe import Description
@@ -68,7 +68,7 @@ class Splitting(FlowMethod):
         one, since consecutive steps cannot share a flow. Choose it for maps without transcendental functions, not for
         speed.
     scheme : str, optional
-        A named scheme instead of `order`, one of `coadjoint.methods.splitting_schemes.SCHEMES`: ``"strang"``,
+        A named scheme instead of `order`, one of `coadjoint.methods.numerics.splitting_schemes.SCHEMES`: ``"strang"``,
         ``"yoshida4"`` (the paper's fourth-order scheme), ``"suzuki4"``, ``"kahan_li8a"``, ... Processed schemes
         P K P^-1 (``"blanes_casas_murua6"``, 8, 10) cost one short kernel K per step and the processor P at each point
         that is saved or watched: use them with ``watch=False`` and a large `save_every`. A Hamiltonian that depends on
@@ -171,7 +171,7 @@ class Splitting(FlowMethod):
         >>> co.Splitting.tuned(body, (0.1, 1.0, 0.1)).parts
         ChosenParts(order=(0, 1), shift=(('|x|^2', 0.16666666666666666),))
         """
-        from coadjoint.methods.tuned_parts import tuned_parts
+        from coadjoint.methods.numerics.tuned_parts import tuned_parts
 
         def scheme(parts: Any) -> Splitting:
             return cls(order=order, parts=parts, **options)

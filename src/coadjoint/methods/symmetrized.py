@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_choice, read_whole
-from coadjoint.methods.base import Method
-from coadjoint.methods.composed import FlowsOfBase, WithBase
 from coadjoint.methods.composition import Composition
-from coadjoint.methods.flow_method import FlowMethod
-from coadjoint.methods.order_conditions import HIGHEST_ORDER
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.stages import Coefficients
+from coadjoint.methods.formal.order_conditions import HIGHEST_ORDER
+from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.protocol.composed import FlowsOfBase, WithBase
+from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
 from coadjoint.program.sweeps import Sweep
-from coadjoint.systems.kinds import System
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_choice, read_whole
 
 JUMPS = {"triple": 1, "suzuki": 2}
 """Number of steps on each side of the middle one."""

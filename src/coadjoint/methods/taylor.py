@@ -11,24 +11,30 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_flag, read_number, read_whole
 from coadjoint.memory import check_room
-from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation
-from coadjoint.methods.compiled_step import CompiledStepMethod
-from coadjoint.methods.power_series import Dual, expand
-from coadjoint.methods.projection import (
+from coadjoint.methods.formal.power_series import Dual, expand
+from coadjoint.methods.numerics.projection import (
     casimirs_restored,
     polynomial_casimirs,
     project,
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.properties import Properties
-from coadjoint.methods.series_work import LANES, series_operations
-from coadjoint.methods.step_length import TOO_SHORT, through_own_steps
-from coadjoint.methods.work import SERIES_OF_A_CROWD, Operations, Work, work_of_operations, work_of_own_steps
+from coadjoint.methods.numerics.series_cost import LANES, series_operations
+from coadjoint.methods.numerics.step_length import TOO_SHORT, through_own_steps
+from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import (
+    SERIES_OF_A_CROWD,
+    Operations,
+    Work,
+    work_of_operations,
+    work_of_own_steps,
+)
+from coadjoint.methods.protocol.method import OWN_LOOKS, Finer, Method, Representation
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.validation import read_flag, read_number, read_whole
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.extras import need
+from coadjoint.optional_packages import need
 from coadjoint.pictures.style import INK, colour, key, plain_axes, symbol
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow
+from coadjoint.systems.fluids.sphere_euler import SphereEuler, sphere_euler
+from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.scale_separation import large_scales
-from coadjoint.systems.sphere_euler import SphereEuler, sphere_euler
-from coadjoint.systems.torus_euler import torus_euler
 
 Floats = npt.NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.extras import need
+from coadjoint.optional_packages import need
 from coadjoint.pictures.scenes import SCENES
+from coadjoint.runs.example_run import telling_run
 from coadjoint.runs.solution import Solution
-from coadjoint.runs.telling_run import telling_run
-from coadjoint.systems.ready_made import ready_made_systems, telling_of
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.registry import ready_made_systems, telling_of
 
 PAGE = "index.html"
 DOTS = 110  # per inch
@@ -45,7 +45,7 @@ def piece(name: str) -> Piece:
     Parameters
     ----------
     name : str
-        One of `coadjoint.systems.ready_made.told_systems`, or of `coadjoint.pictures.scenes.SCENES`.
+        One of `coadjoint.systems.registry.told_systems`, or of `coadjoint.pictures.scenes.SCENES`.
 
     Returns
     -------

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_finite, read_number, read_whole
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_room
+from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.wording import short
+from coadjoint.validation import read_finite, read_number, read_whole
 
 BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 

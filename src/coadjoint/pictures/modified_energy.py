@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.extras import need
-from coadjoint.given import read_list, read_whole
+from coadjoint.optional_packages import need
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.runs.solution import check_solution
+from coadjoint.validation import read_list, read_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

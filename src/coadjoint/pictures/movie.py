@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from coadjoint.extras import need
-from coadjoint.given import read_list, read_whole
-from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.optional_packages import need
+from coadjoint.pictures.plot_data import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
 from coadjoint.runs.solution import Solution, check_solution
-from coadjoint.systems.ready_made import telling_of
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
+from coadjoint.systems.registry import telling_of
+from coadjoint.validation import read_list, read_whole
 
 MOST_FRAMES = 5000
 PIXELS = (64, 4096)

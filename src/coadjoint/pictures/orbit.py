@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.style import COLOURS, GRID, INK, colour, dots, symbol
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.extras import need
+from coadjoint.optional_packages import need
 from coadjoint.pictures.style import colour, key, plain_axes
 
 if TYPE_CHECKING:

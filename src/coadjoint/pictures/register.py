@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.errors import unknown_name
-from coadjoint.given import read_choice
-from coadjoint.systems.telling import Picture
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.gallery_entry import Picture
+from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ Update = Callable[[int], None]
 Paint = Callable[["Axes"], Update | None]
 """Draws a picture into axes; kinds with `Kind.moves` return an `Update`."""
 Prepare = Callable[..., Paint]
-"""Function of a `coadjoint.pictures.drawn.Drawn` and options that returns a `Paint`."""
+"""Function of a `coadjoint.pictures.plot_data.Drawn` and options that returns a `Paint`."""
 
 
 class CannotShow(ValueError):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from coadjoint.systems.telling import Picture
+from coadjoint.systems.gallery_entry import Picture
 
 if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
@@ -29,7 +29,7 @@ def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: f
     time; `step` is that of the isospectral midpoint rule.
     """
     from coadjoint.runs.integrate import integrate
-    from coadjoint.systems.sphere_euler import sphere_euler
+    from coadjoint.systems.fluids.sphere_euler import sphere_euler
 
     s = sphere_euler(N)
     return integrate(

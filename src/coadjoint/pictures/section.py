@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.extras import need
-from coadjoint.given import read_choice, read_list, read_whole
+from coadjoint.optional_packages import need
 from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
 from coadjoint.runs.events import Events
+from coadjoint.validation import read_choice, read_list, read_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

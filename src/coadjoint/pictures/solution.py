@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.extras import need
-from coadjoint.given import read_list
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.optional_packages import need
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Kind, Paint, read_picture
 from coadjoint.runs.solution import check_solution
-from coadjoint.systems.telling import Picture
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.systems.gallery_entry import Picture
+from coadjoint.validation import read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.joins import Integers, expand
+from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.block_table import BlockTable, block_table, joined_tables
 from coadjoint.program.blocks import Kind
 from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.layers import layers
+from coadjoint.program.graph_layers import layers
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.program.parts import Parts
+from coadjoint.program.parts.generator_cost import check_products
+from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import fresh, order_by, starts_of
-from coadjoint.program.wide_generators import check_products
 
 
 class Action(NamedTuple):

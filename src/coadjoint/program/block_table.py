@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.joins import Integers, expand
+from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.blocks import CUBIC_HEADER, Block, Kind, larger_block
 from coadjoint.program.components import Components, components_of
 from coadjoint.program.generators import Generators

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.joins import CHUNK, Integers, chunks, expand, groups
+from coadjoint.algebra.exact.sparse_sums import CHUNK, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.clashing_forms import BRACKET_ROUNDOFF, surely_clashing
-from coadjoint.program.parts import Parts
-from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
+from coadjoint.program.parts.clashing_forms import BRACKET_ROUNDOFF, surely_clashing
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
 from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
 
 Pairs = tuple[Integers, Integers]

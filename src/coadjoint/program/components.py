@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.connected import connected
-from coadjoint.algebra.joins import Integers, distinct, expand
+from coadjoint.algebra.exact.components import connected
+from coadjoint.algebra.exact.sparse_sums import Integers, distinct, expand
 from coadjoint.program.generators import Generators
-from coadjoint.program.layers import layers
+from coadjoint.program.graph_layers import layers
 from coadjoint.program.sparse_rows import order_by, starts_of
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
-from coadjoint.program.decompose import decompose
-from coadjoint.program.parts import BodyShare, Part
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.part import BodyShare, Part
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.program.term_table import LINEAR

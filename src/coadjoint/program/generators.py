@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.joins import Integers, chunks, expand
+from coadjoint.algebra.exact.sparse_sums import Integers, chunks, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of, sums

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.program.parts import Parts, PolynomialShare
+from coadjoint.program.parts.part import Parts, PolynomialShare
 from coadjoint.program.sparse_rows import SparseRows, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem

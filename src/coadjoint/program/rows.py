@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.joins import Integers
+from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.numbers import Number, array_of, convert
-from coadjoint.program.parts import Parts
-from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
 from coadjoint.program.sweeps import Sweep, Swept
 
 

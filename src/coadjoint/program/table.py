@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
-from coadjoint.program.decompose import decompose
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
-from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.generator_cost import TooWide
+from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.split import NotSplit
+from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.rows import Joining, Rows, rows_of
 from coadjoint.program.sparse_rows import SparseRows
-from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.term_table import Terms, TermTable
-from coadjoint.program.wide_generators import TooWide
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.terms import FunctionTerm
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.sparse_rows import SparseRows, starts_of
-from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import NamedArrays
-from coadjoint.kernels.description import limit
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, Crew
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.batch_rows import Pieces, Tables, shared_out
 from coadjoint.runs.loops import Loops, as_rows, unit_row
-from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
@@ -104,19 +104,19 @@ class BatchLoops(Loops):
     @property
     def can_be_sent(self) -> bool:
         """Whether the loops can be pickled: all addresses in their tables are those of functions."""
-        from coadjoint.kernels.sent import can_be_sent, loop_can_be_sent
+        from coadjoint.kernels.pickling import can_be_sent, loop_can_be_sent
 
         return all(map(loop_can_be_sent, self._prepared)) and all(can_be_sent(watch.keep) for watch in self._watches)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the tables of the members in a form that can be pickled."""
-        from coadjoint.kernels.sent import sent, sent_loop
+        from coadjoint.kernels.pickling import sent, sent_loop
 
         loops, watches = [sent_loop(own) for own in self._prepared], [sent(*watch) for watch in self._watches]
         return {"dim": self._dim, "names": self.names, "loops": loops, "watches": watches, "turned": self._unshifts}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from coadjoint.kernels.sent import received, received_loop
+        from coadjoint.kernels.pickling import received, received_loop
 
         loops, watches = [received_loop(own) for own in state["loops"]], [received(own) for own in state["watches"]]
         self._take(state["dim"], state["names"], loops, watches, state["turned"])

@@ -8,22 +8,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_choice, read_whole
-from coadjoint.kernels.description import codes
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.events import Noted
-from coadjoint.runs.crews_at_work import name_of_status
+from coadjoint.kernels.interface import codes
+from coadjoint.runs.batch_execution import name_of_status
 from coadjoint.runs.events import Event
-from coadjoint.runs.parts_of_steps import PartsOfSteps
+from coadjoint.runs.partial_steps import PartsOfSteps
 from coadjoint.runs.root_search import lowest, roots
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
-from coadjoint.systems.kinds import System, unforced
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.system_checks import System, unforced
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.wording import short
+from coadjoint.validation import read_choice, read_whole
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -80,7 +80,7 @@ class WatchedEvents:
 
     def values(self, states: Floats, t: Floats) -> Floats:
         """Evaluate all events at states (m, n) and times (m,); shape (m, E)."""
-        from coadjoint.kernels.watching import values_along
+        from coadjoint.kernels.recording_tables import values_along
 
         out = np.empty((len(t), 1, len(self.events)))
         values_along(self.compiled.tables, states[:, None], t, out)

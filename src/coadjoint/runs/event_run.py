@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.description import codes
 from coadjoint.kernels.events import EventArrays, Noted
+from coadjoint.kernels.interface import codes
 from coadjoint.memory import check_room
 from coadjoint.runs.crossings import Crossings, Failed, WatchedEvents
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Plan
-from coadjoint.runs.parts_of_steps import PartsOfSteps
+from coadjoint.runs.partial_steps import PartsOfSteps
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import Run
-from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import unforced
 
 FIRST_CHUNK = 256
 MOST_STEPS = 2**16

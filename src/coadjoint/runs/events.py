@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_choice, read_flag, read_title, read_whole
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.separable import MOST_COORDINATES
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.short_repr import short, shown_fields
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separable import MOST_COORDINATES
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.wording import short, shown_fields
+from coadjoint.validation import read_choice, read_flag, read_title, read_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.description import limit
 from coadjoint.kernels.input_tables import InputTables, NotPlaced
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import Crew
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.batch_loops import in_rounds
+from coadjoint.runs.batch_rows import Pieces, Tables, shared_out
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, Plan, SystemLoops, values_of_watch
-from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
 from coadjoint.runs.start import Representation
 
 Floats = NDArray[np.float64]

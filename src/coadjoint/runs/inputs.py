@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.given import are_finite, read_numbers
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.torque import Torque
-from coadjoint.systems.kinds import System
-from coadjoint.systems.linear_term import check_linear, linear_of, with_linear
-from coadjoint.wording import short
+from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
 

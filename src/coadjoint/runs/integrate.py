@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from coadjoint.keywords import told
-from coadjoint.methods.base import NO_ERROR_CONTROL, Method
+from coadjoint.keyword_hints import told
+from coadjoint.long_operations import waiting
+from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.kinds import System, check_system
-from coadjoint.waiting import waiting
+from coadjoint.systems.system_checks import System, check_system
 
 
 @told
@@ -151,7 +151,7 @@ def integrate(
     if archive is None:
         sol = ready.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
     else:
-        from coadjoint.files.archives import archive_run
+        from coadjoint.files.archives.resume import archive_run
 
         sol = archive_run(ready, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events)
     return with_choice(sol, choice)

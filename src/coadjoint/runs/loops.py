@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.blas_threads import rows_of
 from coadjoint.kernels.loop import CompiledLoop, Crew
-from coadjoint.methods.base import Method
-from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.batch_rows import Pieces, Tables, shared_out
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.systems.kinds import System, unforced
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.system_checks import System, unforced
 
 NOTHING = Quadratic(0.0)
 """Placeholder for an invariant that the loops do not track."""
@@ -180,7 +180,7 @@ class SystemLoops(Loops):
         casimirs: Mapping[str, Any] | None = None,
         prepared: CompiledLoop | None = None,
     ) -> None:
-        from coadjoint.kernels.description import limit
+        from coadjoint.kernels.interface import limit
         from coadjoint.kernels.tables import balance_tables, watch_tables
 
         followed = system.casimirs if casimirs is None else casimirs
@@ -213,19 +213,19 @@ class SystemLoops(Loops):
     @property
     def can_be_sent(self) -> bool:
         """Whether the loops can be pickled: all addresses in their tables are those of functions."""
-        from coadjoint.kernels.sent import can_be_sent, loop_can_be_sent
+        from coadjoint.kernels.pickling import can_be_sent, loop_can_be_sent
 
         return loop_can_be_sent(self.prepared) and can_be_sent(self._keep)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes, with the tables in a form that can be pickled."""
-        from coadjoint.kernels.sent import sent, sent_loop
+        from coadjoint.kernels.pickling import sent, sent_loop
 
         other = {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS}
         return {**other, "sent": (sent_loop(self.prepared), sent(self.watch, self._keep))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from coadjoint.kernels.sent import received, received_loop
+        from coadjoint.kernels.pickling import received, received_loop
 
         loop, watch = state.pop("sent")
         self.__dict__.update(state)
@@ -308,7 +308,7 @@ def values_of_watch(
     watch: Any, period: NDArray[np.float64], state: NDArray[np.float64], t: float, last: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the invariants of a watch at a state; those with a period > 0 on the branch nearest to `last`."""
-    from coadjoint.kernels.watching import values_along
+    from coadjoint.kernels.recording_tables import values_along
 
     found = np.empty((1, 1, len(last)))
     values_along(watch, state[None, None], np.array([t]), found)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.kernels.description import codes
+from coadjoint.kernels.interface import codes
 from coadjoint.runs.run import first_point_not_finite
 from coadjoint.runs.solution import REPORTED, Solution
 from coadjoint.runs.start import Start

@@ -11,35 +11,35 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_flag, read_whole
 from coadjoint.kernels.blas_threads import members_at_once, rows_of
-from coadjoint.keywords import told
-from coadjoint.methods.base import Method
+from coadjoint.keyword_hints import told
+from coadjoint.long_operations import waiting
 from coadjoint.methods.forced import serving
+from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
-from coadjoint.methods.suggested import default_scheme
-from coadjoint.runs.any_time import Moments, check_parts, look, moments_of
+from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.crossings import WatchedEvents
-from coadjoint.runs.end_of_run import EVERY, EndOfRun
 from coadjoint.runs.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
+from coadjoint.runs.final_state import EVERY, EndOfRun
 from coadjoint.runs.input_loops import InputLoops
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, SystemLoops
-from coadjoint.runs.observed import Observed, check_observe
-from coadjoint.runs.parts_of_steps import PartsOfSteps
+from coadjoint.runs.observables import Observed, check_observe
+from coadjoint.runs.output_times import Moments, check_parts, look, moments_of
+from coadjoint.runs.partial_steps import PartsOfSteps
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, read_attitude, representations_of, with_group
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.kinds import System, check_system
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.waiting import waiting
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System, check_system
+from coadjoint.validation import read_flag, read_whole
 
 OF_THIS_PROCESS = ("_making", "_ends", "_observed", "_events", "_made")
 
@@ -474,7 +474,7 @@ def prepare(
             raise TypeError(
                 "accuracy= needs x0=, a sample of states, and t_span=, the longest run, and takes no inputs"
             )
-        from coadjoint.choosing.sampled_run import SampledRun
+        from coadjoint.choosing.validated_run import SampledRun
 
         method = None if method is None else read_method(method)
 

@@ -11,26 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.extras import need
-from coadjoint.given import read_flag
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.blas_threads import threads_of_blas
-from coadjoint.kernels.description import codes
+from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import Crew
-from coadjoint.kernels.watching import schedule_of
-from coadjoint.methods.base import Method
-from coadjoint.runs.crews_at_work import at_work, name_of_status, what_failed
+from coadjoint.kernels.recording_tables import schedule_of
+from coadjoint.methods.protocol.method import Method
+from coadjoint.optional_packages import need
+from coadjoint.runs.batch_execution import at_work, name_of_status, what_failed
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Loops
-from coadjoint.runs.observed import Observed
+from coadjoint.runs.memory_estimate import check_room_of_run
+from coadjoint.runs.observables import Observed
 from coadjoint.runs.progress import progress_bar
-from coadjoint.runs.room import check_room_of_run
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_flag
 
 # Target time between updates of a progress bar, which happen between two calls of the compiled loop.
 SECONDS_BETWEEN_LOOKS = 0.2

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_whole
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import MOST_CROSSINGS, Event, Events
 from coadjoint.runs.integrate import integrate
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.kinds import System
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import FEW
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import NamedArrays
-from coadjoint.kernels.watching import schedule_of
-from coadjoint.program.unshift import unshift_tables
+from coadjoint.kernels.recording_tables import schedule_of
+from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import FEW
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.unshift import Unshifting
+    from coadjoint.kernels.casimir_shift import Unshifting
 
 Shift = tuple[tuple[Polynomial, float], ...]
 
@@ -33,7 +33,7 @@ def plainly(start: Start, times: Times, saved: NamedArrays, points: int) -> NDAr
 
 
 def _with_tables(system: System, shift: Shift, representation: Representation, tables: Any, rate: float) -> Unshift:
-    from coadjoint.kernels.unshift import Unshifting
+    from coadjoint.kernels.casimir_shift import Unshifting
 
     found = Unshift(system, shift, representation)
     found._unshifting = Unshifting(tables, rate)
@@ -54,7 +54,7 @@ class Unshift:
     @cached_property
     def _unshifting(self) -> Unshifting:
         """Tables, built lazily."""
-        from coadjoint.kernels.unshift import Unshifting
+        from coadjoint.kernels.casimir_shift import Unshifting
 
         system, shift, rate = self._system, self._shift, 1.0
         if len(shift) == 1:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System, unforced
 
 if TYPE_CHECKING:
     import xarray
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from coadjoint.kernels.arrays import NamedArrays
     from coadjoint.runs.events import Ending, Events
     from coadjoint.runs.loops import Turned
-    from coadjoint.runs.observed import Observed
+    from coadjoint.runs.observables import Observed
     from coadjoint.runs.run import Run
     from coadjoint.runs.start import Start
     from coadjoint.runs.state_at import StateAt
@@ -191,7 +191,7 @@ class Solution:
             # An attribute whose computation failed raises its own error.
             if name in PARTS or hasattr(type(self), name):
                 return object.__getattribute__(self, name)
-            from coadjoint.keywords import no_such_part
+            from coadjoint.keyword_hints import no_such_part
 
             raise no_such_part(name, dir(self))
 
@@ -431,7 +431,7 @@ class Solution:
         """
         found = self._error
         if found is None:
-            from coadjoint.analysis.error_at_end import error_at_end
+            from coadjoint.analysis.end_error import error_at_end
 
             found = self.__dict__["_error"] = error_at_end(self)
         return float(found[0]) if self.failed is None else found
@@ -502,7 +502,7 @@ class Solution:
         >>> float(max(abs(kept - kept[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
         True
         """
-        from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
+        from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian
 
         h = self.step if self.t_span[1] > self.t_span[0] else -self.step
         if isinstance(self.system, Batch):
@@ -559,7 +559,7 @@ class Solution:
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
         """
-        from coadjoint.files.export import dataset_of
+        from coadjoint.files.datasets.export import dataset_of
 
         return dataset_of(self)
 
@@ -645,7 +645,7 @@ class Solution:
         Traceback (most recent call last):
         coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
         """
-        from coadjoint.files.movie_file import check_movie, check_speed, write_movie
+        from coadjoint.files.output.movie_file import check_movie, check_speed, write_movie
         from coadjoint.pictures.movie import frames_of
 
         target = check_movie(path)

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.group_elements import are_rotations, why_no_automorphism, why_no_element
-from coadjoint.given import FEW, are_finite, read_numbers
 from coadjoint.memory import check_room
-from coadjoint.methods.attitude import check_attitude
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.attitude import check_attitude
+from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, check_system, shape_of, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.wording import short
+from coadjoint.systems.system_checks import System, check_system, shape_of, unforced
+from coadjoint.validation import FEW, are_finite, read_numbers
 
 Representation = NDArray[np.float64] | str | None
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays, Places
-from coadjoint.kernels.description import described, limit
-from coadjoint.wording import short
+from coadjoint.kernels.interface import described, limit
+from coadjoint.short_repr import short
 
 
 class RunState:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.given import are_finite, read_numbers
 from coadjoint.runs.times import Times
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import are_finite, read_numbers
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun

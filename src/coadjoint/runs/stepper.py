@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number
-from coadjoint.keywords import told
+from coadjoint.keyword_hints import told
+from coadjoint.long_operations import waiting
 from coadjoint.memory import check_room
-from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
+from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
+from coadjoint.systems.evaluation import QUIET
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.kinds import System, check_one_system
-from coadjoint.systems.points import QUIET
-from coadjoint.waiting import waiting
+from coadjoint.systems.system_checks import System, check_one_system
+from coadjoint.validation import read_number
 
 
 class Stepper:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from coadjoint.short_repr import html_table
 from coadjoint.systems.batch import Batch
-from coadjoint.wording import html_table
 
 if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution

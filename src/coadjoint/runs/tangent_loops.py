@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, Crew
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.batch_loops import in_rounds
+from coadjoint.runs.batch_rows import Pieces
 from coadjoint.runs.loops import Loops, SystemLoops, as_rows
-from coadjoint.runs.rows_of_crews import Pieces
 from coadjoint.runs.shifted_attitude import plainly
-from coadjoint.systems.kinds import System
+from coadjoint.systems.system_checks import System
 
 
 def each_its_own(systems: Sequence[System], method: Method, h: float, prepared: Sequence[CompiledLoop | None]) -> Loops:

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number, read_numbers, read_whole
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_number, read_numbers, read_whole
 
 
 class Times(NamedTuple):

@@ -6,10 +6,10 @@ import inspect
 from typing import Any
 
 from coadjoint.errors import no_attribute
-from coadjoint.given import check_parameters, read_choice
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.ready_made import ready_made_systems
+from coadjoint.systems.registry import ready_made_systems
+from coadjoint.validation import check_parameters, read_choice
 
 # The functions shadow the modules of the same name: co.systems.rigid_body is the function.
 globals().update(ready_made_systems())

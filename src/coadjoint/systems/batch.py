@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from itertools import zip_longest
 from typing import Any
 
-from coadjoint.given import read_list
+from coadjoint.short_repr import short
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.wording import short
+from coadjoint.validation import read_list
 
 Member = LiePoissonSystem | PoissonSystem
 KINDS = (LiePoissonSystem, PoissonSystem, ForcedSystem)

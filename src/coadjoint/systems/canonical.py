@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.heisenberg import heisenberg
+from coadjoint.algebra.families.heisenberg import heisenberg
+from coadjoint.algebra.families.products import direct_sum
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.products import direct_sum
-from coadjoint.given import read_finite
+from coadjoint.validation import read_finite
 
 
 def beside(pairs: int, g: LieAlgebra) -> LieAlgebra:

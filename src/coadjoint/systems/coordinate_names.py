@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from coadjoint.systems.ready_made import telling_of
+from coadjoint.systems.registry import telling_of
 
 
 def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
@@ -13,7 +13,7 @@ def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> from coadjoint.systems.rigid_body import rigid_body
+    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
     >>> coordinate_names(rigid_body((1, 2, 3)), 3)
     ('x1', 'x2', 'x3')
     """

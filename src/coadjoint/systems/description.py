@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from coadjoint.systems.registry import ready_made_systems, telling_of
 
 LONGEST_FORMULA = 120
 _HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import array_given, read_list, read_number, read_numbers, title
-from coadjoint.systems.closed_form import solution_of
+from coadjoint.short_repr import short
+from coadjoint.systems.closed_forms.closed_form import solution_of
+from coadjoint.systems.evaluation import QUIET, over_states, point
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.points import QUIET, over_states, point
-from coadjoint.wording import short
+from coadjoint.validation import array_given, read_list, read_number, read_numbers, title
 
 
 class ForcedSystem:
@@ -54,7 +54,7 @@ class ForcedSystem:
     closed_form: Callable[..., Any] | None = None
 
     def __init__(self, system: Any, forces: Sequence[Force]) -> None:
-        from coadjoint.systems.kinds import check_one_system
+        from coadjoint.systems.system_checks import check_one_system
 
         check_one_system(system)
         forces = read_list(forces, "what was given as forces", "give a list of forces of co.forces")
@@ -230,6 +230,6 @@ class ForcedSystem:
         return f"<{short(self.system, 200)} with {', '.join(map(str, self.forces))}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.table import table_of
+        from coadjoint.systems.html_table import table_of
 
         return table_of(self, forces=", ".join(map(str, self.forces)))

@@ -12,15 +12,15 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
-from coadjoint.systems.closed_form import checked_exact, checked_layout, checked_parameters, solution_of
-from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
+from coadjoint.systems.closed_forms.closed_form import checked_exact, checked_layout, checked_parameters, solution_of
+from coadjoint.systems.evaluation import QUIET, checked_name, checked_sign, matching, over_states, point, scatter
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.known_integrals import checked_integrals
-from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, over_states, point, scatter
-from coadjoint.systems.split_hamiltonian import SplitHamiltonian
-from coadjoint.systems.sum_of_hamiltonians import summands_of
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
+from coadjoint.systems.integral_checks import checked_integrals
+from coadjoint.systems.recorded_casimirs import casimirs_of, checked_casimirs
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
@@ -82,7 +82,7 @@ class LiePoissonSystem:
     Examples
     --------
     >>> from coadjoint.algebra import catalogue
-    >>> from coadjoint.systems.quadratic import Quadratic
+    >>> from coadjoint.systems.hamiltonians.quadratic import Quadratic
     >>> s = LiePoissonSystem(catalogue.so(3), Quadratic([1.0, 0.5, 0.25]), sign=-1)
     >>> s.vector_field([1.0, 2.0, 4.0])
     array([-2.,  3., -1.])
@@ -330,6 +330,6 @@ class LiePoissonSystem:
         return f"<{self.name}: {self.hamiltonian!r} on {where}, sign={self.sign:+d}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.table import table_of
+        from coadjoint.systems.html_table import table_of
 
         return table_of(self)

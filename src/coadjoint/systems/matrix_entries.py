@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.joins import distinct
-from coadjoint.given import REAL, array_given, read_finite
+from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.validation import REAL, array_given, read_finite
 
 BYTES_PER_ENTRY = 100  # peak, while entries are sorted and compared with the transposed ones
 SPARSE = "give a sparse matrix, or a diagonal"

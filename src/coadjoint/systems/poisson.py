@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_numbers, read_whole
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
-from coadjoint.systems.followed_casimirs import checked_casimirs
+from coadjoint.short_repr import short
+from coadjoint.systems.closed_forms.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.evaluation import QUIET, checked_name, checked_sign, over_states, point
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.points import QUIET, checked_name, checked_sign, over_states, point
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.recorded_casimirs import checked_casimirs
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
-from coadjoint.wording import short
+from coadjoint.validation import read_numbers, read_whole
 
 BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
@@ -72,7 +72,7 @@ class PoissonSystem:
 
     Examples
     --------
-    >>> from coadjoint.systems.quadratic import Quadratic
+    >>> from coadjoint.systems.hamiltonians.quadratic import Quadratic
     >>> J = lambda x: x[0] * x[1] * np.array([[0.0, 1.0], [-1.0, 0.0]])
     >>> PoissonSystem(J, Quadratic([1.0, 1.0])).vector_field([2.0, 3.0])
     array([ 18., -12.])
@@ -239,6 +239,6 @@ class PoissonSystem:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.table import table_of
+        from coadjoint.systems.html_table import table_of
 
         return table_of(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.given import read_number, read_positive
+from coadjoint.validation import read_number, read_positive
 
 LARGEST = 1e30
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.logarithmic import Forms
-from coadjoint.algebra.product_sums import Coefficient
-from coadjoint.extras import installed
+from coadjoint.algebra.invariants.logarithmic import Forms
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.wording import short
+from coadjoint.short_repr import short
 
 SEED = 1993
 SAMPLE_TIME = 0.625
@@ -47,8 +47,8 @@ class Formula:
 
     Examples
     --------
-    >>> from coadjoint.algebra.logarithmic import LogarithmicSum
-    >>> from coadjoint.algebra.polynomial import Polynomial
+    >>> from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+    >>> from coadjoint.algebra.polynomials.polynomial import Polynomial
     >>> Formula(np.log, LogarithmicSum.logarithm(Polynomial.variable(0, 1)).forms())(1.0).item()
     0.0
     """

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.record_reading import system_of
-from coadjoint.files.records import record_of
+from coadjoint.files.records.reconstruction import system_of
+from coadjoint.files.records.records import record_of
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.forces.on_modes import ModeRates
+from coadjoint.systems.forces.mode_force import ModeRates
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.matrices.torus_modes import representatives
 from long import long_beyond

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.extras import MissingPackageError
+from coadjoint.optional_packages import MissingPackageError
 from coadjoint.systems.matrices.sphere_grid import latitudes, longitudes
 
 SPHERE, TORUS = co.systems.sphere_euler(N=24), co.systems.torus_euler(N=25)

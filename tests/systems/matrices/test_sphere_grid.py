@@ -5,7 +5,7 @@ import pytest
 import scipy.special
 
 import coadjoint as co
-from coadjoint.extras import MissingPackageError
+from coadjoint.optional_packages import MissingPackageError
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.sphere_grid import GRIDS, resolved
 

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import invariant_form
-from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.convergence import allowed
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.slope import CLEAR
 from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.attitude import check_attitude
+from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.solution import Solution
 

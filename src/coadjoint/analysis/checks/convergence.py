@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from coadjoint.analysis.certificate import Row, verdict
+from coadjoint.analysis.certificates.certificate import Row, verdict
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.slope import CLEAR, Slope, slope
 from coadjoint.analysis.checks.study import FALL, LARGE, Study

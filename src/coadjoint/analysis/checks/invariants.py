@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.analysis.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
 from coadjoint.analysis.checks.growth import growth
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.sizes import size_of
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.properties import Properties
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 Floats = NDArray[np.float64]
 

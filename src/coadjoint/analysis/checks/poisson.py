@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, LARGEST_DENSE, Subject, directions
 from coadjoint.analysis.checks.tangents import FLOOR_OF_DIFFERENCES, tangent
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
+from coadjoint.long_operations import at
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.waiting import at
 
 SLOPES = 4
 LARGEST_ALONG = 1100

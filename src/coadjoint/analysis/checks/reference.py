@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.long_operations import at
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System
-from coadjoint.waiting import at
+from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 

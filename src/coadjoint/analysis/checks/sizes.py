@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.hamiltonian import as_hamiltonian
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 
 Floats = NDArray[np.float64]
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.certificates.claims import Claims
 from coadjoint.analysis.checks.reference import motion, natural_time
-from coadjoint.analysis.given_step import Claims
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.base import Method
+from coadjoint.long_operations import at
+from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.waiting import at
+from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 

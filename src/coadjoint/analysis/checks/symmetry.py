@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, LARGEST_DENSE, Subject
 from coadjoint.errors import IntegrationError

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.step_derivatives import AGREEMENT, derivative_of
+from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 
 Floats = NDArray[np.float64]
 

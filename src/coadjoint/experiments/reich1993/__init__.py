@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.experiments.statement import Statement, markdown, write_csv
-from coadjoint.extras import need
-from coadjoint.wording import short
+from coadjoint.optional_packages import need
+from coadjoint.short_repr import short
 
 
 @dataclass(frozen=True)

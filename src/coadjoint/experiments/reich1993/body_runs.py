@@ -10,13 +10,13 @@ import numpy.typing as npt
 from coadjoint.analysis.phase_drift import ANGLES, PhaseDrift, drift_of_series
 from coadjoint.analysis.rotations import attitude_angle, precession_error
 from coadjoint.experiments.reich1993.systems import COORDINATES
-from coadjoint.methods.base import Method
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.paper_examples import paper_rigid_body
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 Floats = npt.NDArray[np.float64]
 

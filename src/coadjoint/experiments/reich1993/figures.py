@@ -19,7 +19,7 @@ from coadjoint.experiments.reich1993.systems import (
     SPIRAL_END,
     SPIRAL_STEP,
 )
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.pictures.style import INK, colour, key, plain_axes
 from coadjoint.runs.solution import Solution
 
@@ -108,7 +108,7 @@ def attitude_figure(method: Method, number: int, scheme: str) -> Figure:
 
 
 def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
-    from coadjoint.systems.paper_examples import paper_rigid_body
+    from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
     attitude = run.solution.attitude
     assert attitude is not None

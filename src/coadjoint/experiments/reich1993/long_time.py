@@ -10,11 +10,11 @@ import numpy as np
 from coadjoint.experiments.reich1993.body_runs import MIDPOINT, MODIFIED, SPLITTING, body_run
 from coadjoint.experiments.reich1993.figures import RESOLUTION
 from coadjoint.experiments.reich1993.systems import CALM_START, CALM_STEP
-from coadjoint.methods.base import Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.pictures.phase_drift import with_error
 from coadjoint.pictures.style import INK, colour, plain_axes
 from coadjoint.runs.integrate import integrate
-from coadjoint.systems.paper_examples import paper_rigid_body
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from coadjoint.experiments.reich1993.systems import BODY_LATER, BODY_START, CALM
 from coadjoint.pictures.modified_energy import draw_deviations
 from coadjoint.pictures.style import INK, key
 from coadjoint.runs.integrate import integrate
-from coadjoint.systems.paper_examples import paper_rigid_body
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

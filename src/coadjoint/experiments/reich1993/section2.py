@@ -11,7 +11,7 @@ from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.stepper import stepper
-from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
+from coadjoint.systems.examples.paper_examples import paper_a37, paper_rigid_body
 
 TIME = 0.1
 STAGES = 8  # of order 16; a step of 0.1 is the exact motion to round-off

@@ -16,10 +16,10 @@ from coadjoint.experiments.convergence import (
 from coadjoint.experiments.reich1993.systems import four_dimensional_trial
 from coadjoint.experiments.statement import Statement, judged
 from coadjoint.experiments.step_matrices import stage_iterates
-from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 

@@ -18,7 +18,7 @@ from coadjoint.methods.radau_energy import RadauEnergy
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
-from coadjoint.systems.paper_examples import paper_rigid_body
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 STEP = 0.1
 MODIFIED = ModifiedGaussLegendre(stages=1, freeze="structure")

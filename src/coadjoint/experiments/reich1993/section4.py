@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.poisson_defect import poisson_defect
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, fitted_order, roundoff, within
 from coadjoint.experiments.reich1993.systems import (
@@ -23,9 +23,9 @@ from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
+from coadjoint.systems.examples.paper_examples import paper_a37, paper_rigid_body
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
-from coadjoint.systems.quadratic import Quadratic
 
 STEP = 0.1
 STEPS = 2000

@@ -10,8 +10,8 @@ from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.body_runs import MIDPOINT, MODIFIED, RUNGE, SPLITTING, BodyRun, body_run
 from coadjoint.experiments.reich1993.systems import BODY_END, BODY_LATER, BODY_START, BODY_STEP, CALM_START, CALM_STEP
 from coadjoint.experiments.statement import Statement, judged
-from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.protocol.method import Method
 
 CAREFUL: dict[str, Method] = {"modified midpoint": MODIFIED, "splitting": SPLITTING, "implicit midpoint": MIDPOINT}
 SMALL = 0.2  # rad, 11 degrees; just visible in the figures

@@ -10,12 +10,12 @@ import numpy.typing as npt
 from coadjoint.experiments.convergence import roundoff
 from coadjoint.experiments.reich1993.systems import COORDINATES, SPIRAL_END, SPIRAL_START, SPIRAL_STEP
 from coadjoint.experiments.statement import Statement, judged
-from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.paper_examples import paper_a37
+from coadjoint.systems.examples.paper_examples import paper_a37
 
 MASSES = (1.0, 2.0, 0.01)
 A = 2.0

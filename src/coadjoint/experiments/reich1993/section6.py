@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
+from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
 from coadjoint.analysis.order import fit_order
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
@@ -15,7 +15,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
-from coadjoint.systems.paper_examples import paper_rigid_body
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 
 def statements() -> list[Statement]:

@@ -15,11 +15,11 @@ from coadjoint.experiments.statement import Statement, judged
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separable import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.paper_examples import paper_rigid_body
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.separable import Separable
 
 COUNTS = (32, 64, 128, 256)  # few, since every run compiles the functions again
 

@@ -7,9 +7,9 @@ import numpy as np
 from coadjoint.algebra import catalogue
 from coadjoint.experiments.convergence import Trial, trial
 from coadjoint.methods.splitting import Splitting
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.paper_examples import paper_rigid_body
-from coadjoint.systems.quadratic import Quadratic
 
 # Section 5.1: the paper gives h and a; initial state and time are chosen here to show the whole motion.
 SPIRAL_START, SPIRAL_END, SPIRAL_STEP = (1.0, 1.0, 1.0), 20.0, 0.01

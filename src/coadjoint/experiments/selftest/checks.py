@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.analysis.certificate import HOLDS, Row
-from coadjoint.analysis.certify import certify
+from coadjoint.analysis.certificates.certificate import HOLDS, Row
+from coadjoint.analysis.certificates.certify import certify
 from coadjoint.errors import in_one_line
 from coadjoint.experiments.selftest.findings import Finding
 from coadjoint.experiments.selftest.subjects import more_schemes, references, schemes, served, state_of, systems
-from coadjoint.extras import EXTRAS, installed
-from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.isospectral_gauss import IsospectralGauss
+from coadjoint.methods.protocol.method import Method
+from coadjoint.optional_packages import EXTRAS, installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -161,7 +161,7 @@ def resumed() -> Iterator[Finding]:
         extra = EXTRAS[missing[0]]
         yield Finding("cut and resumed", skipped=f'{missing[0]} is not installed: pip install "coadjoint[{extra}]"')
         return
-    from coadjoint.files.archives import resume
+    from coadjoint.files.archives.resume import resume
 
     other, tried = [], 0
     with tempfile.TemporaryDirectory() as folder:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra import catalogue
 from coadjoint.methods import registry
-from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves
+from coadjoint.methods.protocol.method import Method
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.quadratic import Quadratic
-from coadjoint.systems.ready_made import ready_made_systems
+from coadjoint.systems.registry import ready_made_systems
 
 Array = NDArray[Any]
 

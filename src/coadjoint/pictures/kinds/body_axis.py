@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe, view_of
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.spatial import axis_in_space
 from coadjoint.pictures.style import INK, colour, key

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.orbit import draw_orbit
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.drawn import Drawn, spread
-from coadjoint.pictures.flips import flips as flips_of
+from coadjoint.pictures.plot_data import Drawn, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
+from coadjoint.pictures.sign_changes import flips as flips_of
 from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
 
 MOST_COMPONENTS = 8

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe, view_of
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, colour, key
+from coadjoint.validation import read_finite
 
 
 @kind("directions")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.fluids import carried_by, vorticity_of
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol

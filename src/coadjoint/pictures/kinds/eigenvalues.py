@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.systems.matrices.matrix_system import MatrixSystem

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
+from coadjoint.pictures.plot_data import Drawn, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.plot_data import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, plain_axes

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_positive
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import INK
+from coadjoint.validation import read_positive
 
 CELLS = 160
 LEVELS = 21

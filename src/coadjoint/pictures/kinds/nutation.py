@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.spatial import axis_in_space
 from coadjoint.pictures.style import INK, colour, dots, key, plain_axes

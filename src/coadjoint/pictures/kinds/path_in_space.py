@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_whole
-from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.orbit import frame_space
+from coadjoint.pictures.plot_data import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, colour, dots, key
+from coadjoint.validation import read_whole
 
 SHOWN = 40  # attitudes along the path
 

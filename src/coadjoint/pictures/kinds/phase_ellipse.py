@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_number, read_whole
-from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.plot_data import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, plain_axes
+from coadjoint.validation import read_number, read_whole
 
 Lump = tuple[Any, Any, Any, Any, Any]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.section import draw_crossings, places
 

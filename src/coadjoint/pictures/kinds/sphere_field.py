@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import VIEW, Globe
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import Paint, Update, kind
 from coadjoint.pictures.style import INK
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_choice
-from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.sites import places_of_sites, sites_of_row
+from coadjoint.pictures.site_positions import places_of_sites, sites_of_row
 from coadjoint.pictures.style import INK
+from coadjoint.validation import read_choice
 
 FLAT = ("plane", "side")
 SHADES = ("#0072B2", "#8A8A8A", "#D55E00")

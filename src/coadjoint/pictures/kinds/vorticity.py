@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_choice, read_number, read_positive
-from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.fluids import fluid_of, part_on_grid, surface_of
 from coadjoint.pictures.kinds.sphere_field import on_grid
+from coadjoint.pictures.plot_data import Drawn
 from coadjoint.pictures.projections import PROJECTIONS, Projection
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import INK
+from coadjoint.validation import read_choice, read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
 

@@ -19,10 +19,10 @@ _HOME = {
     "Force": "coadjoint.systems.forces.base",
     "HeatBath": "coadjoint.systems.forces.heat_bath",
     "LinearDamping": "coadjoint.systems.forces.linear_damping",
-    "OwnForce": "coadjoint.systems.forces.own_force",
+    "OwnForce": "coadjoint.systems.forces.custom_force",
     "Torque": "coadjoint.systems.forces.torque",
-    "get": "coadjoint.systems.forces.described",
-    "names": "coadjoint.systems.forces.described",
+    "get": "coadjoint.systems.forces.registry",
+    "names": "coadjoint.systems.forces.registry",
 }
 
 __all__ = sorted(_HOME)
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
     from coadjoint.systems.forces.base import Force as Force
     from coadjoint.systems.forces.beta_plane import BetaPlane as BetaPlane
-    from coadjoint.systems.forces.described import get as get
-    from coadjoint.systems.forces.described import names as names
+    from coadjoint.systems.forces.custom_force import OwnForce as OwnForce
     from coadjoint.systems.forces.double_bracket import DoubleBracketDamping as DoubleBracketDamping
     from coadjoint.systems.forces.friction import Friction as Friction
     from coadjoint.systems.forces.heat_bath import HeatBath as HeatBath
     from coadjoint.systems.forces.linear_damping import LinearDamping as LinearDamping
-    from coadjoint.systems.forces.own_force import OwnForce as OwnForce
     from coadjoint.systems.forces.random_forcing import RandomForcing as RandomForcing
+    from coadjoint.systems.forces.registry import get as get
+    from coadjoint.systems.forces.registry import names as names
     from coadjoint.systems.forces.torque import Torque as Torque
     from coadjoint.systems.forces.viscosity import Viscosity as Viscosity
 

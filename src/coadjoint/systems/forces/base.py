@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
-from coadjoint.wording import short
+from coadjoint.short_repr import short
 
 LONGEST = 80
 

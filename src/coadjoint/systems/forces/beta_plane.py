@@ -7,10 +7,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number
-from coadjoint.systems.forces.on_modes import ModeRates, modes_of
+from coadjoint.systems.forces.mode_force import ModeRates, modes_of
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves
 from coadjoint.systems.matrices.torus_modes import representatives
+from coadjoint.validation import read_number
 
 
 @dataclass(frozen=True)

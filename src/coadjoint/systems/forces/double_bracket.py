@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.given import read_number
 from coadjoint.systems.forces.base import Force, ForceReader, Noise
-from coadjoint.systems.forces.matrices import applied, check_dimension, read_matrix, root_of
+from coadjoint.systems.forces.rates import applied, check_dimension, read_matrix, root_of
+from coadjoint.validation import read_number
 
 MOST = 192
 SMALL = 2.0**-40

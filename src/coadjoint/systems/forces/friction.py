@@ -8,10 +8,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number
-from coadjoint.systems.forces.on_modes import ModeRates, by_scale
+from coadjoint.systems.forces.mode_force import ModeRates, by_scale
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
 from coadjoint.systems.user_functions import check_arguments
+from coadjoint.validation import read_number
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number, read_whole
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential
-from coadjoint.systems.forces.matrices import Plain, applied, root_of
 from coadjoint.systems.forces.normal_deviates import normal_deviates
+from coadjoint.systems.forces.rates import Plain, applied, root_of
+from coadjoint.validation import read_number, read_whole
 
 LARGEST_SEED = 2**62
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.matrices import (
+from coadjoint.systems.forces.rates import (
     applied,
     check_dimension,
     check_state,

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_finite, read_number, read_whole
 from coadjoint.systems.forces.base import ForceReader
 from coadjoint.systems.forces.heat_bath import LARGEST_SEED
+from coadjoint.systems.forces.mode_force import OnLayer, PerMode, modes_of
 from coadjoint.systems.forces.normal_deviates import normal_deviates
-from coadjoint.systems.forces.on_modes import OnLayer, PerMode, modes_of
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
+from coadjoint.validation import read_finite, read_number, read_whole
 
 
 @dataclass(frozen=True)

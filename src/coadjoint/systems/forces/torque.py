@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.given import read_numbers
+from coadjoint.short_repr import shown_fields
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.matrices import check_state, moves_matrices, numbers_of, read_state, sample_states
+from coadjoint.systems.forces.rates import check_state, moves_matrices, numbers_of, read_state, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
-from coadjoint.wording import shown_fields
+from coadjoint.validation import read_numbers
 
 # Nodes and weights of the five-point Gauss-Legendre rule on (-1, 1).
 NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)

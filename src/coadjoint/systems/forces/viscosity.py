@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_flag, read_number, read_whole
-from coadjoint.systems.forces.on_modes import ModeRates
+from coadjoint.systems.forces.mode_force import ModeRates
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
+from coadjoint.validation import read_flag, read_number, read_whole
 
 HIGHEST = 32
 

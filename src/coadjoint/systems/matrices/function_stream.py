@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import array_given
+from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.wording import short
+from coadjoint.validation import array_given
 
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[Any]

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.errors import in_one_line
-from coadjoint.given import read_finite, read_number, read_positive, read_whole
+from coadjoint.short_repr import short
 from coadjoint.systems.matrices.vorticity_files import read_field
-from coadjoint.wording import short
+from coadjoint.validation import read_finite, read_number, read_positive, read_whole
 
 if TYPE_CHECKING:
     from coadjoint.systems.matrices.fluid_system import FluidSystem

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import is_real
-from coadjoint.systems.points import QUIET
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import QUIET
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
-from coadjoint.wording import short
+from coadjoint.validation import is_real
 
 if TYPE_CHECKING:
     from coadjoint.systems.matrices.matrix_system import MatrixSystem

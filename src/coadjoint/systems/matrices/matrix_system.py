@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
-from coadjoint.given import array_given, check_finite, no_numbers, read_numbers, read_title, read_whole
+from coadjoint.algebra.families.matrix_algebra import SPARED, MatrixAlgebra
 from coadjoint.memory import check_room
-from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.short_repr import html_table, short
+from coadjoint.systems.closed_forms.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.evaluation import checked_sign
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.function_stream import FunctionStream
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, checked_energy
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of, values_of
-from coadjoint.systems.points import checked_sign
-from coadjoint.wording import html_table, short
+from coadjoint.validation import array_given, check_finite, no_numbers, read_numbers, read_title, read_whole
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

@@ -185,7 +185,7 @@ def mode_basis_of(system: Any) -> ModeBasis | None:
 
     Examples
     --------
-    >>> from coadjoint.systems.sphere_euler import sphere_euler
+    >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
     >>> mode_basis_of(sphere_euler(N=4))
     Harmonics(N=4)
     """
@@ -202,7 +202,7 @@ def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Fl
 
     Examples
     --------
-    >>> from coadjoint.systems.torus_euler import torus_euler
+    >>> from coadjoint.systems.fluids.torus_euler import torus_euler
     >>> s = torus_euler(N=5)
     >>> stream_values(s.stream, mode_basis_of(s), 1, np.array([1, 2]))
     array([-0.5, -0.2])

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.extras import need
-from coadjoint.given import array_given, check_finite, read_choice, read_finite, read_numbers, read_whole
 from coadjoint.memory import check_room
-from coadjoint.wording import short
+from coadjoint.optional_packages import need
+from coadjoint.short_repr import short
+from coadjoint.validation import array_given, check_finite, read_choice, read_finite, read_numbers, read_whole
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

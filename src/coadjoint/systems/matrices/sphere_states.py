@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite, read_number, read_positive, read_whole
+from coadjoint.short_repr import short
 from coadjoint.systems.matrices.hoppe_yau import generators
 from coadjoint.systems.matrices.spherical_modes import harmonics_of_matrix, scale
-from coadjoint.wording import short
+from coadjoint.validation import read_finite, read_number, read_positive, read_whole
 
 if TYPE_CHECKING:
-    from coadjoint.systems.sphere_euler import SphereEuler
+    from coadjoint.systems.fluids.sphere_euler import SphereEuler
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

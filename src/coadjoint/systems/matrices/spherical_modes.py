@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_complex
 from coadjoint.memory import available, check_room
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_complex
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

@@ -8,8 +8,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[Any]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
 from coadjoint.memory import check_room
+from coadjoint.short_repr import short
 from coadjoint.systems.matrices.torus_modes import representatives
-from coadjoint.wording import short
+from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

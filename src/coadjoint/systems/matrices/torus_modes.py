@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_complex
-from coadjoint.wording import short
+from coadjoint.short_repr import short
+from coadjoint.validation import read_complex
 
 Complexes = npt.NDArray[np.complex128]
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_number, read_positive, read_whole
+from coadjoint.validation import read_number, read_positive, read_whole
 
 if TYPE_CHECKING:
-    from coadjoint.systems.torus_euler import TorusEuler
+    from coadjoint.systems.fluids.torus_euler import TorusEuler
 
 Complexes = npt.NDArray[np.complex128]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.matrix_kinds import Kind
-from coadjoint.algebra.matrix_states import MatrixAlgebra
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
+from coadjoint.algebra.families.matrix_families import Kind
 
 Matrix = npt.NDArray[Any]
 

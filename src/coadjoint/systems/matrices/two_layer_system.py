@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
-from coadjoint.given import array_given, title
+from coadjoint.algebra.families.matrix_algebra import SPARED, MatrixAlgebra
 from coadjoint.memory import check_room
+from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of
-from coadjoint.wording import short
+from coadjoint.validation import array_given, title
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.extras import need
-from coadjoint.given import read_finite, read_whole
-from coadjoint.wording import short
+from coadjoint.optional_packages import need
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite, read_whole
 
 if TYPE_CHECKING:
     import xarray

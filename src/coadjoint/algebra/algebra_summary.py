@@ -1,0 +1,124 @@
+"""Text descriptions of Lie algebras and the listing of the catalogue, for the command line."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from coadjoint.algebra.bracket_format import count_of_brackets, shown_brackets
+from coadjoint.algebra.catalogue import families, get, names
+from coadjoint.algebra.families.low_dimensional import entries
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.errors import in_one_line
+
+WIDE = 100
+MOST_BRACKETS = 20
+MOST_NAMES = 30
+LARGEST = 16
+"""Largest dimension for which unknown Casimirs are computed; above it the computation takes seconds."""
+LONGEST_FORMULA = 300
+
+
+def listed_algebras() -> list[str]:
+    """Return one line per name of the catalogue: name with parameters, dimension, aliases.
+
+    Examples
+    --------
+    >>> lines = listed_algebras()
+    >>> [line for line in lines if line.startswith(("A4_9", "so(n)"))]
+    ['A4_9(b)         dimension 4, -1 < b <= 1', 'so(n)           a family; give the numbers, such as so(3)']
+    """
+    known, patterns = entries(), families()
+    return [f"{_head(name, known):16}{_about(name, known, patterns)}" for name in names()]
+
+
+def _head(name: str, known: Mapping[str, Mapping[str, Any]]) -> str:
+    given = known.get(name, {}).get("parameters", ())
+    return f"{name}({', '.join(given)})" if given else name
+
+
+def _about(name: str, known: Mapping[str, Mapping[str, Any]], patterns: Mapping[str, tuple[str, ...]]) -> str:
+    if name in patterns:
+        return f"a family; give the numbers, such as {_example(name)}"
+    if name not in known:
+        return f"dimension {get(name).dim}"
+    entry = known[name]
+    more = [entry[key] for key in ("range", "note") if entry.get(key)]
+    return ", ".join([f"dimension {entry['dim']}", *more])
+
+
+def _example(pattern: str) -> str:
+    head, _, numbers = pattern.partition("(")
+    return f"{head}({numbers.replace('2n', '4').replace('p,q', '3,1').replace('n', '3')}"
+
+
+def algebra_of(name: str, parameters: Mapping[str, Any]) -> LieAlgebra:
+    """Return an algebra of the catalogue; a family without numbers is refused with an example of the notation.
+
+    Examples
+    --------
+    >>> algebra_of("so(5)", {}).dim
+    10
+    >>> algebra_of("so(n)", {})
+    Traceback (most recent call last):
+    ValueError: so(n) is a family; give its numbers, such as so(3)
+    """
+    if name in families() and not parameters:
+        raise ValueError(f"{name} is a family; give its numbers, such as {_example(name)}")
+    return get(name, **parameters)
+
+
+def algebra_text(algebra: LieAlgebra) -> str:
+    """Describe an algebra (dimension, basis, brackets, Casimirs) in lines of at most 100 characters.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> print(algebra_text(co.algebras.get("A3,7", a=2)))
+    A3_7(a=2)
+    dimension     3
+    basis         e1, e2, e3
+    brackets      [e1, e3] = 2 e1 - e2
+                  [e2, e3] = e1 + 2 e2
+    casimirs      log C = log|x1^2 + x2^2| - 4 atan2(x2, x1)
+    matrices      3 x 3
+    """
+    return "\n".join(_lines(algebra))
+
+
+def _lines(algebra: LieAlgebra) -> Iterator[str]:
+    yield str(algebra.name or "a Lie algebra")
+    yield from _entry("dimension", str(algebra.dim))
+    listed = algebra.basis if algebra.dim <= MOST_NAMES else (*algebra.basis[:3], "...", algebra.basis[-1])
+    yield from _entry("basis", in_one_line(", ".join(listed), LONGEST_FORMULA))
+    count = count_of_brackets(algebra.triples)
+    shown = shown_brackets(algebra.triples, algebra.basis, MOST_BRACKETS)
+    more = [f"and {count - len(shown)} more"] if count > len(shown) else []
+    for number, line in enumerate([*shown, *more] or ["none but zero"]):
+        yield from _entry("" if number else "brackets", line)
+    for number, line in enumerate(_casimirs(algebra)):
+        yield from _entry("" if number else "casimirs", line)
+    size = None if algebra.representation is None else algebra.representation.shape[1]
+    yield from _entry(
+        "matrices", "none is known; use the coadjoint representation" if size is None else f"{size} x {size}"
+    )
+
+
+def _casimirs(algebra: LieAlgebra) -> list[str]:
+    known: Mapping[str, Any] = algebra.casimirs_known
+    if not known and algebra.dim > LARGEST:
+        return [f"not computed here, since there are {algebra.dim} coordinates; call casimirs() of the algebra"]
+    found = known or algebra.casimirs()
+    if not found:
+        return [in_one_line(repr(found), LONGEST_FORMULA).removeprefix("{}").strip(" ()") or "none"]
+    return [in_one_line(_formula(name, value), LONGEST_FORMULA) for name, value in found.items()]
+
+
+def _formula(name: str, value: Any) -> str:
+    text = str(value)
+    return name if text == name or " object at " in text or text.startswith("<") else f"{name} = {text}"
+
+
+def _entry(name: str, text: str) -> list[str]:
+    return textwrap.wrap(text, WIDE, initial_indent=f"{name:14}", subsequent_indent=" " * 14)

@@ -1,0 +1,1 @@
+"""Exact and numerical linear algebra: numbers, ranks, kernels, sparse sums."""

@@ -1,0 +1,118 @@
+"""Sparse exact linear algebra over the rational numbers: spans, membership, inverses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.exact.numbers import exact_number
+from coadjoint.short_repr import short
+from coadjoint.validation import read_number, refuse_what_is_lost
+
+Number = int | Fraction
+Vector = dict[int, Number]
+
+
+def read_vector(given: Any, dim: int, what: str) -> Vector:
+    """Return the nonzero components of a vector as exact rational numbers; floats are converted exactly.
+
+    Examples
+    --------
+    >>> read_vector([0, 0.5, Fraction(1, 3)], 3, "v")
+    {1: Fraction(1, 2), 2: Fraction(1, 3)}
+    """
+    refuse_what_is_lost(given, what)
+    if not isinstance(given, Iterable):
+        raise TypeError(f"{what} is {short(given)}; it must be a sequence of numbers")
+    values = given.tolist() if isinstance(given, np.ndarray) and given.ndim else list(given)
+    if len(values) != dim:
+        raise ValueError(f"{what} must have {dim} components, not {len(values)}")
+    vector: Vector = {}
+    for i, value in enumerate(values):
+        plain = type(value) in (int, Fraction)
+        number = exact_number(value if plain else read_number(value, f"component {i} of {what}"))
+        if number:
+            vector[i] = number
+    return vector
+
+
+def added(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
+    """Add factor * right to left in place, dropping entries that cancel.
+
+    Examples
+    --------
+    >>> v = {0: 1, 1: 2}
+    >>> added(v, -2, {1: 1, 2: 1})
+    >>> v
+    {0: 1, 2: -2}
+    """
+    for i, value in right.items():
+        total = left.get(i, 0) + factor * value
+        if total:
+            left[i] = total
+        else:
+            left.pop(i, None)
+
+
+class Span:
+    """The span of independent sparse vectors {index: number}, with membership tests and coordinates by elimination.
+
+    A ValueError is raised if a vector depends on those before it.
+
+    Examples
+    --------
+    >>> span = Span([{0: 1, 1: 1}, {1: 2}])
+    >>> span.combination({0: 3})
+    {0: 3, 1: Fraction(-3, 2)}
+    >>> span.combination({2: 1}) is None
+    True
+    """
+
+    def __init__(self, vectors: Sequence[Mapping[int, Number]]) -> None:
+        self._rows: dict[int, tuple[Vector, Vector]] = {}  # pivot -> row with 1 there, and its combination
+        for number, vector in enumerate(vectors):
+            rest, used = self._reduced(vector)
+            if not rest:
+                raise ValueError(f"vector {number} is a combination of the vectors before it")
+            pivot = min(rest)
+            scale = Fraction(1) / rest[pivot]
+            combination: Vector = {number: scale}
+            added(combination, -scale, used)
+            row: Vector = {i: value * scale for i, value in rest.items()}
+            for other, coordinates in self._rows.values():
+                factor = other.get(pivot, 0)
+                if factor:
+                    added(other, -factor, row)
+                    added(coordinates, -factor, combination)
+            self._rows[pivot] = row, combination
+
+    def _reduced(self, vector: Mapping[int, Number]) -> tuple[Vector, Vector]:
+        """Return the remainder of a vector modulo the span, and the combination that was subtracted."""
+        rest, used = dict(vector), dict[int, Number]()
+        for pivot in [i for i in vector if i in self._rows]:  # rows have zeros at the other pivots
+            row, combination = self._rows[pivot]
+            factor = rest[pivot]
+            added(rest, -factor, row)
+            added(used, factor, combination)
+        return rest, used
+
+    def combination(self, vector: Mapping[int, Number]) -> Vector | None:
+        """Return the coefficients of a vector in the given ones, by their number; None if it is outside the span."""
+        rest, used = self._reduced(vector)
+        return None if rest else {i: _simple(used[i]) for i in sorted(used)}
+
+    def remainder(self, vector: Mapping[int, Number]) -> Vector:
+        """Return the representative of a vector modulo the span that is zero at the pivots."""
+        return self._reduced(vector)[0]
+
+    @property
+    def pivots(self) -> frozenset[int]:
+        """Pivot indices, one per vector."""
+        return frozenset(self._rows)
+
+
+def _simple(value: Number) -> Number:
+    return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value

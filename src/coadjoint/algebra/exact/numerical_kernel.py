@@ -1,0 +1,106 @@
+"""Kernels of floating-point equations by singular values, accepted only if they leave a clear gap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.exact.numerical_rank import clear_rank
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, groups
+from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
+
+
+def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float]:
+    """Return pivots, reduced row echelon form and its error, for orthonormal rows known to `error`."""
+    rows = basis.copy()
+    found: list[int] = []
+    for column in range(rows.shape[1]):
+        rank = len(found)
+        if rank == len(rows):
+            break
+        at = rank + int(np.argmax(np.abs(rows[rank:, column])))
+        size = abs(rows[at, column])
+        if size <= error:
+            continue
+        if size < PIVOT:
+            raise ValueError(
+                f"a leading coefficient {size:.3g} of a Casimir is neither round-off (below {error:.3g}) nor above "
+                f"{PIVOT:.3g}; give constants that are rational or more exact"
+            )
+        rows[[rank, at]] = rows[[at, rank]]
+        rows[rank] /= rows[rank, column]
+        others = np.arange(len(rows)) != rank
+        rows[others] -= np.outer(rows[others, column], rows[rank])
+        found.append(column)
+        error *= max(1.0, 1.0 / size)
+    return found, rows, error
+
+
+def _cleaned(row: Floats, error: float) -> Floats:
+    """Round coefficients that are within their error of a whole number (often zero) to it."""
+    whole = np.round(row)
+    return np.where(np.abs(row - whole) <= error * np.maximum(1.0, np.abs(whole)), whole, row)
+
+
+def _block_kernel(given: Equations) -> list[Vector]:
+    """Return the kernel of one block in reduced row echelon form, cleaned and checked against the equations."""
+    order, starts = groups(given.along, given.target)
+    row = np.repeat(np.arange(starts.size), np.diff(np.append(starts, order.size)))
+    matrix = np.zeros((starts.size, given.unknowns))
+    matrix[row, given.columns[order]] = given.values[order]
+    if starts.size > given.unknowns:
+        matrix = np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)
+    _, singular, basis = np.linalg.svd(matrix)
+    # every entry is known to 64 u times the largest one
+    roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * float(np.abs(given.values).max()) * math.sqrt(given.values.size)
+    rank = clear_rank(singular, roundoff, "the equations for Casimirs")
+    if rank == given.unknowns:
+        return []
+    error = roundoff / singular[rank - 1] if rank else DEFECT_FACTOR * UNIT_ROUNDOFF
+    found, rows, error = _leading_form(basis[rank:], error)
+    vectors: list[Vector] = []
+    for pivot, coefficients in zip(found, rows, strict=True):
+        clean = _cleaned(coefficients, error)
+        clean[:pivot] = 0.0
+        residual = np.add.reduceat((given.values * clean[given.columns])[order], starts)
+        allowed = error * float(np.abs(given.values).max()) * float(np.abs(clean).sum()) + roundoff
+        if np.abs(residual).max() > allowed:
+            raise ArithmeticError(
+                f"a Casimir found in floats has the residual {np.abs(residual).max():.3g} in J(x) grad C(x) = 0, above "
+                f"the {allowed:.3g} of round-off"
+            )
+        vectors.append({at: float(clean[at]) for at in np.flatnonzero(clean).tolist()})
+    return vectors
+
+
+def kernel(given: Equations, largest: int) -> list[Vector]:
+    """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}.
+
+    With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
+    zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
+    """
+    found: list[Vector] = []
+    for unknowns, part in blocks(given):
+        if not part.values.size:
+            found += [{int(column): 1.0} for column in unknowns]
+            continue
+        check_block(part, largest)
+        found += [{int(unknowns[at]): value for at, value in vector.items()} for vector in _block_kernel(part)]
+    return sorted(found, key=lambda vector: next(iter(vector)))
+
+
+def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
+    """Return the pivot columns of the reduced row echelon form if they are unambiguous."""
+    if not rows:
+        return []
+    matrix = np.array(rows, dtype=np.float64)
+    _, singular, basis = np.linalg.svd(matrix, full_matrices=False)
+    roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * float(np.linalg.norm(matrix))
+    rank = clear_rank(singular, roundoff, "the products of Casimirs")
+    return _leading_form(basis[:rank], roundoff / singular[rank - 1])[0]

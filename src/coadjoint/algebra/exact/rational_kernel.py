@@ -1,0 +1,164 @@
+"""Kernels over the rational numbers: elimination modulo primes, rational reconstruction, and exact verification."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint import long_operations as waiting
+from coadjoint.algebra.exact.modular import random_prime, residues
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.exact.sparse_sums import groups
+from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
+
+if TYPE_CHECKING:
+    from flint import nmod_mat
+
+
+def _leading_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
+    """Return pivots and rows of the reduced row echelon form."""
+    reduced, rank = rows.rref()
+    width = reduced.ncols()
+    flat = [int(value) for value in reduced.entries()[: rank * width]]
+    found = [flat[at * width : (at + 1) * width] for at in range(rank)]
+    return tuple(next(at for at, value in enumerate(row) if value) for row in found), found
+
+
+def _kernel_modulo(given: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
+    """Return the kernel modulo a prime in reduced row echelon form, intersected derivation by derivation."""
+    from flint import nmod_mat
+
+    size, values = given.unknowns, residues(given.values, prime)
+    order, starts = groups(given.along)
+    cuts = np.split(order, starts[1:]) if order.size else []
+    kernel: Any = None
+    for at in sorted(cuts, key=len, reverse=True):  # longest first, since it reduces the kernel most
+        waiting.at(f"the equations of {size} coupled coefficients")
+        names, row = np.unique(given.target[at], return_inverse=True)
+        flat = [0] * (names.size * size)
+        for place, value in zip((row * size + given.columns[at]).tolist(), values[at].tolist(), strict=True):
+            flat[place] = value
+        matrix = nmod_mat(names.size, size, flat, prime)
+        if kernel is not None:
+            matrix = matrix * kernel
+        null, nullity = matrix.nullspace()
+        if not nullity:
+            return (), []
+        width = null.nrows()
+        chosen = [int(column == r) for r in range(width) for column in range(nullity)]
+        null = null * nmod_mat(width, nullity, chosen, prime)
+        kernel = null if kernel is None else kernel * null
+    if kernel is None:
+        kernel = nmod_mat(size, size, [int(a == b) for a in range(size) for b in range(size)], prime)
+    return _leading_form(kernel.transpose())
+
+
+def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
+    """Return the fraction p/q with p^2, q^2 <= modulus/2 that has this residue, or None (Wang's algorithm).
+
+    Examples
+    --------
+    >>> fraction_modulo(2 * pow(3, -1, 10007) % 10007, 10007)
+    Fraction(2, 3)
+    """
+    bound = math.isqrt(modulus // 2)
+    above, here = (modulus, 0), (residue, 1)
+    while here[0] > bound:
+        quotient = above[0] // here[0]
+        above, here = here, (above[0] - quotient * here[0], above[1] - quotient * here[1])
+    if here[1] == 0 or abs(here[1]) > bound or math.gcd(here[0], here[1]) != 1:
+        return None
+    return Fraction(here[0], here[1])
+
+
+def annihilated(given: Equations, vector: Vector) -> bool:
+    """Return whether a rational vector fulfils the equations exactly.
+
+    Examples
+    --------
+    >>> zero, both = np.array([0, 0]), np.array([0, 1])
+    >>> annihilated(Equations(2, zero, zero, both, np.array([1, 2])), {0: 1, 1: Fraction(-1, 2)})
+    True
+    """
+    common = math.lcm(*(Fraction(value).denominator for value in vector.values()))
+    dense = np.zeros(given.unknowns, dtype=object)
+    for column, value in vector.items():
+        dense[column] = int(value * common)
+    touched = np.isin(given.columns, list(vector))
+    terms = given.values[touched].astype(object) * dense[given.columns[touched]]
+    order, starts = groups(given.along[touched], given.target[touched])
+    return not (order.size and np.any(np.add.reduceat(terms[order], starts) != 0))
+
+
+def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
+    """Return the kernel of one block in reduced row echelon form.
+
+    Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
+    equations exactly they span it. Primes are multiplied until then; one with a larger kernel or later pivots is
+    dropped.
+    """
+    pivots: tuple[int, ...] = ()
+    columns: list[list[int]] = []
+    modulus = 1
+    while True:
+        prime = random_prime(rng)
+        if modulus % prime == 0:
+            continue
+        found, rows = _kernel_modulo(given, prime)
+        if not found:
+            return []
+        if modulus == 1 or (len(found), found) < (len(pivots), pivots):
+            pivots, columns, modulus = found, rows, prime
+        elif found == pivots:
+            inverse = pow(modulus, -1, prime)
+            columns = [
+                [old + modulus * ((new - old) * inverse % prime) for old, new in zip(*pair, strict=True)]
+                for pair in zip(columns, rows, strict=True)
+            ]
+            modulus *= prime
+        else:
+            continue
+        vectors: list[Vector] = []
+        for row in columns:
+            vector = {at: fraction_modulo(value, modulus) for at, value in enumerate(row) if value}
+            if None in vector.values() or not annihilated(given, vector):
+                break
+            vectors.append(vector)
+        if len(vectors) == len(pivots):
+            return vectors
+
+
+def kernel(given: Equations, largest: int) -> list[Vector]:
+    """Return the solutions of integer equations in reduced row echelon form, {unknown: Fraction}, by leading unknown.
+
+    Every vector is verified against all equations in exact arithmetic. ValueError for a block above `largest` unknowns.
+    """
+    rng = np.random.default_rng(0)
+    found: list[Vector] = []
+    for unknowns, part in blocks(given):
+        if not part.values.size:
+            found += [{int(column): 1} for column in unknowns]
+            continue
+        check_block(part, largest)
+        for vector in _block_kernel(part, rng):
+            whole = {int(unknowns[at]): value for at, value in vector.items()}
+            if not annihilated(given, whole):
+                raise ArithmeticError("a solution of a block does not solve all equations: the blocks are wrong")
+            found.append(whole)
+    return sorted(found, key=lambda vector: next(iter(vector)))
+
+
+def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
+    """Return the pivot columns of the exact reduced row echelon form."""
+    from flint import fmpq_mat
+
+    if not rows:
+        return []
+    flat = [rational(value) for row in rows for value in row]
+    reduced, rank = fmpq_mat(len(rows), width, flat).rref()
+    entries = reduced.entries()
+    return [next(at for at in range(width) if entries[row * width + at] != 0) for row in range(rank)]

@@ -1,0 +1,1 @@
+"""Families of Lie algebras, and constructions of new ones."""

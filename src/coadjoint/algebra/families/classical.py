@@ -1,0 +1,135 @@
+"""The matrix algebras gl(n), sl(n) and sp(2n)."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from coadjoint.algebra.constants import check_room_of_algebra
+from coadjoint.algebra.families.matrix_bases import Form, matrix_algebra, traceless
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.short_repr import short
+from coadjoint.validation import read_whole
+
+
+def gl(n: int) -> LieAlgebra:
+    """Return gl(n), all n x n matrices, in the basis E_11, E_12, ..., E_nn.
+
+    Parameters
+    ----------
+    n : int
+        Size of the matrices, from 1; the dimension is n^2.
+
+    Returns
+    -------
+    LieAlgebra
+        With these matrices as representation and the Casimirs ``"trace"`` and, for n > 1, ``"quadratic"``,
+        sum x_ij x_ji. There are n independent ones; ``casimirs(max_degree=n)`` finds all.
+
+    Raises
+    ------
+    ValueError
+        n is not an integer from 1 up.
+
+    Examples
+    --------
+    >>> gl(2).casimirs_known["quadratic"]
+    x1^2 + 2*x2*x3 + x4^2
+    """
+    n = read_whole(n, "n of gl(n)")
+    check_room_of_algebra(f"gl({short(n)})", n * n, n**3)
+    basis = [(i * n + j, i, j, 1.0) for i in range(n) for j in range(n)]
+    casimirs: dict[str, Form] = {"quadratic": [(i * n + j, j * n + i, 1) for i in range(n) for j in range(n)]}
+    trace = [i * n + i for i in range(n)]
+    return matrix_algebra(f"gl({n})", basis, basis, n, casimirs if n > 1 else {}, {"trace": trace})
+
+
+def sl(n: int = 2) -> LieAlgebra:
+    """Return sl(n), the n x n matrices of trace zero.
+
+    sl(2) is A_{3,8}: [e1, e2] = e1, [e1, e3] = -2 e2, [e2, e3] = e3; in terms of (E, H, F) the basis is (F, H/2, E).
+    For n >= 3 the basis is E_ij, i != j, in the order 12, 13, ..., n(n-1), and then H_k = E_kk - E_(k+1)(k+1).
+
+    Parameters
+    ----------
+    n : int, optional
+        Size of the matrices, from 2; the dimension is n^2 - 1.
+
+    Returns
+    -------
+    LieAlgebra
+        With these matrices as representation, and the Casimir of the trace form, ``"x1*x3 + x2^2"`` for n = 2 and
+        ``"quadratic"`` for n >= 3. There are n - 1 independent ones; ``casimirs(max_degree=n)`` finds all.
+
+    Raises
+    ------
+    ValueError
+        n is not an integer from 2 up.
+
+    Examples
+    --------
+    >>> sl(2).bracket([1, 0, 0], [0, 0, 1])
+    array([ 0., -2.,  0.])
+    >>> sl(3)
+    LieAlgebra('sl(3)', dim=8, 21 brackets)
+    """
+    n = read_whole(n, "n of sl(n)", 2)
+    check_room_of_algebra(f"sl({short(n)})", n * n - 1, 2 * n**3)
+    if n == 2:
+        matrix_basis = [(0, 1, 0, 1.0), (1, 0, 0, 0.5), (1, 1, 1, -0.5), (2, 0, 1, 1.0)]
+        weights = [(0, 1, 0, 1.0), (1, 0, 0, 1.0), (1, 1, 1, -1.0), (2, 0, 1, 1.0)]
+        return matrix_algebra("sl(2)", matrix_basis, weights, 2, {"x1*x3 + x2^2": [(0, 2, 1), (1, 1, 1)]})
+    number = {pair: k for k, pair in enumerate((i, j) for i in range(n) for j in range(n) if i != j)}
+    begin = len(number)
+    outside = [(k, i, j, 1.0) for (i, j), k in number.items()]
+    diagonal = [(begin + k, k + d, k + d, 1.0 - 2.0 * d) for k in range(n - 1) for d in (0, 1)]
+    weights = [(begin + k, i, i, 1.0) for k in range(n - 1) for i in range(k + 1)]
+    form: Form = [(k, number[j, i], 1) for (i, j), k in number.items()]
+    return matrix_algebra(
+        f"sl({n})", outside + diagonal, outside + weights, n, {"quadratic": form + traceless(n, begin, 1)}
+    )
+
+
+def sp(size: int) -> LieAlgebra:
+    """Return sp(2n, R), the matrices (A, B; C, -A^T) with n x n blocks, B and C symmetric: linear Hamiltonian fields.
+
+    The basis is A_ij = E_ij - E_(n+j)(n+i), row by row; then B_ij = E_i(n+j) + E_j(n+i), i < j, with B_ii = E_i(n+i),
+    in the order 11, 12, ..., 22, ...; then C_ij, the transposed matrices.
+
+    Parameters
+    ----------
+    size : int
+        Size 2 n of the matrices, even, from 2: ``sp(4)`` is sp(4, R). The dimension is n (2 n + 1).
+
+    Returns
+    -------
+    LieAlgebra
+        With these matrices as representation, and the Casimir ``"quadratic"`` of the trace form. There are n
+        independent ones; ``casimirs(max_degree=size)`` finds all.
+
+    Raises
+    ------
+    ValueError
+        size is not an even integer from 2 up.
+
+    Examples
+    --------
+    >>> sp(2).casimirs_known["quadratic"]
+    (1/2)*x1^2 + 2*x2*x3
+    """
+    size = read_whole(size, "size of sp(size)", 2)
+    if size % 2:
+        raise ValueError(f"size of sp(size) must be even, not {short(size)}: sp(2n, R) consists of 2n x 2n matrices")
+    n = size // 2
+    check_room_of_algebra(f"sp({short(size)})", n * (size + 1), size**3)
+    upper = [(i, j) for i in range(n) for j in range(i, n)]
+    b, c = n * n, n * n + len(upper)
+    basis = [(i * n + j, i, j, 1.0) for i in range(n) for j in range(n)]
+    basis += [(i * n + j, n + j, n + i, -1.0) for i in range(n) for j in range(n)]
+    weights = basis[: n * n]
+    form: Form = [(i * n + j, j * n + i, Fraction(1, 2)) for i in range(n) for j in range(n)]
+    for k, (i, j) in enumerate(upper):
+        for row, column in {(i, j), (j, i)}:
+            basis += [(b + k, row, n + column, 1.0), (c + k, n + row, column, 1.0)]
+        weights = [*weights, (b + k, i, n + j, 1.0), (c + k, n + i, j, 1.0)]
+        form.append((b + k, c + k, 2 if i == j else 1))
+    return matrix_algebra(f"sp({size})", basis, weights, 2 * n, {"quadratic": form})

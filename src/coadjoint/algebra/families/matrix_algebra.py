@@ -1,0 +1,292 @@
+"""Lie algebras whose elements are stored as matrices, without structure constants: classical ones and their sums."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.families.matrix_families import KINDS, WITH_SIGNS, Adjoint, Kind
+from coadjoint.memory import check_room
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
+from coadjoint.validation import SMALL, array_given, no_numbers, read_choice, read_title, read_whole
+
+SUM = "sum"
+LARGEST = 4096
+ROUNDED = 64 * UNIT_ROUNDOFF
+"""Relative rounding tolerance, times N and the largest entry, of membership in the algebra."""
+SPARED = 8 * UNIT_ROUNDOFF
+
+Matrix = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class MatrixAlgebra:
+    """Matrices with the commutator ``[A, B] = A B - B A``: a classical Lie algebra, or a block-diagonal sum.
+
+    Choose it when structure constants would not fit in memory: u(512) has about 2 N^3 of them. An invariant pairing
+    identifies the algebra with its dual: ``<A, B> = Re tr(A* B)`` if the algebra is skew, else ``Re tr(A B)``.
+
+    Parameters
+    ----------
+    kind : {"u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)"}
+        Skew-Hermitian; skew-Hermitian and traceless; real skew-symmetric; all real matrices; real traceless;
+        Hamiltonian, W^T J + J W = 0 with ``J = [[0, 1], [-1, 0]]``; the last four are the complex forms.
+    N : int
+        Rows and columns, from 2 to 4096; for "sp" and "sp(C)" an even number.
+    q : int
+        For "u", "su" and "so": number of negative signs of the form, placed last: u(p, q) with p = N - q.
+    blocks : tuple of MatrixAlgebra
+        Blocks of a direct sum; construct one with `sum`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Unknown kind, or invalid size.
+
+    Examples
+    --------
+    >>> g = MatrixAlgebra("su", 3)
+    >>> g.shape, g.complex, g.dim
+    ((3, 3), True, 8)
+    >>> print(MatrixAlgebra("so", 4, q=1), MatrixAlgebra.sum(g, MatrixAlgebra("sp", 4)))
+    so(3, 1) su(3) + sp(4, R)
+    """
+
+    kind: str
+    N: int
+    q: int = 0
+    blocks: tuple[MatrixAlgebra, ...] = ()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.kind, str) and self.kind == SUM:
+            self._check_blocks()
+            return
+        kind, N = read_choice(self.kind, "kind", KINDS), read_whole(self.N, "N", 2, LARGEST)
+        q = read_whole(self.q, "q", 0, N)
+        if N % 2 and KINDS[kind].form == "symplectic":
+            raise ValueError(f"N is {N}; matrices of {kind} have an even number of rows")
+        if q and kind not in WITH_SIGNS:
+            raise ValueError(f"q is {q}; {kind} has no negative signs (q must be 0); only {', '.join(WITH_SIGNS)} have")
+        if not isinstance(self.blocks, tuple) or self.blocks:
+            raise ValueError(f"blocks is {short(self.blocks)}; a sum of algebras is made by MatrixAlgebra.sum")
+        for name, value in (("kind", kind), ("N", N), ("q", q)):
+            object.__setattr__(self, name, value)
+
+    def _check_blocks(self) -> None:
+        blocks = self.blocks
+        if not isinstance(blocks, tuple) or len(blocks) < 2 or not all(isinstance(b, MatrixAlgebra) for b in blocks):
+            raise TypeError(f"blocks is {short(blocks)}; a sum has two MatrixAlgebras or more")
+        size = sum(block.N for block in blocks)
+        if size > LARGEST or self.N != size or self.q != 0:
+            raise ValueError(
+                f"blocks have {size} rows together; they must have N of them, {LARGEST} at most, and q = 0"
+            )
+
+    @classmethod
+    def sum(cls, *algebras: MatrixAlgebra) -> MatrixAlgebra:
+        """Return the algebra of block-diagonal matrices with the given algebras as blocks.
+
+        Parameters
+        ----------
+        *algebras : MatrixAlgebra
+            Two or more; sums are flattened.
+
+        Returns
+        -------
+        MatrixAlgebra
+
+        Examples
+        --------
+        >>> g = MatrixAlgebra.sum(MatrixAlgebra("so", 3), MatrixAlgebra("so", 3), MatrixAlgebra("gl", 2))
+        >>> g.N, g.dim, g.skew
+        (8, 10, False)
+        """
+        if not all(isinstance(algebra, MatrixAlgebra) for algebra in algebras):
+            raise TypeError(f"algebras are {short(algebras)}; give MatrixAlgebras")
+        blocks = tuple(block for algebra in algebras for block in algebra.blocks or (algebra,))
+        return cls(SUM, sum(block.N for block in blocks), 0, blocks)
+
+    def __str__(self) -> str:
+        if self.kind == SUM:
+            return " + ".join(map(str, self.blocks))
+        name, _, field = self.kind.partition("(")
+        size = f"{self.N - self.q}, {self.q}" if self.q else str(self.N)
+        return f"{name}({size}{', C' if field else '' if name in WITH_SIGNS else ', R'})"
+
+    @property
+    def name(self) -> str:
+        """The name, such as "su(3)"."""
+        return str(self)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (N, N) of a matrix."""
+        return self.N, self.N
+
+    @property
+    def parts(self) -> Iterator[tuple[slice, MatrixAlgebra, Kind]]:
+        """The diagonal blocks as (slice, algebra, kind); a single one unless the algebra is a sum."""
+        first = 0
+        for block in self.blocks or (self,):
+            yield slice(first, first + block.N), block, KINDS[block.kind]
+            first += block.N
+
+    @cached_property
+    def complex(self) -> bool:
+        """Whether entries are complex."""
+        return any(kind.complex for _, _, kind in self.parts)
+
+    @cached_property
+    def skew(self) -> bool:
+        """Whether all matrices are skew-Hermitian: u(N), su(N), so(N), and sums of these."""
+        return all(block.kind in WITH_SIGNS and not block.q for _, block, _ in self.parts)
+
+    @cached_property
+    def dim(self) -> int:
+        """The real dimension: the number of independent real numbers in an element."""
+        return sum(kind.dim(block.N) for _, block, kind in self.parts)
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of independent Casimirs."""
+        return sum(kind.rank(block.N) for _, block, kind in self.parts)
+
+    def generic_rank(self) -> int:
+        """Return the dimension of a generic orbit."""
+        return self.dim - self.rank
+
+    @property
+    def basis(self) -> tuple[str, ...]:
+        """Names of the real numbers that store a matrix, row by row."""
+        parts = ("re", "im") if self.complex else ("",)
+        return tuple(f"{part}{i},{j}" for i in range(self.N) for j in range(self.N) for part in parts)
+
+    def bracket(self, A: Matrix, B: Matrix) -> Matrix:
+        """Return the commutator.
+
+        Examples
+        --------
+        >>> E = np.array([[0.0, 1.0], [-1.0, 0.0]])
+        >>> bool((MatrixAlgebra("so", 2).bracket(E, 2 * E) == 0.0).all())
+        True
+        """
+        return A @ B - B @ A
+
+    def pairing(self, A: Matrix, B: Matrix) -> Any:
+        """Return <A, B> of matrices (..., N, N), invariant: <[A, B], C> = <A, [B, C]>.
+
+        Examples
+        --------
+        >>> E = np.array([[0.0, 1.0], [-1.0, 0.0]])
+        >>> float(MatrixAlgebra("so", 2).pairing(E, E)), float(MatrixAlgebra("gl", 2).pairing(E, E))
+        (2.0, -2.0)
+        """
+        products = np.real(np.conj(self.dual(A)) * B) if self.complex else self.dual(A) * B
+        return products.reshape(*products.shape[:-2], self.N**2).sum(axis=-1)
+
+    def dual(self, A: Matrix) -> Matrix:
+        """Return D with <A, B> = Re(sum of conj(D) * B over the entries) for every B of the algebra."""
+        return A if self.skew else np.conj(np.swapaxes(A, -1, -2))
+
+    def projected(self, A: Matrix, spared: float = 0.0) -> Matrix:
+        """Return the nearest element of the algebra.
+
+        Parameters
+        ----------
+        A : ndarray, shape (..., N, N)
+            Matrices.
+        spared : float
+            Relative to the largest entry: in traceless algebras, a mean of the diagonal up to this size is kept, since
+            repeated removal of round-off would change the last bits of a state that is already in the algebra.
+
+        Returns
+        -------
+        ndarray
+            The projection, complex128 or float64.
+
+        Examples
+        --------
+        >>> MatrixAlgebra("su", 2).projected(np.array([[1j, 2.0], [0.0, 3j]]))
+        array([[ 0.-1.j,  1.+0.j],
+               [-1.+0.j,  0.+1.j]])
+        >>> MatrixAlgebra("sp", 2).projected(np.array([[1.0, 2.0], [3.0, 4.0]]))
+        array([[-1.5,  2. ],
+               [ 3. ,  1.5]])
+        """
+        A = np.asarray(A, dtype=np.complex128 if self.complex else None)
+        if not self.complex and np.iscomplexobj(A):
+            A = np.ascontiguousarray(A.real)
+        found = np.zeros(A.shape, dtype=np.complex128 if self.complex else np.float64)
+        for place, block, kind in self.parts:
+            part = A[..., place, place]
+            part = part if kind.complex else part.real
+            if kind.form:
+                part = (part - Adjoint(kind, block.N, block.q)(part)) / 2
+            if kind.traceless:
+                mean = np.trace(part, axis1=-2, axis2=-1) / block.N
+                mean = np.where(np.abs(mean) > spared * np.abs(part).max(axis=(-2, -1), initial=0.0), mean, 0.0)
+                part = part - mean[..., None, None] * np.eye(block.N)
+            found[..., place, place] = part
+        return found
+
+    def read(self, given: Any, what: str = "x0") -> Matrix:
+        """Validate matrices of the algebra and project them onto it exactly.
+
+        Parameters
+        ----------
+        given : array_like, shape (N, N) or (members, N, N)
+            Matrices to validate.
+        what : str
+            Argument name used in messages.
+
+        Returns
+        -------
+        ndarray
+            A copy, complex128 or float64.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Not finite, of another size, or not in the algebra.
+        """
+        what = read_title(what, "what")
+        array = array_given(given, what, "iufc")
+        if array.shape[-2:] != self.shape or array.ndim > 3:
+            raise ValueError(
+                f"{what} has the shape {array.shape}; it must be {self.shape} or (members, {self.N}, {self.N})"
+            )
+        if array.size > SMALL:
+            check_room(48 * array.size, f"a copy of {what}, of shape {array.shape},")
+        try:
+            A = array.astype(np.complex128)
+        except OverflowError:
+            raise ValueError(f"{what} holds a number that is too large for float64") from None
+        except (TypeError, ValueError):
+            raise no_numbers(given, what) from None
+        if not np.isfinite(A).all():
+            raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
+        near = self.projected(A, spared=SPARED)
+        away, size = (np.abs(B).max(axis=(-2, -1), initial=0.0).reshape(-1) for B in (A - near, A))
+        wrong = np.flatnonzero(away > ROUNDED * self.N * size)
+        if len(wrong):
+            one = wrong[0]
+            which = f"{what}[{one}]" if A.ndim == 3 else what
+            raise ValueError(
+                f"{which} is not a matrix of {self}: it must be {self.says}, but differs by {away[one]:.2g} where "
+                f"its largest entry is {size[one]:.2g}"
+            )
+        return near
+
+    @property
+    def says(self) -> str:
+        """Description of its matrices, for messages."""
+        if self.blocks:
+            return "block by block " + ", ".join(f"of {block}" for block in self.blocks) + ", and zero beside"
+        signs = f", times the signs of {self.N - self.q} and {self.q}" if self.q else ""
+        return KINDS[self.kind].says + signs

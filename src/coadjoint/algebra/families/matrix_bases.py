@@ -1,0 +1,160 @@
+"""Matrix Lie algebras: exact structure constants from a sparse basis and its coordinate functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from coadjoint.algebra.constants import Triples, read_basis
+from coadjoint.algebra.exact.sparse_sums import Floats, Integers, chunks, expand, groups
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.quadratic_forms import linear, quadratic, within
+
+LARGEST = 2**24  # numbers in the representation of a catalogue algebra: 128 MB; so(60) has 1770 * 60^2
+
+Entry = tuple[int, int, int, float]
+Form = list[tuple[int, int, int | Fraction]]
+
+
+class Sparse:
+    """Entries (number, row, column, value) of a list of sparse matrices, as arrays, matrix after matrix."""
+
+    def __init__(self, entries: Iterable[Entry]) -> None:
+        table = np.array(list(entries), dtype=np.float64).reshape(-1, 4)
+        table = table[np.argsort(table[:, 0], kind="stable")]
+        self.number, self.row, self.column = (column.astype(np.int64) for column in table.T[:3])
+        self.value: Floats = table[:, 3].copy()
+
+
+def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Triples:
+    """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, from the sparse `basis` X_a.
+
+    Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
+    weights are small multiples of a power of two.
+
+    Examples
+    --------
+    >>> affine = Sparse([(0, 0, 0, 1.0), (1, 0, 1, 1.0)])
+    >>> commutator_constants(affine, affine, 2)
+    Triples(i=array([0]), j=array([1]), k=array([1]), c=array([1.]))
+    """
+    by_row, _ = groups(basis.row, basis.number)
+    by_column, _ = groups(basis.column, basis.number)
+    dim = int(basis.number.max(initial=0)) + 1
+    joins: list[tuple[Integers, Integers]] = []
+    # X_a X_b and X_b X_a for b > a: rows of X_b are joined with columns of X_a, then columns of X_b with rows of X_a.
+    for order, own, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
+        key = (own * dim + basis.number)[order]
+        start = np.searchsorted(key, middle * dim + basis.number, side="right")
+        joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
+    position = coordinates.row * size + coordinates.column
+    weights, _ = groups(position)
+    position = position[weights]
+    cost = sum(stop - start for start, stop in joins)
+    found: list[Triples] = []
+    for part in chunks(basis.number, np.asarray(cost, dtype=np.int64)):
+        (one, at), (two, also) = (expand(start[part], stop[part]) for start, stop in joins)
+        one, two, at, also = one + part.start, two + part.start, by_row[at], by_column[also]
+        first = np.concatenate([basis.number[one], basis.number[two]])
+        second = np.concatenate([basis.number[at], basis.number[also]])
+        place = np.concatenate([basis.row[one] * size + basis.column[at], basis.row[also] * size + basis.column[two]])
+        value = np.concatenate([basis.value[one] * basis.value[at], -basis.value[also] * basis.value[two]])
+        entry, at = expand(np.searchsorted(position, place), np.searchsorted(position, place, side="right"))
+        weight = weights[at]
+        k, c = coordinates.number[weight], value[entry] * coordinates.value[weight]
+        found.append(_summed(first[entry], second[entry], k, c))
+    return Triples(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
+    order, starts = groups(i, j, k)
+    if not order.size:
+        return Triples(i, j, k, c)
+    total = np.add.reduceat(c[order], starts)
+    kept = total != 0.0
+    at = order[starts][kept]
+    return Triples(i[at], j[at], k[at], total[kept])
+
+
+def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
+    """Return the matrices as an array (count, size, size), or None above 128 MB."""
+    if count * size**2 > LARGEST:
+        return None
+    result = np.zeros((count, size, size))
+    np.add.at(result, (basis.number, basis.row, basis.column), basis.value)
+    return result
+
+
+def real_form(real: Sequence[Entry], imaginary: Sequence[Entry], size: int) -> list[Entry]:
+    """Return complex matrices A + i B as real ones (A, -B; B, A) of twice the size.
+
+    Examples
+    --------
+    >>> real_form([], [(0, 0, 0, 1.0)], 1)
+    [(0, 0, 1, -1.0), (0, 1, 0, 1.0)]
+    """
+    entries: list[Entry] = []
+    for number, row, column, value in real:
+        entries += [(number, row, column, value), (number, row + size, column + size, value)]
+    for number, row, column, value in imaginary:
+        entries += [(number, row, column + size, -value), (number, row + size, column, value)]
+    return entries
+
+
+def matrix_algebra(
+    name: str,
+    basis: Sequence[Entry],
+    coordinates: Sequence[Entry],
+    size: int,
+    forms: Mapping[str, Form],
+    sums: Mapping[str, Iterable[int]] | None = None,
+) -> LieAlgebra:
+    """Return the algebra spanned by matrices, given as sparse entries (number, row, column, value).
+
+    `coordinates` are those of `commutator_constants`; `forms` quadratic Casimirs, name -> (i, j, c) for sums of c x_i
+    x_j; `sums` linear ones, name -> indices (both omitted above 2^22 exponents). The matrices are the representation up
+    to 128 MB.
+
+    Examples
+    --------
+    >>> affine = [(0, 0, 0, 1.0), (1, 0, 1, 1.0)]
+    >>> matrix_algebra("affine", affine, affine, 2, {})
+    LieAlgebra('affine', dim=2: [e1, e2] = e2)
+    """
+    given = Sparse(basis)
+    dim = int(given.number.max()) + 1
+    casimirs = {}
+    if within(sum(map(len, forms.values())), dim):
+        casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
+        casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
+    # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
+    constants = commutator_constants(given, Sparse(coordinates), size)
+    return LieAlgebra._proved(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
+
+
+def pairs(n: int) -> list[tuple[int, int]]:
+    """Return all (i, j) with i < j < n in lexicographic order.
+
+    Examples
+    --------
+    >>> pairs(3)
+    [(0, 1), (0, 2), (1, 2)]
+    """
+    return [(i, j) for i in range(n) for j in range(i + 1, n)]
+
+
+def traceless(n: int, begin: int, scale: int) -> Form:
+    """Return the inverse of the trace form on E_kk - E_(k+1)(k+1), the Cartan matrix of sl(n), times `scale`.
+
+    Examples
+    --------
+    >>> traceless(2, 5, 2)
+    [(5, 5, Fraction(1, 1))]
+    """
+    return [
+        (begin + a, begin + b, Fraction(scale * (min(a, b) + 1) * (n - 1 - max(a, b)), n))
+        for a in range(n - 1)
+        for b in range(n - 1)
+    ]

@@ -1,0 +1,1 @@
+"""Casimirs and other invariants: polynomial, rational, logarithmic."""

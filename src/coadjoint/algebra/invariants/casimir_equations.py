@@ -1,0 +1,167 @@
+"""Linear equations for the homogeneous polynomial Casimirs of one degree, and their independent blocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.exact.components import connected, parts
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Integers, expand, groups, largest_alike
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient is 1
+
+
+class Equations(NamedTuple):
+    """Sparse linear equations for the coefficients v of a polynomial C that every derivation annihilates.
+
+    In the derivative of C along e_i, i = ``along[m]``, the coefficient of monomial ``target[m]`` has the term
+    ``values[m] * v[columns[m]]``; each such coefficient must vanish. Positions are sorted and unique, values nonzero.
+    """
+
+    unknowns: int
+    along: Integers
+    target: Integers
+    columns: Integers
+    values: NDArray[Any]
+
+
+def monomial_count(dim: int, degree: int) -> int:
+    """Return the number of monomials of a degree in `dim` coordinates.
+
+    Examples
+    --------
+    >>> monomial_count(8, 3)
+    120
+    """
+    return math.comb(dim + degree - 1, degree)
+
+
+def monomials(dim: int, degree: int) -> Integers:
+    """Return the monomials of a degree as sorted tuples of coordinates, in the order of `Polynomial.monomials`."""
+    rows = np.zeros((1, 0), dtype=np.int64)
+    for _ in range(degree):
+        last = rows[:, -1] if rows.shape[1] else np.zeros(1, dtype=np.int64)
+        which, variable = expand(last, np.full(last.size, dim, dtype=np.int64))
+        rows = np.column_stack([rows[which], variable])
+    return rows
+
+
+def places(basis: Integers, dim: int) -> Integers:
+    """Return the positions of sorted tuples in the list `monomials`.
+
+    Examples
+    --------
+    >>> places(np.array([[1, 1], [0, 1]]), 2).tolist()
+    [2, 1]
+    """
+    count, degree = basis.shape
+    result = np.zeros(count, dtype=np.int64)
+    before = np.zeros(count, dtype=np.int64)
+    for at in range(degree):
+        # number of tuples of the remaining length with all entries >= a
+        left = np.array([monomial_count(dim - a, degree - at) for a in range(dim)], dtype=np.int64)
+        result += left[before] - left[basis[:, at]]
+        before = basis[:, at]
+    return result
+
+
+def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int) -> Equations:
+    """Assemble J(x) grad C(x) = 0, sum_jk c_ij^k x_k dC/dx_j = 0 for all i, monomial by monomial.
+
+    Indices are those of `triples` (i < j), constants `values` (integer objects or floats), `basis` (N, degree) from
+    `monomials`. A sum of floats below 64 u times its absolute terms counts as zero (u = 2^-53), each constant taken as
+    the largest in its bracket, as in the Jacobi check.
+
+    Examples
+    --------
+    >>> heisenberg = Triples(np.array([0]), np.array([1]), np.array([2]), np.array([1.0]))
+    >>> found = equations(heisenberg, heisenberg.c, monomials(3, 1), 3)  # [e1, e2] = e3
+    >>> [part.tolist() for part in found[1:]]
+    [[0, 1], [2, 2], [1, 0], [1.0, -1.0]]
+    """
+    count, degree = basis.shape
+    acting, removed = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
+    added, constants = np.concatenate([triples.k, triples.k]), np.concatenate([values, -values])
+    if constants.dtype == object and max(map(abs, constants.tolist()), default=0) * degree * dim < 2**62:
+        constants = constants.astype(np.int64)
+    by_removed = np.argsort(removed, kind="stable")
+    acting, added, constants = acting[by_removed], added[by_removed], constants[by_removed]
+    begin = np.searchsorted(removed[by_removed], np.arange(dim + 1)).astype(np.int64)
+    positions, entries = [], []
+    for place in range(degree):
+        variable = basis[:, place]
+        column, at = expand(begin[variable], begin[variable + 1])
+        changed = basis[column]
+        changed[:, place] = added[at]
+        changed.sort(axis=1)
+        positions.append((acting[at] * count + places(changed, dim)) * count + column)
+        entries.append(at)
+    position, entry = np.concatenate(positions), np.concatenate(entries)
+    term = constants[entry]
+    order, starts = groups(position)
+    value = np.add.reduceat(term[order], starts) if order.size else term
+    least: Any = 0
+    if constants.dtype.kind == "f" and order.size:
+        sizes = np.tile(largest_alike(triples.i * dim + triples.j, values), 2)[by_removed]
+        least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(sizes[entry][order], starts)
+    kept = np.asarray(np.abs(value) > least, dtype=bool)
+    row, column = np.divmod(position[order[starts]][kept], count)
+    along, target = np.divmod(row, count)
+    return Equations(count, along, target, column, value[kept])
+
+
+def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
+    """Yield the independent blocks: their sorted unknowns, and their equations renumbered from 0.
+
+    Unknowns that one equation sets to zero are eliminated repeatedly; the remaining equations split into connected
+    blocks. This finds every grading visible in the basis: weights of diagonal elements, reflection signs of so(n).
+
+    Examples
+    --------
+    >>> sl2 = Triples(*np.array([[0, 0, 1], [1, 2, 2], [0, 1, 2]]), np.array([1.0, -2.0, 1.0]))
+    >>> found = blocks(equations(sl2, sl2.c, monomials(3, 2), 3))
+    >>> [unknowns.tolist() for unknowns, _ in found]  # x1 x3 and x2^2
+    [[2, 3]]
+    """
+    names, rows = np.unique(given.along * given.unknowns + given.target, return_inverse=True)
+    rows = rows.astype(np.int64)
+    columns, values = given.columns, given.values
+    alive = np.ones(given.unknowns, dtype=bool)
+    single = np.bincount(rows, minlength=names.size)[rows] == 1
+    while single.any():
+        alive[columns[single]] = False
+        kept = alive[columns]
+        rows, columns, values = rows[kept], columns[kept], values[kept]
+        single = np.bincount(rows, minlength=names.size)[rows] == 1
+    label = connected(given.unknowns + names.size, columns, given.unknowns + rows)[: given.unknowns]
+    order = np.argsort(label[columns], kind="stable")
+    owner = label[columns][order]
+    place = np.zeros(given.unknowns, dtype=np.int64)
+    for members in parts(label):
+        if alive[members[0]]:
+            place[members] = np.arange(members.size)
+            at = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
+            along, target = np.divmod(names[rows[at]], given.unknowns)
+            target = np.unique(target, return_inverse=True)[1].astype(np.int64)
+            yield members, Equations(members.size, along, target, place[columns[at]], values[at])
+
+
+def check_block(part: Equations, largest: int) -> None:
+    """Raise a ValueError for a block too large to be solved as a dense matrix.
+
+    Examples
+    --------
+    >>> nothing = np.zeros(0, dtype=np.int64)
+    >>> check_block(Equations(5, nothing, nothing, nothing, nothing), 5)
+    """
+    if part.unknowns > largest:
+        raise ValueError(
+            f"{part.unknowns} coefficients of a Casimir are coupled, above the limit of {largest}; "
+            f"lower max_degree, or choose a basis with diagonal or sparse brackets"
+        )

@@ -1,0 +1,195 @@
+"""Polynomial Casimirs computed from the structure constants."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.exact import numerical_kernel, rational_kernel
+from coadjoint.algebra.exact.components import summands
+from coadjoint.algebra.exact.rational_constants import cleared, rational_constants
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, equations, monomial_count, monomials
+from coadjoint.algebra.invariants.generic_rank import generic_rank
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.long_operations import at, waiting
+from coadjoint.validation import read_whole
+
+MONOMIALS = 40_000  # monomials of one degree in one summand; at most a minute
+TERMS = 10_000_000  # terms of their derivatives before like terms are collected; 1 GB
+EXACT_BLOCK, FLOAT_BLOCK = 3000, 1000  # coupled unknowns, solved as a dense matrix; at most a minute
+EXPONENTS = 50_000_000  # over all Casimirs; a Polynomial stores one per coordinate and monomial; 400 MB
+
+
+class _Arithmetic(NamedTuple):
+    """Kernel and pivot routines of one summand: exact or floating-point."""
+
+    constants: NDArray[Any]
+    kernel: Callable[[Equations, int], list[Vector]]
+    pivots: Callable[[Sequence[Sequence[Any]], int], list[int]]
+    largest: int
+
+
+def _arithmetic(triples: Triples, dim: int) -> _Arithmetic:
+    whole = rational_constants(triples, dim)
+    if whole is not None:
+        return _Arithmetic(whole, rational_kernel.kernel, rational_kernel.pivots, EXACT_BLOCK)
+    return _Arithmetic(triples.c, numerical_kernel.kernel, numerical_kernel.pivots, FLOAT_BLOCK)
+
+
+def check_size(dim: int, degree: int, constants: int) -> None:
+    """Refuse a degree with more monomials, or more terms in their derivatives, than can be solved for.
+
+    Examples
+    --------
+    >>> check_size(24, 6, 100)
+    Traceback (most recent call last):
+        ...
+    ValueError: degree 6 on dimension 24 has 475020 monomials, above the limit of 40000; lower max_degree
+    """
+    count = monomial_count(dim, degree)
+    if count > MONOMIALS:
+        raise ValueError(
+            f"degree {degree} on dimension {dim} has {count} monomials, above the limit of {MONOMIALS}; "
+            f"lower max_degree"
+        )
+    terms = 2 * constants * count * degree // dim
+    if terms > TERMS:
+        raise ValueError(
+            f"degree {degree} on dimension {dim} with {constants} structure constants has equations of {terms} terms, "
+            f"above the limit of {TERMS}; lower max_degree, or choose a basis with fewer constants"
+        )
+
+
+def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
+    """Convert coefficients to a polynomial; rational ones are scaled to primitive integers."""
+    values = list(vector.values())
+    if not any(isinstance(value, float) for value in values):
+        whole = cleared([Fraction(value) for value in values]).tolist()  # primitive, since the first fraction is 1
+        values = [value // math.gcd(*whole) for value in whole]
+    exponents = (np.bincount(basis[column], minlength=dim).tolist() for column in vector)
+    return Polynomial({tuple(e): value for e, value in zip(exponents, values, strict=True)})
+
+
+def products(generators: Sequence[Polynomial], degree: int) -> Iterator[Polynomial]:
+    """Yield all products of a given degree of homogeneous polynomials of lower degree, with repetition."""
+    for count in range(2, degree + 1):
+        for factors in itertools.combinations_with_replacement(generators, count):
+            if sum(factor.degree for factor in factors) == degree:
+                yield math.prod(factors[1:], start=factors[0])
+
+
+def _of_degree(
+    triples: Triples, arithmetic: _Arithmetic, dim: int, degree: int, lower: Sequence[Polynomial]
+) -> list[Polynomial]:
+    """Return a basis of the Casimirs of a degree modulo sums of products of lower ones."""
+    at(f"degree {degree} of dimension {dim}")
+    basis = monomials(dim, degree)
+    space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.largest)
+    # In a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials.
+    leading = [tuple(np.bincount(basis[next(iter(vector))], minlength=dim).tolist()) for vector in space]
+    coordinates = [[product.monomials.get(e, 0) for e in leading] for product in products(lower, degree)]
+    given = set(arithmetic.pivots(coordinates, len(space)))
+    return [_polynomial(vector, basis, dim) for at, vector in enumerate(space) if at not in given]
+
+
+def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polynomial]:
+    """Return generators of the polynomial Casimirs of one summand up to a degree, by degree and leading monomial.
+
+    `triples` are sorted with i < j. A ValueError is raised for too many monomials, or if floats leave no clear rank.
+
+    Examples
+    --------
+    >>> summand_casimirs(Triples(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.array([1.0, -1.0, 1.0])), 3, 2)
+    [x1^2 + x2^2 + x3^2]
+    """
+    independent = dim - generic_rank(triples, dim)
+    if independent == 0:
+        return []
+    if independent > 1:
+        check_size(dim, max_degree, triples.c.size)
+    arithmetic = _arithmetic(triples, dim)
+    found: list[Polynomial] = []
+    for degree in range(1, max_degree + 1):
+        check_size(dim, degree, triples.c.size)
+        found += _of_degree(triples, arithmetic, dim, degree, found)
+        # Roots and factors of Casimirs are Casimirs, so with one independent Casimir all are powers of the lowest.
+        if found and independent == 1:
+            break
+    return found
+
+
+class NoPolynomials(dict[str, Polynomial]):
+    """An empty dict of polynomial Casimirs whose repr explains that none were found.
+
+    `count`: independent Casimirs of any kind; `degree`: highest degree searched; `known`: names of known Casimirs.
+
+    Examples
+    --------
+    >>> NoPolynomials(1, 4, ["log C"])
+    {} (no polynomial up to degree 4; of Casimirs of any kind there is 1; casimirs_known has: log C)
+    >>> NoPolynomials(0, 4, []) == {}
+    True
+    """
+
+    def __init__(self, count: int, degree: int, known: list[str]) -> None:
+        super().__init__()
+        self.count, self.degree, self.known = count, degree, known
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.count, self.degree, self.known)
+
+    def __repr__(self) -> str:
+        if not self.count:
+            return "{} (there is no Casimir of any kind: the rank of J is the dimension)"
+        verb = "is" if self.count == 1 else "are"
+        named = f"; casimirs_known has: {', '.join(self.known)}" if self.known else ""
+        said = f"no polynomial up to degree {self.degree}; of Casimirs of any kind there {verb} {self.count}"
+        return f"{{}} ({said}{named})"
+
+
+@waiting("casimirs")
+def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
+    """Return generators of the polynomial Casimirs up to a degree: the implementation of `LieAlgebra.casimirs`."""
+    max_degree = read_whole(max_degree, "max_degree")
+    known: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
+    placed: list[tuple[Integers, Polynomial]] = []
+    exponents = 0
+    for coordinates, constants in summands(triples, dim):
+        key = coordinates.size, tuple(column.tobytes() for column in constants)
+        if key not in known:  # equal summands are solved once
+            known[key] = summand_casimirs(constants, coordinates.size, max_degree)
+        placed += [(coordinates, polynomial) for polynomial in known[key]]
+        exponents += sum(len(polynomial.monomials) for polynomial in known[key]) * dim
+        if exponents > EXPONENTS:
+            raise ValueError(
+                f"the Casimirs of this direct sum of dimension {dim} need more than {EXPONENTS} exponents as "
+                f"polynomials in all coordinates; compute the Casimirs of one summand instead"
+            )
+    found = [_extended(polynomial, coordinates, dim) for coordinates, polynomial in placed]
+    result: dict[str, Polynomial] = {}
+    found.sort(key=lambda polynomial: (polynomial.degree, [-e for e in next(iter(polynomial.monomials))]))
+    for degree, alike in itertools.groupby(found, key=lambda polynomial: polynomial.degree):
+        group = list(alike)
+        names = [f"C{degree}"] if len(group) == 1 else [f"C{degree}_{number + 1}" for number in range(len(group))]
+        result.update(zip(names, group, strict=True))
+    return result
+
+
+def _extended(polynomial: Polynomial, coordinates: Integers, dim: int) -> Polynomial:
+    """Rewrite a polynomial in some coordinates as one in all `dim` coordinates."""
+    if coordinates.size == dim:
+        return polynomial
+    terms = {}
+    for exponents, value in polynomial.monomials.items():
+        wide = np.zeros(dim, dtype=np.int64)
+        wide[coordinates] = exponents
+        terms[tuple(wide.tolist())] = value
+    return Polynomial(terms)

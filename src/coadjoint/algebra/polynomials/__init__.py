@@ -1,0 +1,1 @@
+"""Polynomials in the momenta: arithmetic, parsing, formatting, evaluation."""

@@ -1,0 +1,124 @@
+"""Exact polynomials in the momenta of an algebra and in symbols, with their Lie-Poisson bracket."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.exact.numbers import fraction, rational
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+
+Exact = Any
+"""An element of the ring: `flint.fmpq_mpoly`, with its own +, -, *, / by numbers and ==."""
+
+
+class ExactPolynomials:
+    """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s (such as masses) are central.
+
+    Faster than `Polynomial` for many brackets. Floats are converted exactly; input and output are `Polynomial`.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> ring = ExactPolynomials(catalogue.so(3))
+    >>> x1, x2, x3 = ring.coordinates
+    >>> ring.polynomial(ring.bracket(x1 * x1, x2) / 3)
+    (2/3)*x1*x3
+    """
+
+    def __init__(self, algebra: LieAlgebra, symbols: Sequence[str] = ()) -> None:
+        from flint import Ordering, fmpq_mpoly_ctx
+
+        self.algebra, self.dim, self.symbols = algebra, algebra.dim, tuple(symbols)
+        names = [f"x{i + 1}" for i in range(self.dim)]
+        self._context = fmpq_mpoly_ctx.get([*names, *self.symbols], Ordering.degrevlex)
+
+    @cached_property
+    def coordinates(self) -> tuple[Exact, ...]:
+        """The momenta x1, ..., xn."""
+        return self._context.gens()[: self.dim]
+
+    @cached_property
+    def symbol(self) -> dict[str, Exact]:
+        """The symbols by name."""
+        return dict(zip(self.symbols, self._context.gens()[self.dim :], strict=True))
+
+    @property
+    def zero(self) -> Exact:
+        """The polynomial 0."""
+        return self._context.from_dict({})
+
+    def monomial(self, exponents: Sequence[int]) -> Exact:
+        """Return x1^e1 ... xn^en."""
+        return self._context.from_dict({(*exponents, *(0,) * len(self.symbols)): 1})
+
+    def of(self, given: Polynomial) -> Exact:
+        """Convert a polynomial in n coordinates to an element of the ring; floats are converted exactly."""
+        rest = (0,) * len(self.symbols)
+        return self._context.from_dict({(*e, *rest): rational(c) for e, c in given.monomials.items()})
+
+    def polynomial(self, exact: Exact) -> Polynomial:
+        """Convert an element without symbols to a `Polynomial` with integer and rational coefficients."""
+        monomials = {}
+        for exponents, value in exact.to_dict().items():
+            if any(exponents[self.dim :]):
+                raise ValueError(f"the polynomial contains symbols, {', '.join(self.symbols)}; give them values first")
+            monomials[tuple(map(int, exponents[: self.dim]))] = fraction(value)
+        return Polynomial(monomials, dim=self.dim)
+
+    def with_symbols(self, exact: Exact) -> Polynomial:
+        """Convert an element to a `Polynomial` in the coordinates followed by the symbols."""
+        monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
+        return Polynomial(monomials, dim=self.dim + len(self.symbols))
+
+    def at_origin(self, exact: Exact) -> int | Fraction:
+        """Return the constant term."""
+        return fraction(exact[(0,) * (self.dim + len(self.symbols))])
+
+    def reduced(self, F: Exact) -> Exact:
+        """Truncate a polynomial to the ring; here the identity."""
+        return F
+
+    def gradient(self, F: Exact) -> list[Exact]:
+        """Return the derivatives with respect to x1, ..., xn."""
+        return [F.derivative(i) for i in range(self.dim)]
+
+    def field(self, H: Exact) -> list[Exact]:
+        """Return J(x) grad H, whose i-th entry is {x_i, H}."""
+        slope = self.gradient(H)
+        found = [self.zero] * self.dim
+        for (i, j), entry in self._entries.items():
+            found[i] += entry * slope[j]
+            found[j] -= entry * slope[i]
+        return found
+
+    def bracket(self, F: Exact, G: Exact) -> Exact:
+        """Return {F, G} = (grad F)^T J(x) grad G."""
+        left, right = self.gradient(F), self.gradient(G)
+        total = self.zero
+        for (i, j), entry in self._entries.items():
+            turn = left[i] * right[j] - left[j] * right[i]
+            if turn != 0:
+                total += entry * turn
+        return total
+
+    def along(self, field: Sequence[Exact], F: Exact) -> Exact:
+        """Return the derivative of F along a field."""
+        total = self.zero
+        for component, slope in zip(field, self.gradient(F), strict=True):
+            if slope != 0 and component != 0:
+                total += component * slope
+        return total
+
+    @cached_property
+    def _entries(self) -> dict[tuple[int, int], Exact]:
+        """The nonzero entries J_ij(x), i < j."""
+        found: dict[tuple[int, int], Exact] = {}
+        for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
+            found[i, j] = found.get((i, j), self.zero) + rational(c) * self.coordinates[k]
+        return found

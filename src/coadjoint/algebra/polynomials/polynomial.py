@@ -1,0 +1,366 @@
+"""Polynomials in the coordinates, in exact arithmetic: Hamiltonians, Casimirs, modified Hamiltonians."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from numbers import Rational
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import is_finite
+from coadjoint.algebra.polynomials.monomials import Exponents, read_coefficient, read_exponents
+from coadjoint.algebra.polynomials.number_literals import quotient
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
+from coadjoint.algebra.polynomials.product_sums import Coefficient, ProductSum, differentiated
+from coadjoint.memory import check_room
+from coadjoint.short_repr import short
+from coadjoint.validation import array_given, read_whole
+
+QUIET = np.errstate(over="ignore", invalid="ignore")  # values beyond float64 become infinite without a warning
+
+MOST_DEGREE = 1024
+TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
+BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
+
+
+class Polynomial:
+    """A polynomial in x_1 ... x_n: a mapping from exponents to coefficients.
+
+    Integer and rational coefficients stay exact in every operation; floats stay floats. The object is immutable.
+
+    Parameters
+    ----------
+    monomials : mapping or str
+        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents (one per coordinate) -> coefficient. Or text
+        in the printed notation, such as ``"0.5*x1^2 - x2*x3"``, with `dim` or `basis`.
+    dim : int, optional
+        Number of coordinates; required for text, and if `monomials` is empty (the zero polynomial).
+    basis : sequence of str, optional
+        Names of the coordinates in the text, in their order, in place of x1, x2, ...
+
+    Raises
+    ------
+    TypeError
+        An exponent is not a whole number, or a coefficient not int, float or Fraction.
+    ValueError
+        Exponents of different lengths or negative, a coefficient that is not finite, or an unknown dimension.
+
+    Examples
+    --------
+    >>> p = Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1})
+    >>> p
+    0.5*x1^2 + x2*x3
+    >>> p([2.0, 3.0, 4.0])
+    14.0
+    >>> p.derivative(2) * p.derivative(1)
+    x2*x3
+    >>> p == Polynomial("0.5*x1^2 + x2*x3", dim=3) == Polynomial("0.5*h^2 + e*f", basis=("h", "e", "f"))
+    True
+    """
+
+    # Prevents NumPy arrays from multiplying a polynomial entry by entry.
+    __array_ufunc__ = None
+
+    def __init__(
+        self,
+        monomials: Mapping[Exponents, Coefficient] | str,
+        dim: int | None = None,
+        basis: Sequence[str] | None = None,
+    ) -> None:
+        if isinstance(monomials, str):
+            monomials, dim = _read_text(monomials, dim, basis)
+        elif basis is not None:
+            raise TypeError("basis names the coordinates of a text; exponents need none")
+        if not isinstance(monomials, Mapping):
+            raise TypeError(
+                "monomials must be a mapping {exponents: coefficient}, or a text such as '0.5*x1^2 - x2*x3', not "
+                f"{type(monomials).__name__}"
+            )
+        if dim is not None:
+            dim = read_whole(dim, "dim of a Polynomial")
+        if not monomials and dim is None:
+            raise ValueError("dim must be given for a Polynomial without monomials")
+        collected: dict[Exponents, Coefficient] = {}
+        for given, value in monomials.items():
+            exponents = read_exponents(given)
+            if dim is None:
+                dim = len(exponents)
+            if len(exponents) != dim:
+                raise ValueError(
+                    f"exponents {short(given)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
+                )
+            collected[exponents] = read_coefficient(value, f"the coefficient of {short(given)}")
+        if dim is None or dim < 1:
+            raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
+        self._fill(collected, int(dim))
+
+    def _fill(self, monomials: Mapping[Exponents, Coefficient], dim: int) -> None:
+        order = sorted(monomials, key=lambda e: (sum(e), tuple(map(operator.neg, e))))
+        if order and sum(order[-1]) > MOST_DEGREE:
+            degree = short(sum(order[-1]))
+            raise ValueError(f"a Polynomial has at most degree {MOST_DEGREE}, and this one has {degree}; {TOO_HIGH}")
+        self._monomials = {e: monomials[e] for e in order if monomials[e] != 0}
+        self._dim = dim
+
+    @classmethod
+    def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
+        """Construct from valid monomials; only overflow of a coefficient is checked."""
+        for exponents, value in monomials.items():
+            if not is_finite(value):
+                raise ValueError(f"the coefficient of {short(exponents)} overflows; it must stay within float64")
+        result = cls.__new__(cls)
+        result._fill(monomials, dim)
+        return result
+
+    @classmethod
+    def variable(cls, i: int, dim: int) -> Polynomial:
+        """Return the coordinate x_i (index from 0) as a polynomial in `dim` coordinates.
+
+        Examples
+        --------
+        >>> Polynomial.variable(1, 3)
+        x2
+        """
+        dim = read_whole(dim, "dim of a Polynomial")
+        i = read_whole(i, "the index of a coordinate", 0, dim - 1)
+        check_room(BYTES_PER_EXPONENT * dim, f"a coordinate among {short(dim)}")
+        return cls._of({(0,) * i + (1,) + (0,) * (dim - i - 1): 1}, dim)
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates n."""
+        return self._dim
+
+    @property
+    def monomials(self) -> Mapping[Exponents, Coefficient]:
+        """Exponents -> coefficient, read-only; by degree, and x1 before x2 within a degree; no zeros."""
+        return MappingProxyType(self._monomials)
+
+    @property
+    def degree(self) -> int:
+        """The largest degree of a monomial; 0 for constants, and for the zero polynomial."""
+        return sum(next(reversed(self._monomials))) if self._monomials else 0
+
+    def __repr__(self) -> str:
+        return plain(self._monomials, coordinate_names(self._dim))
+
+    def to_latex(self) -> str:
+        """Return the LaTeX form, without dollar signs.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> print(Polynomial({(2, 0): 0.5, (0, 1): -3}).to_latex())
+        -3 x_{2} + 0.5 x_{1}^{2}
+        """
+        return latex(self._monomials, coordinate_names(self._dim))
+
+    def _repr_latex_(self) -> str:
+        return f"${self.to_latex()}$"
+
+    def to_sympy(self) -> Any:
+        """Return a SymPy expression in the symbols x1, ..., xn; fractions stay exact.
+
+        Returns
+        -------
+        sympy.Expr
+
+        Raises
+        ------
+        MissingPackageError
+            SymPy is not installed.
+        """
+        return sympy_of(self._monomials, coordinate_names(self._dim))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Polynomial):
+            return NotImplemented
+        return self._dim == other._dim and self._monomials == other._monomials
+
+    def __hash__(self) -> int:
+        return hash((self._dim, tuple(self._monomials.items())))
+
+    def _operand(self, other: object) -> Polynomial | None:
+        if isinstance(other, Polynomial):
+            if other._dim != self._dim:
+                raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
+            return other
+        if isinstance(other, Rational | float) and not isinstance(other, bool):
+            return Polynomial({(0,) * self._dim: read_coefficient(other, "constant")})
+        return None
+
+    def __add__(self, other: Polynomial | Coefficient) -> Polynomial:
+        operand = self._operand(other)
+        if operand is None:
+            return NotImplemented
+        total = dict(self._monomials)
+        for exponents, value in operand._monomials.items():
+            total[exponents] = total[exponents] + value if exponents in total else value
+        return Polynomial._of(total, self._dim)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Polynomial:
+        return Polynomial._of({exponents: -value for exponents, value in self._monomials.items()}, self._dim)
+
+    def __sub__(self, other: Polynomial | Coefficient) -> Polynomial:
+        operand = self._operand(other)
+        return NotImplemented if operand is None else self + -operand
+
+    def __rsub__(self, other: Coefficient) -> Polynomial:
+        return -self + other
+
+    def __mul__(self, other: Polynomial | Coefficient) -> Polynomial:
+        operand = self._operand(other)
+        if operand is None:
+            return NotImplemented
+        total: dict[Exponents, Coefficient] = {}
+        for left, value in self._monomials.items():
+            for right, factor in operand._monomials.items():
+                exponents = tuple(map(operator.add, left, right))
+                total[exponents] = total[exponents] + value * factor if exponents in total else value * factor
+        return Polynomial._of(total, self._dim)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, divisor: Coefficient) -> Polynomial:
+        if not isinstance(divisor, Rational | float) or isinstance(divisor, bool):
+            return NotImplemented
+        below = read_coefficient(divisor, "the divisor of a Polynomial")
+        if below == 0:
+            raise ValueError(f"a Polynomial can be divided by a number other than 0, not by {short(divisor)}")
+        return Polynomial._of({e: quotient(value, below) for e, value in self._monomials.items()}, self._dim)
+
+    def __pow__(self, power: int) -> Polynomial:
+        left = read_whole(power, "the power of a Polynomial", 0, MOST_DEGREE, why=TOO_HIGH)
+        if self.degree * left > MOST_DEGREE:
+            raise ValueError(f"a Polynomial has at most degree {MOST_DEGREE}, not {self.degree * left}; {TOO_HIGH}")
+        result, square = Polynomial({(0,) * self._dim: 1}), self
+        while left:
+            if left & 1:
+                result = result * square
+            left >>= 1
+            if left:
+                square = square * square
+        return result
+
+    def derivative(self, i: int) -> Polynomial:
+        """Return the derivative with respect to coordinate i.
+
+        Parameters
+        ----------
+        i : int
+            Index of the coordinate, from 0.
+
+        Returns
+        -------
+        Polynomial
+
+        Raises
+        ------
+        ValueError
+            i is out of range.
+
+        Examples
+        --------
+        >>> Polynomial({(3, 1): 2}).derivative(0)
+        6*x1^2*x2
+        """
+        i = read_whole(i, "the index of a coordinate", 0, self._dim - 1)
+        terms = {e[:i] + (e[i] - 1,) + e[i + 1 :]: e[i] * value for e, value in self._monomials.items() if e[i]}
+        return Polynomial._of(terms, self._dim)
+
+    @cached_property
+    def _factors(self) -> list[tuple[int, Coefficient, dict[int, int]]]:
+        return [(0, value, {i: e for i, e in enumerate(x) if e}) for x, value in self._monomials.items()]
+
+    @cached_property
+    def _value_sum(self) -> ProductSum:
+        return ProductSum(self._factors, 1)
+
+    @cached_property
+    def _gradient_sum(self) -> ProductSum:
+        return ProductSum(differentiated(self._factors, self._dim), self._dim)
+
+    @cached_property
+    def _hessian_sum(self) -> ProductSum:
+        twice = differentiated(differentiated(self._factors, self._dim), self._dim)
+        return ProductSum(twice, self._dim**2)
+
+    @staticmethod
+    def side_by_side(polynomials: Sequence[Polynomial]) -> ProductSum:
+        """Return a function that evaluates several polynomials in the same coordinates together, `ProductSum.along`.
+
+        Examples
+        --------
+        >>> both = Polynomial.side_by_side([Polynomial({(2, 1): 3}), Polynomial({(0, 0): 1})])
+        >>> both.along(np.array([[1.0, 2.0], [2.0, 0.5]]))
+        array([[6., 1.],
+               [6., 1.]])
+        """
+        terms = ((k, value, factors) for k, one in enumerate(polynomials) for _, value, factors in one._factors)
+        return ProductSum(terms, len(polynomials))
+
+    def _point(self, x: Any, several: bool = False) -> NDArray[Any]:
+        point = array_given(x, "x", "iufc")
+        if point.shape != (self._dim,) and not (several and point.shape[-1:] == (self._dim,)):
+            shape = f"(..., {self._dim})" if several and point.ndim > 1 else f"({self._dim},)"
+            raise ValueError(f"x must have shape {shape}, not {point.shape}")
+        return point if point.dtype == object else point.astype(np.result_type(point.dtype, np.float64), copy=False)
+
+    @QUIET
+    def __call__(self, x: Any) -> Any:
+        """Return the value at x, shape (n,), or the values at states of shape (..., n).
+
+        With dtype object (Fraction, mpmath) they are as exact as x is.
+        """
+        point = self._point(x, several=True)
+        if point.ndim == 1:
+            return self._value_sum(point).item(0)
+        return self._value_sum.along(point)[..., 0]
+
+    @QUIET
+    def gradient(self, x: Any) -> NDArray[Any]:
+        """Return the gradient at x, both of shape (n,), or at states of shape (..., n); dtype object is allowed.
+
+        Examples
+        --------
+        >>> Polynomial({(2, 1): 1}).gradient([3.0, 5.0])
+        array([30.,  9.])
+        """
+        point = self._point(x, several=True)
+        return self._gradient_sum(point) if point.ndim == 1 else self._gradient_sum.along(point)
+
+    @QUIET
+    def hessian(self, x: Any) -> NDArray[Any]:
+        """Return the second derivatives at x, shape (n, n); dtype object is allowed.
+
+        Examples
+        --------
+        >>> Polynomial({(2, 1): 1}).hessian([3.0, 5.0])
+        array([[10.,  6.],
+               [ 6.,  0.]])
+        """
+        check_room(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
+        return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
+
+
+def _read_text(text: str, dim: int | None, basis: Sequence[str] | None) -> tuple[Mapping[Exponents, Coefficient], int]:
+    """Parse text to monomials and the number of coordinates."""
+    from coadjoint.algebra.polynomials.formulas import read_polynomial
+
+    names = None if basis is None else tuple(basis)
+    if names is None and dim is None:
+        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
+    count = read_whole(dim if names is None else len(names), "dim of a Polynomial")
+    if dim is not None and count != dim:
+        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
+    return read_polynomial(text, count, names).monomials, count

@@ -1,0 +1,136 @@
+"""Formatting of polynomials: plain text, LaTeX, SymPy expressions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.optional_packages import need
+
+Monomials = Mapping[tuple[int, ...], Coefficient]
+MOST_DIGITS = 6
+MOST_SHOWN = 30  # monomials printed individually
+
+
+def coordinate_names(dim: int) -> list[str]:
+    """Return the names x1, ..., xn."""
+    return [f"x{i}" for i in range(1, dim + 1)]
+
+
+def plain(monomials: Monomials, names: Sequence[str]) -> str:
+    """Format a polynomial in the notation that `Polynomial` parses.
+
+    Examples
+    --------
+    >>> plain({(2, 0): 0.5, (1, 1): -1}, ["x", "y"])
+    '0.5*x^2 - x*y'
+    """
+    return _written(monomials, names, "{0}^{1}", "*", _plain_size)
+
+
+def latex(monomials: Monomials, names: Sequence[str]) -> str:
+    r"""Format a polynomial as LaTeX, without dollar signs.
+
+    Examples
+    --------
+    >>> print(latex({(2, 0): Fraction(1, 2), (1, 1): -1}, ["x1", "m12"]))
+    \frac{1}{2} x_{1}^{2} - x_{1} m_{12}
+    """
+    return _written(monomials, [latex_name(name) for name in names], "{0}^{{{1}}}", " ", _latex_size)
+
+
+def latex_name(name: str) -> str:
+    """Format x12 as x_{12}, m1_2 as m_{1,2}.
+
+    Examples
+    --------
+    >>> latex_name("x12"), latex_name("m1_2"), latex_name("energy")
+    ('x_{12}', 'm_{1,2}', 'energy')
+    """
+    found = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_]*)", name)
+    return f"{found[1]}_{{{found[2].replace('_', ',')}}}" if found else name
+
+
+def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
+    """Return a SymPy expression in symbols of the given names; fractions stay exact."""
+    need("an expression of SymPy", "sympy")
+    import sympy
+
+    symbols = sympy.symbols(list(names))
+    total = sympy.Integer(0)
+    for exponents, value in monomials.items():
+        exact = Fraction(value)
+        number = sympy.Float(value) if isinstance(value, float) else sympy.Rational(exact.numerator, exact.denominator)
+        total += sympy.Mul(number, *(symbol**power for symbol, power in zip(symbols, exponents, strict=True) if power))
+    return total
+
+
+def readable(monomials: Monomials, names: Sequence[str]) -> str:
+    """Format a polynomial on one line with short coefficients; only a count if it has many monomials.
+
+    Examples
+    --------
+    >>> readable({(2,): 0.1 + 0.2}, ["x"]), readable({(k,): 1 for k in range(31)}, ["x"])
+    ('0.3*x^2', '<31 monomials of degree 30 and less>')
+    """
+    if len(monomials) > MOST_SHOWN:
+        return f"<{len(monomials)} monomials of degree {max(map(sum, monomials))} and less>"
+    return plain(rounded_if_long(monomials), names)
+
+
+def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
+    """Format a polynomial as LaTeX with short coefficients, without dollar signs.
+
+    Examples
+    --------
+    >>> print(readable_latex({(2,): 0.1 + 0.2}, ["x1"]))
+    0.3 x_{1}^{2}
+    """
+    if len(monomials) > MOST_SHOWN:
+        return rf"\text{{{len(monomials)} monomials}}"
+    return latex(rounded_if_long(monomials), names)
+
+
+def rounded_if_long(monomials: Monomials) -> dict[tuple[int, ...], Coefficient]:
+    """Round coefficients with more than six digits to six; keep short fractions.
+
+    Examples
+    --------
+    >>> rounded_if_long({(1,): Fraction(1, 24), (2,): 0.1 + 0.2, (3,): Fraction(0.1)})
+    {(1,): Fraction(1, 24), (2,): 0.3, (3,): 0.1}
+    """
+    return {exponents: _readable(value) for exponents, value in monomials.items()}
+
+
+def _readable(value: Coefficient) -> Coefficient:
+    if isinstance(value, float) or max(abs(Fraction(value).numerator), Fraction(value).denominator) >= 10**MOST_DIGITS:
+        return float(f"{float(value):.{MOST_DIGITS}g}")
+    return value
+
+
+def _written(
+    monomials: Monomials, names: Sequence[str], power: str, between: str, size_of: Callable[[Coefficient], str]
+) -> str:
+    text = ""
+    for exponents, value in monomials.items():
+        factors = [name if e == 1 else power.format(name, e) for name, e in zip(names, exponents, strict=True) if e]
+        size: Any = abs(value)
+        if size != 1 or not factors:
+            factors.insert(0, size_of(size))
+        sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
+        text += sign + between.join(factors)
+    return text or "0"
+
+
+def _plain_size(size: Coefficient) -> str:
+    return f"({size})" if isinstance(size, Fraction) and size.denominator != 1 else f"{size}"
+
+
+def _latex_size(size: Coefficient) -> str:
+    if isinstance(size, Fraction) and size.denominator != 1:
+        return rf"\frac{{{size.numerator}}}{{{size.denominator}}}"
+    digits, _, exponent = f"{size}".partition("e")
+    return rf"{digits} \times 10^{{{int(exponent)}}}" if exponent else digits

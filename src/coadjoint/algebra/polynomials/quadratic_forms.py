@@ -1,0 +1,56 @@
+"""Quadratic and linear polynomials in many coordinates, and polynomials under linear substitutions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+
+ROOM = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
+
+
+def within(monomials: int, dim: int) -> bool:
+    """Return whether polynomials with this many monomials in `dim` coordinates are small enough to be stored."""
+    return monomials * dim <= ROOM
+
+
+def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Polynomial:
+    """Return the sum of c x_i x_j over the entries (i, j, c)."""
+    zero = (0,) * dim
+    total: dict[tuple[int, ...], Coefficient] = {}
+    for i, j, value in entries:
+        low, high = min(i, j), max(i, j)
+        if low == high:
+            exponents = zero[:low] + (2,) + zero[low + 1 :]
+        else:
+            exponents = zero[:low] + (1,) + zero[low + 1 : high] + (1,) + zero[high + 1 :]
+        total[exponents] = total.get(exponents, 0) + value
+    return Polynomial._of(total, dim)
+
+
+def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
+    """Return the sum of c_i x_i."""
+    zero = (0,) * dim
+    return Polynomial._of({zero[:i] + (1,) + zero[i + 1 :]: value for i, value in entries.items()}, dim)
+
+
+def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:
+    """Substitute x_i = sum_j rows[i][j] y_j (sparse rows) in a polynomial of x; the result has `dim` coordinates."""
+    forms: dict[int, Polynomial] = {}
+    total = Polynomial({}, dim=dim)
+    for exponents, value in p.monomials.items():
+        product = Polynomial({(0,) * dim: value})
+        for i, power in enumerate(exponents):
+            if power:
+                if i not in forms:
+                    forms[i] = linear(rows[i], dim)
+                product = product * forms[i] ** power
+        total = total + product
+    return total
+
+
+def embedded(p: Polynomial, begin: int, dim: int) -> Polynomial:
+    """Rewrite a polynomial in more coordinates, its own starting at index `begin`."""
+    before, after = (0,) * begin, (0,) * (dim - begin - p.dim)
+    return Polynomial._of({before + exponents + after: value for exponents, value in p.monomials.items()}, dim)

@@ -1,0 +1,1 @@
+"""Backward error analysis: modified Hamiltonians and fields."""

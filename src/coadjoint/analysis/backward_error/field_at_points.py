@@ -1,0 +1,150 @@
+"""Modified fields evaluated pointwise, from steps in multiprecision arithmetic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.analysis.backward_error.field_of_step import field_at
+from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
+from coadjoint.long_operations import at, waiting
+from coadjoint.methods.formal.formal_numbers import vector
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.system_checks import System
+from coadjoint.systems.user_functions import sample_points
+
+SLIGHT = 53  # steps move by about 2^-53 of the state
+WORTH = 1e-6  # largest accepted relative disagreement of two sets of steps
+SAMPLES = (0, 1)  # the sample points of a system at which invariants are tested
+SEEN = 1e-9  # relative threshold for a change of an invariant at a point
+
+
+class FieldAtPoints(ModifiedField):
+    """A modified field evaluated pointwise, from steps in multiprecision arithmetic."""
+
+    def __init__(
+        self,
+        system: System,
+        method: Any,
+        order: int,
+        reason: str,
+        step: Callable[[npt.NDArray[Any], Any], Any],
+    ) -> None:
+        super().__init__(system, method, order, reason)
+        self._step = step
+        self._found: dict[bytes, tuple[Floats, Floats]] = {}
+        self._sampled(0)
+
+    @property
+    def terms(self) -> Mapping[int, Callable[[npt.ArrayLike], Floats]]:
+        """Power k -> f_k as a function of a state."""
+
+        def term(k: int) -> Callable[[npt.ArrayLike], Floats]:
+            return lambda x: self.values(self._states(x)[0])[k].reshape(np.shape(x))
+
+        return MappingProxyType({k: term(k) for k in range(self.order)})
+
+    def values(self, x: Floats) -> npt.NDArray[np.float64]:
+        return np.stack([self.at(state)[0] for state in x], axis=1)
+
+    def at(self, x: npt.ArrayLike) -> tuple[Floats, Floats]:
+        """Return f_0(x), f_1(x), ... and their errors.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+
+        Returns
+        -------
+        values, errors : (order, n) arrays
+            The errors are the differences of the values from two sets of steps, one twice as long as the other.
+
+        Raises
+        ------
+        TypeError
+            The step rounds mpmath numbers to fewer digits.
+        ValueError
+            The two sets disagree: the step has no power series in h there.
+        """
+        from mpmath import mp, workdps
+
+        state = self._states(x)[0][0]
+        # f_k is known to h^(order - k), and loses h^(k + 1) to rounding.
+        digits = 30 + int(0.302 * (SLIGHT + 4) * (self.order + 2))
+        with workdps(digits), waiting("a modified field at a point"):
+            exact = vector(map(mp.mpf, state.tolist()))
+            slope = np.abs(np.asarray(self.system.vector_field(state), dtype=np.float64)).max()
+            size = np.abs(state).max()
+            unit = mp.ldexp(1, -SLIGHT) * (mp.mpf(size) / slope if slope and size else 1)
+            multiples = [k // 2 + 1 if k % 2 == 0 else -(k // 2 + 1) for k in range(self.order)]
+            sets = [
+                field_at(self._stepped, exact, [factor * unit * multiple for multiple in multiples])
+                for factor in (1, 2)
+            ]
+            errors = np.array(abs(sets[1] - sets[0]), dtype=np.float64)
+        values = np.array(sets[0], dtype=np.float64)
+        rate = slope / size if slope and size else 1.0
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow fails the test below
+            scale = np.maximum(np.abs(values).max(axis=1), max(slope, size) * rate ** np.arange(self.order))
+            worst = np.max(errors / scale[:, None], axis=1)
+        if not np.all(worst <= WORTH):
+            k = int(np.flatnonzero(~(worst <= WORTH))[0])
+            raise ValueError(
+                f"f_{k} of {self.method} differs by {worst[k]:.2g} of its size between two sets of steps at "
+                f"{short(state.tolist())}: there the step has no power series in h, or it rounds"
+            )
+        return values, errors
+
+    def _sampled(self, which: int) -> tuple[Floats, Floats, Floats]:
+        """Return a sample point with the values there and their errors, cached."""
+        state = sample_points(self.system.dim)[which]
+        key = state.tobytes()
+        if key not in self._found:
+            self._found[key] = self.at(state)
+        return (state, *self._found[key])
+
+    def _stepped(self, x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
+        at(f"a step of {self.method} in many digits")
+        end = np.asarray(self._step(x, h))
+        if end.dtype != object or end.shape != x.shape:
+            raise TypeError(
+                f"a step of {self.method} from {len(x)} mpmath numbers returned {end.dtype} of shape {end.shape}; a "
+                f"modified field needs steps in mpmath numbers ({self.reason})"
+            )
+        return end
+
+    @property
+    def first_error(self) -> int | None:
+        for k in range(self.order):
+            for state, values, errors in map(self._sampled, SAMPLES):
+                motion = np.asarray(self.system.vector_field(state))
+                rate = np.abs(motion).max() / np.abs(state).max()
+                least = SEEN * np.abs(motion).max() * rate**k
+                if np.any(np.abs(values[k] - motion * (k == 0)) > least + 2 * errors[k]):
+                    return k
+        return None
+
+    def keeps(self, invariant: Any) -> int | None:
+        """Return the first power of h whose term changes a function at sample points; None if every term keeps it."""
+        given = self._invariant(invariant)
+        gradient = (as_hamiltonian(given, self.system.dim) if hasattr(given, "monomials") else given).gradient
+        lost = [self.order]
+        for state, values, _ in map(self._sampled, SAMPLES):
+            slope = np.asarray(gradient(state))
+            motion = np.abs(values[0]).max()
+            for k in range(self.order):
+                scale = max(np.abs(values[k]).max(), motion * (motion / np.abs(state).max()) ** k)
+                if abs(slope @ values[k]) > SEEN * np.abs(slope).sum() * scale:
+                    lost.append(k)
+        return None if min(lost) == self.order else min(lost)
+
+    def _loss(self, k: int) -> str:
+        state, values, _ = self._sampled(0)
+        change = np.asarray(self.system.hamiltonian.gradient(state)) @ values[k]
+        return f"grad H . f is {change:.3g} at {short(state.tolist())}"

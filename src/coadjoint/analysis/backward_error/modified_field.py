@@ -1,0 +1,139 @@
+"""Modified vector field of a scheme, as a power series in the step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.analysis.backward_error.exact_field import ExactField
+from coadjoint.analysis.backward_error.field_at_points import FieldAtPoints
+from coadjoint.analysis.backward_error.field_of_step import field_of_series, size_of
+from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
+from coadjoint.analysis.backward_error.step_series import ExactSystem, check_at_a_point, scale_of_motion
+from coadjoint.long_operations import waiting
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.registry import read_method
+from coadjoint.optional_packages import need
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
+from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.user_functions import check_arguments
+from coadjoint.validation import read_choice, read_whole
+
+MOST = 64
+MARGIN = 1000  # below the order of a scheme, terms within this many roundings of its coefficients are set to zero
+WAYS = ("auto", "exact", "numerical")
+
+
+@waiting("modified_field")
+def modified_field(system: System, method: Any, order: int, *, way: str = "auto") -> ModifiedField:
+    """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).
+
+    A scheme of order p solves x' = X(x, h) far more accurately than x' = f(x): f_0 = f, f_1 = ... = f_(p-1) = 0, and
+    f_p is its leading error. A scheme keeps an invariant if every f_k does; otherwise it loses it at h^k of the first
+    f_k that does not. Choose it to analyse a scheme on your own system. For splittings
+    `coadjoint.modified_hamiltonian` gives more detail.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system; its Hamiltonian does not depend on time.
+    method : Method, str, mapping or callable
+        The scheme, its name as in `integrate`, or a step of your own as a function ``step(x, h)``.
+    order : int
+        The terms f_k h^k with k < order are computed.
+    way : {"auto", "exact", "numerical"}
+        ``"exact"``: polynomials with rational coefficients, from the step evaluated in power series. It supports
+        Runge-Kutta, modified and splitting schemes, Taylor series, compositions of these, and steps of your own made of
+        sums, products and quotients, on systems with a polynomial field. ``"numerical"``: the terms are computed
+        pointwise from steps in multiprecision, for any step that accepts mpmath numbers. ``"auto"``: exact if possible;
+        otherwise ``reason`` of the field gives the obstacle.
+
+    Returns
+    -------
+    ModifiedField
+
+    Raises
+    ------
+    TypeError, ValueError
+        The Hamiltonian depends on time, the scheme does not apply to the system, or neither way is possible.
+
+    References
+    ----------
+    S. Reich 1993, section 6, Lemma 6.1.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1/2, 1/4]), sign=-1)
+    >>> field = co.modified_field(body, co.GaussLegendre(1), order=4)
+    >>> field.terms[2][0]
+    (1/128)*x1^2*x2*x3 - (1/384)*x2^3*x3 + (1/256)*x2*x3^3
+    >>> field.keeps("energy"), field.keeps("|x|^2"), field.first_error
+    (None, None, 2)
+    """
+    need("a modified field", "mpmath")
+    check_vectors(system, "a modified field is available for states that are vectors")
+    order = read_whole(order, "order of a modified field", 1, MOST)
+    read_choice(way, "way to a modified field", WAYS)
+    if system.hamiltonian.timed:
+        raise ValueError(
+            f"the Hamiltonian of {system.name} depends on time; a modified field needs an autonomous system"
+        )
+    if isinstance(method, str | Mapping):
+        method = read_method(method)
+    if isinstance(method, Method):
+        method.properties(system)
+    elif not callable(method):
+        raise TypeError(f"method is {short(method)}; give a scheme such as GaussLegendre(2), or a function step(x, h)")
+    else:
+        check_arguments(method, "method", "x, h")
+    step = _step_of(system, method)
+    reason = "numerical was asked for"
+    if way != "numerical":
+        try:
+            return _exact(system, method, step, order)
+        except MemoryError:
+            raise
+        except Exception as refusal:  # user functions may raise anything on formal numbers
+            if way == "exact":
+                raise TypeError(f"no exact modified field: {refusal}") from refusal
+            reason = f"{refusal}"
+    return FieldAtPoints(system, method, order, reason, step)
+
+
+def _step_of(system: System, method: Any) -> Callable[[npt.NDArray[Any], Any], Any]:
+    if isinstance(method, Method):
+        return lambda x, h: method.step(system, x, 0 * h, h)
+    return lambda x, h: method(x, h)
+
+
+def _exact(system: System, method: Any, step: Callable[..., Any], order: int) -> ExactField:
+    exact = ExactSystem(system)
+    exact.check_room(order)
+    formal, known_to = step, UNIT_ROUNDOFF
+    fractions: tuple[float, ...] = (1.0,)
+    declared = order
+    if isinstance(method, Method):
+        known_to, fractions, declared = method.known_to, method.fractions, method.order
+
+        def formal(x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
+            return method.formal_step(system, x, h)
+
+    series = exact.series_of(formal, order)
+    check_at_a_point(step, exact, series, known_to)
+    fields = field_of_series(exact.ring, series)
+    off = max(size_of(a - b) for a, b in zip(fields[0], exact.field, strict=True))
+    if 0.0 < off <= MARGIN * max(known_to, UNIT_ROUNDOFF) * max(map(size_of, exact.field)):
+        # The decomposition of a full M into squares is rounded as well.
+        known_to, fields[0] = max(known_to, UNIT_ROUNDOFF), exact.field
+    if known_to:
+        # Substeps back and forth move further than their sum.
+        reach = 2.0 * float(np.sum(np.abs(fractions)))
+        for k, scale in enumerate(scale_of_motion(exact, min(order, declared))[1:], 1):
+            if max(map(size_of, fields[k])) <= MARGIN * known_to * reach**k * scale:
+                fields[k] = [exact.ring.zero] * system.dim
+    return ExactField(system, method, order, exact, fields, known_to)

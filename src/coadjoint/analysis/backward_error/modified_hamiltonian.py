@@ -1,0 +1,291 @@
+"""Modified Hamiltonians of splittings, as power series in the step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, readable, readable_latex
+from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
+from coadjoint.analysis.backward_error.modified_energy_at_points import ModifiedEnergyAtPoints
+from coadjoint.analysis.backward_error.scheme_terms import HIGHEST, ErrorTerm, SchemeTerms, Term
+from coadjoint.analysis.backward_error.symbols_of_hamiltonian import no_symbols, symbols_of
+from coadjoint.long_operations import waiting
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.registry import read_method
+from coadjoint.optional_packages import need
+from coadjoint.program.modified_energy.composition_logarithm import swept_exactly
+from coadjoint.program.modified_energy.modified_terms import coordinates_of
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import is_of_a_ring, read_whole
+
+
+class ModifiedHamiltonian:
+    """The function H + h^2 H2 + ... that a splitting keeps: a step is its flow over h, up to O(h^(order + 1)).
+
+    `modified_hamiltonian` creates it. Call it as ``H(x, h)``, with h negative for backward runs. Along a run its value
+    is constant to O(h^order).
+
+    Attributes
+    ----------
+    terms : mapping of int to Polynomial
+        Power of h -> its non-zero coefficient function; a `SymbolicPolynomial` if symbols were requested. Coefficients
+        are fractions if those of the scheme are rational, else floats.
+    order : int
+        The terms are those below h^order.
+    radius : float
+        The largest relative error of a coefficient before rounding to float64; 0 if all are exact.
+    neglected : float
+        Bound on the coefficients set to zero because they are within the rounding of the scheme's coefficients.
+    values : mapping of str to number
+        Name of a symbol -> the coefficient of H that it represents; empty without symbols.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+    >>> H = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), order=4)
+    >>> H
+    0.5*x1^2 + 0.25*x2^2 + 0.125*x3^2 + h^2*(-(1/384)*x1^2*x2^2 - (1/384)*x1^2*x3^2 + (1/192)*x2^2*x3^2)
+    >>> H([1.0, 2.0, 3.0], 0.0), H.gradient([[1.0, 2.0, 3.0], [0.0, 0.0, 1.0]], 0.1).shape
+    (2.625, (2, 3))
+    """
+
+    def __init__(
+        self,
+        terms: Mapping[int, Term],
+        order: int,
+        *,
+        radius: float = 0.0,
+        neglected: float = 0.0,
+        values: Mapping[str, Any] | None = None,
+        source: SchemeTerms | None = None,
+    ) -> None:
+        self.terms: Mapping[int, Term] = MappingProxyType(dict(terms))
+        self.order, self.radius, self.neglected = order, radius, neglected
+        self.values: Mapping[str, Any] = MappingProxyType(dict(values or {}))
+        self._source = source
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates."""
+        return self.terms[0].dim
+
+    @cached_property
+    def error_term(self) -> ErrorTerm:
+        """The leading term of the scheme, at the power of its order, even if that is not below `order`."""
+        if self._source is None:
+            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
+        return self._source.error_term()
+
+    @cached_property
+    def kernel(self) -> ModifiedHamiltonian:
+        """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; unchanged for other schemes."""
+        if self._source is None:
+            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
+        return _made_of(self._source.kernel(), self.order)
+
+    def _numeric(self) -> Mapping[int, Polynomial]:
+        if self.values:
+            raise TypeError(f"the modified Hamiltonian has the symbols {', '.join(self.values)}; use with_values()")
+        return self.terms  # type: ignore[return-value]
+
+    def __call__(self, x: Any, h: Any) -> Any:
+        """Return the values at states.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,), (k, n) or (k, members, n)
+            States: floats, or objects such as ``mpmath.mpf`` and fractions, in whose arithmetic it is evaluated.
+        h : number
+            Step, negative for backward.
+
+        Returns
+        -------
+        float or ndarray
+            One value for each state.
+        """
+        return self._sum(lambda term: term(x), _step(h))
+
+    def gradient(self, x: Any, h: Any) -> NDArray[Any]:
+        """Return the gradients at states, in the shape of x; parameters as for a call."""
+        return self._sum(lambda term: term.gradient(x), _step(h))
+
+    def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
+        terms = self._numeric()
+        # Small terms are added first.
+        total: Any = 0
+        try:
+            for k in sorted(terms, reverse=True):
+                total = total + h**k * at(terms[k]) if k else total + at(terms[k])
+        except OverflowError:
+            raise ValueError(
+                f"the terms of the modified Hamiltonian at h = {short(h)} leave the range of float64 there"
+            ) from None
+        except TypeError:
+            raise TypeError(
+                f"h is {short(h)}, a {type(h).__name__}, which the numbers of x cannot be multiplied by; "
+                "give both as the same type"
+            ) from None
+        return total
+
+    def with_values(self, values: Mapping[str, Any] | None = None) -> ModifiedHamiltonian:
+        """Return the function with numbers in place of the symbols.
+
+        Parameters
+        ----------
+        values : mapping, optional
+            Name -> number. Other symbols take the coefficients of the system's H.
+
+        Returns
+        -------
+        ModifiedHamiltonian
+        """
+        if not isinstance(values, Mapping | None):
+            raise TypeError(f"values is {short(values)}; it must map names of symbols to numbers")
+        unknown = [name for name in values or {} if name not in self.values]
+        if unknown:
+            known = f"the symbols are {', '.join(self.values)}" if self.values else "there are no symbols"
+            raise ValueError(f"values has {short(unknown[0])}; {known}")
+        numbers = {**self.values, **(values or {})}
+        terms = {
+            k: term.with_values(numbers) if isinstance(term, SymbolicPolynomial) else term
+            for k, term in self.terms.items()
+        }
+        return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
+
+    def __repr__(self) -> str:
+        return self._written(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
+
+    def to_latex(self) -> str:
+        """Return the function as LaTeX without dollar signs, with all digits."""
+        return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
+
+    def _repr_latex_(self) -> str:
+        def numeric(term: Polynomial) -> str:
+            return readable_latex(term.monomials, coordinate_names(term.dim))
+
+        written = self._written(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
+        return f"${written}$"
+
+    def to_sympy(self) -> Any:
+        """Return the function as a SymPy expression in h, x1, ..., xn and the symbols; fractions stay exact."""
+        need("an expression of SymPy", "sympy")
+        import sympy
+
+        h = sympy.Symbol("h")
+        return sum((h**k * term.to_sympy() for k, term in self.terms.items()), sympy.Integer(0))
+
+    def _written(self, symbolic: Any, numeric: Any, between: str, power: str = "h^{0}") -> str:
+        text = ""
+        for k, term in self.terms.items():
+            own = symbolic(term) if isinstance(term, SymbolicPolynomial) else numeric(term)
+            step = "h" if k == 1 else power.format(k)
+            text += f" + {step}{between}({own})" if k else own
+        return text
+
+
+def _step(h: Any) -> Any:
+    if isinstance(h, bool) or not is_of_a_ring(h) or np.ndim(h):
+        raise TypeError(f"the step h is {short(h)}; it must be a number")
+    return h
+
+
+@waiting("modified_hamiltonian")
+def modified_hamiltonian(
+    system: System, method: Method | str | Mapping[str, Any], order: int = 4, *, symbols: Any = False
+) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
+    """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
+
+    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it to see which energy a run keeps,
+    and to compare schemes of the same order by their leading terms.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system. Its Hamiltonian splits and does not depend on time.
+    method : Method, str or mapping
+        `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own; or its name
+        as in `integrate`.
+    order : int
+        From 1 to 12. Order 2 is H for a scheme of order 2, order 4 is H + h^2 H2, and so on.
+    symbols : bool or sequence of str
+        Keep coefficients of H as symbols: m1 stands for the factor of x1^2/2, m12 for that of x1 x2, b1 for that of x1,
+        c113 for that of x1^2 x3 (from dimension 10 on m1_2 and so on). True for all of them, or some names.
+
+    Returns
+    -------
+    ModifiedHamiltonian
+        Exact if the coefficients of the scheme are rational; floats in H are converted to rationals exactly. If H is
+        not a polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
+
+    Raises
+    ------
+    TypeError
+        The scheme is not made of flows, or the system has no Lie algebra.
+    ValueError
+        The Hamiltonian depends on time or does not split; symbols were requested, but a Casimir was subtracted from H,
+        squares were completed, or H is not a polynomial; or the terms are too large for this machine.
+
+    References
+    ----------
+    S. Reich, Numerical integration of the generalized Euler equations, 1993, section 6, by the
+    Baker-Campbell-Hausdorff formula.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+    >>> H = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), order=4)
+    >>> H.terms[2]
+    -(1/384)*x1^2*x2^2 - (1/384)*x1^2*x3^2 + (1/192)*x2^2*x3^2
+    >>> run = co.integrate(body, (1.0, 2.0, 0.5), (0, 10), 0.1, co.Splitting(parts="coordinates"))
+    >>> kept = H(run.x, 0.1)
+    >>> float(max(abs(kept - kept[0])) / run.drift()["energy"]) < 0.01
+    True
+    """
+    system, scheme = read_subject(system, method)
+    order = read_whole(order, "order", 1, HIGHEST, why="the words in the free algebra double in number with each power")
+    program = scheme.program(system)
+    if system.hamiltonian.timed:
+        raise ValueError(
+            f"the Hamiltonian of {system.name} depends on time, so no function of x is conserved; "
+            "a modified Hamiltonian needs an autonomous system"
+        )
+    sweeps, after = swept_exactly(scheme.swept())
+    H = polynomial_of(system.hamiltonian)
+    if H is None:
+        if symbols is not False:
+            raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; symbols need a polynomial one")
+        if np.any(program.frequency != 0):
+            raise ValueError(
+                f"the Hamiltonian of {system.name} is not a polynomial, and rational rotations are flows of unknown "
+                'integrals of it; use rotation="exact"'
+            )
+        coordinates = coordinates_of(program, sweeps, after, order, scheme.order)
+        return ModifiedEnergyAtPoints(system, program, coordinates, order)
+    chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
+    return _made_of(SchemeTerms(system, program, sweeps, after, scheme.order, chosen), order)
+
+
+def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
+    terms, radius, neglected = source.below(order)
+    values = source.symbols.values
+    return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
+
+
+def read_subject(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
+    """Validate system and scheme: one system on a Lie algebra, and a scheme."""
+    scheme = read_method(method)
+    if not isinstance(system, LiePoissonSystem):
+        raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
+    return system, scheme

@@ -1,0 +1,159 @@
+"""Systems and steps in exact polynomials, and the check of a power series against the step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.polynomials.exact_polynomials import Exact
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.analysis.backward_error.field_of_step import Field, plain_ring, size_of
+from coadjoint.memory import check_room
+from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, formal_numbers, vector
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import System
+
+BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
+MOST_MONOMIALS = 10**5  # of a field: beyond, its products with itself take minutes
+SLIGHT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
+MOST_OFF = 1e6  # largest coefficient of the first omitted power of the series, in the same units
+
+
+class ExactSystem:
+    """A system whose J and H are polynomials in a ring; floats are converted to rationals exactly.
+
+    Raise TypeError, or what the functions of the system raise on polynomials, if J or H is not a polynomial.
+
+    >>> import coadjoint as co
+    >>> found = ExactSystem(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1))
+    >>> found.energy
+    1/2*x1^2 + 1/4*x2^2 + 1/8*x3^2
+    >>> found.field[0]
+    -1/4*x2*x3
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        _check_monomials(system)
+        self.ring = plain_ring(system.dim, (NODE,))
+        self._number = formal_numbers(self.ring, 1)
+        self.energy = self.value_of(system.energy)
+        self.field: Field = self._polynomials(system.vector_field(self._point))
+
+    @property
+    def _point(self) -> NDArray[Any]:
+        return vector(map(self._number.constant, self.ring.coordinates))
+
+    def _polynomials(self, values: Any) -> list[Exact]:
+        return [self._number(value).terms[0] for value in values]
+
+    @cached_property
+    def structure(self) -> list[Field]:
+        """J(x), a matrix of polynomials."""
+        return [self._polynomials(row) for row in self.system.structure_matrix(self._point)]
+
+    def value_of(self, function: Callable[..., Any]) -> Exact:
+        """Return a function of the state as a polynomial."""
+        return self._polynomials([function(self._point)])[0]
+
+    @cached_property
+    def casimirs(self) -> dict[str, Exact]:
+        """The polynomial Casimirs by name."""
+        found = {}
+        for name, C in self.system.casimirs.items():
+            if isinstance(C, Polynomial):
+                found[name] = self.ring.of(C)
+            elif hasattr(C, "form") or hasattr(C, "bind"):
+                found[name] = self.value_of(as_hamiltonian(C, self.system.dim).value)
+        return found
+
+    def check_room(self, order: int) -> None:
+        """Raise an error if the polynomials of an order do not fit in memory."""
+        n, degree = self.system.dim, max(int(f.total_degree()) for f in self.field)
+        highest = 1 + order * max(degree - 1, 0)
+        count = math.comb(n + highest, n) - (math.comb(n + highest - 1, n) if degree > 1 else 0)
+        check_room(
+            BYTES_PER_MONOMIAL * n * order * count,
+            f"a modified field of order {order}, of degree {highest} in {n} coordinates,",
+            "take a lower order",
+        )
+
+    def series_of(self, step: Callable[[NDArray[Any], Any], Any], order: int) -> list[Field]:
+        """Return the coefficients of h^0, ..., h^order of a step, a function of formal numbers x and h."""
+        number = formal_numbers(self.ring, order + 1)
+        x, h = vector(map(number.constant, self.ring.coordinates)), number.step()
+        found: list[FormalNumber] = [number(value) for value in step(x, h)]
+        short = min(len(value.terms) for value in found)
+        if short <= order:
+            raise TypeError(f"the series of the step is known up to h^{short - 1} only, not to h^{order}")
+        return [[value.terms[k] for value in found] for k in range(order + 1)]
+
+
+def _check_monomials(system: System) -> None:
+    """Raise an error for a field with too many monomials, counted before construction as those of the products in J(x)
+    M x.
+    """
+    terms = system.hamiltonian.terms()
+    if not isinstance(system, LiePoissonSystem) or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
+        return
+    entries = np.diff(terms[0].indptr)
+    i, j, _, _ = system.algebra.triples
+    count = int(np.sum(entries[i] + entries[j]))
+    if count > MOST_MONOMIALS:
+        raise ValueError(
+            f"the field of {system.name} has about {count:.0e} monomials; exact series support at most "
+            f"{MOST_MONOMIALS:.0e}"
+        )
+
+
+def check_at_a_point(
+    step: Callable[[NDArray[Any], Any], Any], exact: ExactSystem, series: list[Field], known_to: float
+) -> None:
+    """Raise TypeError if the series contradicts the step at a sample point: the step branches, or iterates to a
+    tolerance.
+    """
+    from mpmath import mp, workdps
+
+    order = len(series) - 1
+    digits = 30 - int((order + 2) * math.log10(SLIGHT))
+    with workdps(digits):
+        drawn = np.random.default_rng(order).uniform(0.5, 1.0, exact.system.dim)
+        x = vector(map(mp.mpf, drawn))
+        moved = max(abs(value) for value in values_at(exact.field, drawn)) or mp.mpf(1)
+        h = mp.mpf(SLIGHT) / moved
+        end = np.asarray(step(x, h))
+        expected = sum(np.array(values_at(terms, drawn)) * h**k for k, terms in enumerate(series))
+        size = max(abs(value) for value in end - expected)
+        allowed = MOST_OFF * (mp.mpf(SLIGHT) ** (order + 1) + known_to * SLIGHT)
+        if not size <= allowed:
+            raise TypeError(
+                f"the power series of the step contradicts the step at a sample point (by {float(size):.2g}, where "
+                f"{float(allowed):.2g} is allowed); a step that branches, or iterates to a tolerance, has no such "
+                "series"
+            )
+
+
+def values_at(polynomials: list[Exact], x: NDArray[np.float64]) -> list[Any]:
+    """Return the values at a point, in the current precision of mpmath."""
+    from mpmath import mp
+
+    at = [*(rational(float(value)) for value in x), 0]
+    found = [polynomial(*at) for polynomial in polynomials]
+    return [mp.mpf(int(value.numer())) / int(value.denom()) for value in found]
+
+
+def scale_of_motion(exact: ExactSystem, count: int) -> list[float]:
+    """Return the largest coefficients of the Taylor terms of the motion, of h^1, ..., h^count."""
+    found, term = [], list(exact.ring.coordinates)
+    for k in range(1, count + 1):
+        term = [exact.ring.along(exact.field, F) / k for F in term]
+        found.append(max(map(size_of, term)))
+    return found

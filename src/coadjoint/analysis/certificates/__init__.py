@@ -1,0 +1,1 @@
+"""Certificates: checks of the claims of a scheme."""

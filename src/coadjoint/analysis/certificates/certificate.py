@@ -1,0 +1,226 @@
+"""Results of `certify`: certificates and their rows."""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.errors import unknown_name
+from coadjoint.short_repr import html_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HOLDS = "holds"
+FAILS = "fails"
+BEYOND = "kept though not declared"
+ABSENT = "not kept, not declared"
+INAPPLICABLE = "not applicable"
+UNDECIDED = "not decidable here"
+VERDICTS = (HOLDS, FAILS, BEYOND, ABSENT, INAPPLICABLE, UNDECIDED)
+SCHEMA = 1
+"""Version of the mapping of a certificate."""
+WIDTH = 120
+HEADINGS = ("what", "declared", "verdict", "measured")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One check of a certificate.
+
+    Parameters
+    ----------
+    key : str
+        Name of the row in the certificate.
+    what : str
+        The property checked.
+    declared : str
+        The scheme's declaration on it.
+    measured : str
+        The measurement, in words and numbers.
+    verdict : str
+        One of `VERDICTS`.
+    claimed : bool
+        Whether the property must hold for the certificate to pass.
+    value, bound : float or None
+        The decisive value, and the bound it was compared with.
+    source : str
+        Derivation of the bound.
+    reason : str
+        Why the check is not applicable or not decidable, or a remark.
+    evidence : mapping
+        Name -> array or number: all measurements.
+    """
+
+    key: str
+    what: str
+    declared: str
+    measured: str
+    verdict: str
+    claimed: bool = False
+    value: float | None = None
+    bound: float | None = None
+    source: str = ""
+    reason: str = ""
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        assert self.verdict in VERDICTS
+
+    def __str__(self) -> str:
+        """Format the row in one line."""
+        return f"{self.what}: {self.measured} ({self.verdict})"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the row as plain numbers, lists and text."""
+        named = {name: _plain(value) for name, value in vars(self).items() if name != "evidence"}
+        return {**named, "evidence": {name: _plain(value) for name, value in self.evidence.items()}}
+
+
+def verdict(claimed: bool, kept: bool | None) -> str:
+    """Return the verdict on a property; `kept` is None where the measurement does not decide."""
+    if kept is None:
+        return UNDECIDED
+    return (HOLDS if kept else FAILS) if claimed else (BEYOND if kept else ABSENT)
+
+
+@dataclass(frozen=True, repr=False)
+class Certificate:
+    """The result of `certify`: a row for each property, and whether every declared property holds.
+
+    Parameters
+    ----------
+    rows : tuple of Row
+        In the order of the checks; ``certificate["order"]`` is one by its name.
+    subject : mapping
+        System, scheme, step, states and versions, as plain numbers and text.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> certificate = co.certify(body, co.Splitting(order=2), (0.3, 1.0, 0.2), 0.1, steps=200)
+    >>> certificate.passed, certificate["poisson"].verdict, certificate["energy"].verdict
+    (True, 'holds', 'not kept, not declared')
+    """
+
+    rows: tuple[Row, ...]
+    subject: Mapping[str, Any]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every declared property holds; an undecidable property counts as failed."""
+        return all(row.verdict in (HOLDS, INAPPLICABLE) for row in self.rows if row.claimed)
+
+    @property
+    def declares(self) -> bool:
+        """Whether the scheme declares anything."""
+        return any(row.claimed for row in self.rows)
+
+    @property
+    def table(self) -> tuple[Row, ...]:
+        """The rows."""
+        return self.rows
+
+    @property
+    def failures(self) -> tuple[Row, ...]:
+        """The rows of declared properties that fail or cannot be decided."""
+        return tuple(row for row in self.rows if row.claimed and row.verdict not in (HOLDS, INAPPLICABLE))
+
+    def __getitem__(self, key: str) -> Row:
+        """Return a row by name, such as ``"order"``, ``"energy"`` or ``"casimir |x|^2"``."""
+        for row in self.rows:
+            if row.key == key:
+                return row
+        raise KeyError(str(unknown_name("row", key, [row.key for row in self.rows])))
+
+    def __repr__(self) -> str:
+        return f"<certificate of {self.subject['scheme']['shown']} on {self.subject['system']['name']}: {self._said()}>"
+
+    def __str__(self) -> str:
+        """Format the certificate as a table."""
+        head = self._head()
+        sizes = [max(len(row.what) for row in self.rows), max(len(row.declared) for row in self.rows)]
+        sizes = [min(sizes[0], 32), min(sizes[1], 16), max(len(row.verdict) for row in self.rows)]
+        lines = []
+        for what, declared, found, said in (HEADINGS, *map(_cells, self.rows)):
+            entries = [textwrap.wrap(what, sizes[0]), textwrap.wrap(declared, sizes[1]), [found]]
+            entries.append(textwrap.wrap(said, max(30, WIDTH - sum(sizes) - 6)))
+            for number in range(max(map(len, entries))):
+                cells = [entry[number] if number < len(entry) else "" for entry in entries]
+                padded = [cell.ljust(size) for cell, size in zip(cells, sizes, strict=False)]
+                lines.append("  ".join([*padded, cells[-1]]).rstrip())
+        return "\n".join([*head, "", *lines, "", self._said()])
+
+    def _repr_html_(self) -> str:
+        head, (name, *others) = self._head(), HEADINGS
+        rows = {name: tuple(others), **{what: tuple(cells) for what, *cells in map(_cells, self.rows)}}
+        return html_table(f"{'; '.join(head)}; {self._said()}", rows)
+
+    def _head(self) -> list[str]:
+        return [
+            f"{self.subject['system']['name']}, {self.subject['scheme']['shown']}, step {self.subject['step']:g}",
+            f"{len(self.subject['states'])} states, {self.subject['steps']} steps from each",
+        ]
+
+    def _said(self) -> str:
+        if not self.declares:
+            return "nothing was declared, so nothing can fail: see the measured values"
+        if self.passed:
+            return "passed: every declared property holds"
+        return "not passed: " + ", ".join(f"{row.what} ({row.verdict})" for row in self.failures)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the certificate as plain numbers, lists and text.
+
+        Returns
+        -------
+        dict
+            ``schema``, ``passed``, ``subject`` (system, scheme, step, states, versions) and ``rows``, each with
+            ``key``, ``declared``, ``measured``, ``value``, ``bound``, ``source``, ``verdict`` and ``evidence``.
+        """
+        rows = [row.to_mapping() for row in self.rows]
+        return {"schema": SCHEMA, "passed": self.passed, "subject": _plain(self.subject), "rows": rows}
+
+    def to_json(self) -> str:
+        """Return `to_mapping` as JSON; non-finite numbers are null."""
+        return json.dumps(self.to_mapping(), indent=1, allow_nan=False)
+
+    def plot(self) -> Figure:
+        """Return a figure of the evidence: errors over the step, and deviations of the invariants over time.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure, neither shown nor saved.
+        """
+        from coadjoint.pictures.certificate import draw_certificate
+
+        return draw_certificate(self)
+
+
+def _cells(row: Row) -> tuple[str, str, str, str]:
+    said = row.measured
+    if row.bound is not None and row.source:
+        said += f"; bound {row.bound:.2g}: {row.source}"
+    return row.what, row.declared, row.verdict, f"{said}; {row.reason}" if row.reason else said
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

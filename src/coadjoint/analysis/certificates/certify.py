@@ -1,0 +1,171 @@
+"""Certification of schemes: measured properties compared with declared ones."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+import coadjoint
+from coadjoint.analysis.certificates.certificate import Certificate, Row
+from coadjoint.analysis.certificates.claims import scheme_and_claims
+from coadjoint.analysis.checks.attitude import attitude_rows
+from coadjoint.analysis.checks.convergence import convergence_rows
+from coadjoint.analysis.checks.invariants import invariant_rows, long_run, run_row, steps_of
+from coadjoint.analysis.checks.poisson import poisson_row
+from coadjoint.analysis.checks.study import study
+from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
+from coadjoint.long_operations import tell, waiting
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.registry import description_of, read_method
+from coadjoint.runs.start import momenta_of
+from coadjoint.systems.system_checks import System, check_one_system, in_coordinates
+from coadjoint.validation import read_number, read_whole
+
+MOST_STEPS = 10**7
+SIZES = (1e-75, 1e75)
+"""Allowed sizes of the largest entry of a state."""
+
+
+def certify(
+    system: System,
+    method: Any,
+    x0: Any,
+    step: float,
+    *,
+    steps: int | None = None,
+    order: int | None = None,
+    properties: Properties | None = None,
+    symmetric: bool | None = None,
+) -> Certificate:
+    """Measure what a scheme keeps on a system, and compare it with what the scheme declares.
+
+    Choose it for the first run of a new system, a new scheme or an unusual step, and for every scheme of your own.
+    It measures the order and the convergence to a closed form or an independent integration (since a motion at the
+    wrong speed preserves every invariant); the symmetry; the Poisson bracket, by the tangent map of the step; energy
+    and Casimirs, in one step and over a long run; and the invariants of the group element, if the scheme computes one.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    method : Method or callable
+        A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` if the Hamiltonian depends on time) that returns the
+        state after a step of length h, which may be negative. `order`, `properties` and `symmetric` are the
+        declarations of a function. Undeclared properties are measured and cannot fail.
+    x0 : array_like, shape (n,) or (k, n)
+        A state, or a sample of states. Fewer than four are extended along the motion; for steps longer than a quarter
+        of a millisecond, two states suffice. Of more than eight, the first eight are used.
+    step : float
+        The step; negative for backward integration. Order, symmetry and defects are also measured at other steps.
+    steps : int, optional
+        Number of steps of the long run. None is 2000, reduced to a few seconds of computing time; the certificate
+        reports a reduction.
+    order : int, optional
+        Declared order of accuracy of a function.
+    properties : Properties, optional
+        Declared invariants of a function, ``co.methods.Properties(poisson=, energy=, casimirs=, attitude="none")``.
+    symmetric : bool, optional
+        Declared symmetry of a function: a step by -h inverts a step by h.
+
+    Returns
+    -------
+    Certificate
+        With ``passed``, rows by name, ``plot()`` and ``to_json()``; ``print`` shows a table.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For wrong input, or a scheme that does not apply to the system. A failed run is a row, not an error.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> co.certify(body, co.Splitting(order=4), (0.3, 1.0, 0.2), 0.1, steps=200).passed
+    True
+
+    The explicit Euler method, falsely declared to conserve energy:
+
+    >>> claims = co.methods.Properties(poisson=False, energy=True, casimirs="none", attitude="none")
+    >>> def euler(x, h):
+    ...     return x + h * body.vector_field(x)
+    >>> certificate = co.certify(body, euler, (0.3, 1.0, 0.2), 0.1, steps=200, order=1, properties=claims)
+    >>> [row.key for row in certificate.failures]
+    ['energy']
+    """
+    check_one_system(system)
+    h = read_number(step, "step")
+    if h == 0.0:
+        raise ValueError(f"step is {h!r}; it must not be zero")
+    count = None if steps is None else read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
+    if isinstance(method, str | Mapping):
+        method = read_method(method)
+    scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
+    states, _ = momenta_of(system, x0)
+    system = in_coordinates(system)
+    size = float(np.max(np.abs(states), initial=0.0))
+    if size != 0.0 and not SIZES[0] <= size <= SIZES[1]:
+        raise ValueError(
+            f"x0 has entries up to {size!r}; products of their defects leave the range of float64, so choose units in "
+            "which they "
+            f"are from {SIZES[0]} to {SIZES[1]}"
+        )
+    with np.errstate(all="ignore"), waiting("certify"):
+        subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
+        if count is not None:
+            taken = subject.seconds * len(subject.states) * count
+            tell(f"the long run of {count} steps from {len(subject.states)} states", taken, "fewer steps= take less")
+        return Certificate(_rows(subject), _described(subject))
+
+
+def _rows(subject: Subject) -> tuple[Row, ...]:
+    found = study(subject)
+    telling = subject.h if found is None else found.telling(subject.h)
+    run = long_run(subject)
+    return (
+        *convergence_rows(subject, found),
+        symmetry_row(subject, telling),
+        reversibility_row(subject, telling),
+        poisson_row(subject, telling),
+        *invariant_rows(subject, run, telling),
+        *attitude_rows(subject, found, 0 if run.solution is None else run.solution.stats.steps),
+        run_row(subject, run),
+    )
+
+
+def _described(subject: Subject) -> dict[str, Any]:
+    system, algebra = subject.system, subject.system.algebra
+    return {
+        "system": {
+            "name": system.name,
+            "algebra": None if algebra is None else getattr(algebra, "name", None) or repr(algebra),
+            "dim": system.dim,
+            "sign": system.sign,
+            "hamiltonian": repr(system.hamiltonian),
+            "parameters": getattr(system, "parameters", None),
+        },
+        "scheme": {"shown": str(subject.method), "description": _description(subject.method)},
+        "step": subject.h,
+        "steps": steps_of(subject),
+        "given": subject.given,
+        "states": subject.states,
+        "versions": {
+            "coadjoint": coadjoint.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+        },
+    }
+
+
+def _description(method: Method) -> Any:
+    try:
+        return description_of(method)
+    except TypeError:
+        return None

@@ -1,0 +1,110 @@
+"""Signals of runs at equidistant times: momentum, attitude, invariants, observables, or functions of the state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.solution import Solution
+from coadjoint.short_repr import short
+from coadjoint.systems.user_functions import check_arguments
+from coadjoint.validation import array_given, check_finite, read_finite, read_numbers, read_whole
+
+
+class Sampled(NamedTuple):
+    """A signal at equidistant times, with values (members, k, channels).
+
+    `members` and `channels` are whether the given signal had these axes.
+    """
+
+    t: NDArray[np.float64]
+    values: NDArray[Any]
+    members: bool
+    channels: bool
+
+
+def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
+    """Return the signal of a run, or given samples at equidistant times, of at least `least` points.
+
+    For the kinds of signals see `frequencies`. Raise ValueError for uneven times, too few samples, or values that are
+    not finite or do not match the times, and TypeError for another type of signal.
+
+    >>> sampled([0.0, 0.5, 1.0], [1.0, 2.0, 4.0]).values.shape
+    (1, 3, 1)
+    """
+    if isinstance(given, Solution):
+        t, values, several = given.t, _of_run(given, signal), given.failed is not None
+    else:
+        t, several = read_finite(given, "t"), False
+        if signal is None or isinstance(signal, str) or callable(signal):
+            raise TypeError(f"signal is {short(signal)}; with times t, give its samples as an array")
+        values = array_given(signal, "signal", "iufc")
+        several = values.ndim == 3
+    kept = _even(t, least)
+    values = values.astype(np.complex128) if values.dtype.kind == "c" else read_numbers(values, "signal")
+    shapes = ((2, 3) if several else (1, 2)) if isinstance(given, Solution) else (1, 2, 3)
+    if values.ndim not in shapes or len(values) != len(t):
+        wanted = (
+            f"({len(t)}, members) or ({len(t)}, members, channels)"
+            if several
+            else f"({len(t)},) or ({len(t)}, channels)"
+        )
+        raise ValueError(f"signal has the shape {values.shape}; it must be {wanted}")
+    check_finite(values, "signal")
+    channels = values.ndim == (3 if several else 2)
+    if not channels:
+        values = values[..., None]
+    if not several:
+        values = values[:, None]
+    if 0 in values.shape:
+        raise ValueError(f"signal has the shape {values.shape}; it must have at least one member and one channel")
+    return Sampled(t[:kept], np.swapaxes(values[:kept], 0, 1), several, channels)
+
+
+def _of_run(run: Solution, signal: Any) -> NDArray[Any]:
+    several = run.failed is not None
+    if run.failed is not None and np.any(run.failed):
+        raise ValueError(f"member {int(np.argmax(run.failed))} of the run failed; run again without it")
+    if signal is None:
+        return _flat(run.x, several)
+    if isinstance(signal, str):
+        if signal == "attitude":
+            if run.attitude is None:
+                raise ValueError("the run carried no attitude; integrate with attitude=True")
+            return _flat(run.attitude, several)
+        if signal == "energy":
+            return run.energy
+        if signal not in run.observed:
+            known = ", ".join(map(repr, ("attitude", "energy", *run.observed)))
+            raise ValueError(f"signal is {short(signal)}; a run has {known}, and its components by number")
+        return np.asarray(run.observed[signal])
+    if callable(signal):
+        check_arguments(signal, "signal", "x")
+        chosen: Callable[..., Any] = signal
+        return array_given(chosen(run.x), "what signal(sol.x) returned", "iufc")
+    samples = array_given(signal, "signal", "iufc")
+    if samples.ndim == 0:
+        components = _flat(run.x, several)
+        return np.asarray(components[..., read_whole(signal, "signal", 0, components.shape[-1] - 1)])
+    return samples
+
+
+def _flat(values: NDArray[Any], several: bool) -> NDArray[Any]:
+    return values.reshape(*values.shape[: 2 if several else 1], -1)
+
+
+def _even(t: NDArray[np.float64], least: int) -> int:
+    """Return the number of equidistant times; the last one may be off the grid, as in a run."""
+    if t.ndim != 1 or len(t) < least:
+        raise ValueError(f"t has the shape {t.shape}; give at least {least} equidistant times, (k,)")
+    spacing = (t[-2] - t[0]) / (len(t) - 2) if len(t) > 2 else t[-1] - t[0]
+    off = np.abs(t - (t[0] + spacing * np.arange(len(t))))
+    fine = off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))
+    kept = len(t) - (not fine[-1])
+    if spacing == 0.0 or not np.all(fine[:kept]) or kept < least:
+        raise ValueError(f"t is {short(t)}; give at least {least} equidistant times")
+    return kept

@@ -1,0 +1,42 @@
+"""Deterministic selection of a few representative members of an ensemble."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.choosing.pilot import short_run
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.systems.system_checks import System
+
+# Number of members followed by a pilot, and of those among which they are selected.
+SAMPLE = 4
+SCREENED = 256
+SCREEN = GaussLegendre(2)
+# Steps in the time in which the fastest member moves by its own size, and their total number.
+FINENESS = 8
+STEPS = 128
+
+
+def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: float) -> NDArray[np.float64]:
+    """Return the members followed by a pilot: the first, and those with the largest errors in a coarse short run.
+
+    `momenta` has shape (members, n). Returns up to 4 of them, shape (k, n), in the order of the ensemble.
+    """
+    members = len(momenta)
+    if members <= SAMPLE:
+        return momenta
+    looked_at = np.unique(np.linspace(0, members - 1, min(members, SCREENED)).round().astype(np.int64))
+    crowd = momenta[looked_at]
+    sizes = np.linalg.norm(crowd, axis=1)
+    rates = np.array([np.linalg.norm(system.vector_field(x, t0)) for x in crowd]) / np.where(sizes > 0.0, sizes, 1.0)
+    # Members with a nonfinite field are selected first, so that the pilot reports them.
+    rates = np.where(np.isfinite(rates), rates, np.inf)
+    fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
+    time = abs(span) if fastest == 0.0 else min(abs(span), STEPS / FINENESS / fastest)
+    ends = [short_run(system, SCREEN, crowd, t0, np.copysign(time, span), n) for n in (STEPS, 2 * STEPS)]
+    failed = (ends[0].state["status"] != 0) | (ends[1].state["status"] != 0)
+    apart = np.max(np.linalg.norm(ends[0].saved["x"][1:] - ends[1].saved["x"][2::2], axis=2), axis=0)
+    errors = np.where(failed | ~np.isfinite(rates), np.inf, apart / np.where(sizes > 0.0, sizes, 1.0))
+    worst = looked_at[np.argsort(-errors, kind="stable")[: SAMPLE - 1]]
+    return momenta[np.unique(np.concatenate([[0], worst]))]

@@ -1,0 +1,64 @@
+"""Cache of results that depend on the system and not on the state, across choices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import lru_cache
+from typing import Any, TypeVar
+
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.loops import SystemLoops
+from coadjoint.systems.system_checks import System
+
+Found = TypeVar("Found")
+
+# Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
+LARGEST = 64
+# Entries per system, after which its cache is cleared, and number of systems (least recently used first out).
+MOST = 256
+SYSTEMS = 16
+
+
+@lru_cache(maxsize=SYSTEMS)
+def _known_of(system: System) -> dict[Hashable, Any]:
+    return {}
+
+
+def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
+    """Return the cached result of `make` for an immutable system and a key, computing it on first use.
+
+    Unhashable keys are not cached, nor are exceptions. Callers must not modify the result.
+    """
+    if system.dim > LARGEST:
+        return make()
+    try:
+        known = _known_of(system)
+        found: Found = known[key]
+    except KeyError:
+        found = make()
+        if len(known) >= MOST:
+            known.clear()
+        known[key] = found
+    except TypeError:
+        return make()
+    return found
+
+
+def loops_of(system: System, method: Method, h: float) -> SystemLoops:
+    """Return the loops of a scheme that record the energy alone.
+
+    They are cached if they depend neither on the step nor on user functions, which may have state.
+    """
+
+    def made() -> SystemLoops:
+        return SystemLoops(system, method, h, None, casimirs={})
+
+    return (
+        remembered(system, ("loops", method), made)
+        if method.tables_of_any_step and not _has_functions(system)
+        else made()
+    )
+
+
+def _has_functions(system: System) -> bool:
+    return system.algebra is None or any(term.called for term in system.hamiltonian.terms())

@@ -1,0 +1,232 @@
+"""Runs prepared for an accuracy: one choice for a sample of states, validated in each run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from operator import mul, sub
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.choosing.accuracy import Choice, choose
+from coadjoint.choosing.member_sample import sample_of
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.protocol.method import Method
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.final_state import EVERY
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.solution import Solution, with_choice
+from coadjoint.runs.start import momenta_of, read_attitude
+from coadjoint.runs.times import span_of
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.system_checks import System, check_system
+
+# Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
+# evaluations to the largest one of the sample.
+WORSE = 2.0
+# Number of steps checked along the motion of each state of the sample.
+LOOKED_AT = 64
+# Difference between a step and two half steps by rounding alone.
+ROUNDED = 32 * UNIT_ROUNDOFF
+SLACK = 1.0 + 2.0**-40
+# Range of squared norms in which they are compared.
+LEAST, LARGEST = 2.0**-900, 2.0**900
+
+
+class SampledRun(PreparedRun):
+    """A prepared run whose scheme and step serve a sample of states; see `prepare` with ``accuracy=``.
+
+    It is immutable, and each run is independent of earlier ones. A run is checked by its first step: its difference
+    from two half steps, relative to the state, may be at most twice the largest one along the motions of the sample.
+    Schemes with variable steps control the error of each step, and these errors add up: such a run may take up to twice
+    as many evaluations as those of the sample. For a run that fails the check a choice of its own is made, as in
+    `integrate`.
+
+    Attributes
+    ----------
+    choice : Choice
+        The choice for the sample.
+    signed_step : float
+        The step, negative if prepared backward.
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        sample: Any,
+        t_span: Any,
+        accuracy: float,
+        method: Method | None,
+        attitude: Any,
+        watch: bool,
+        observe: Mapping[str, Any] | None,
+        threads: int | None,
+    ) -> None:
+        check_system(system)
+        if isinstance(system, Batch):
+            raise TypeError("accuracy chooses the step for one system, and this is a batch; prepare a run of a member")
+        t0, t1 = span_of(t_span)
+        if t0 == t1:
+            raise ValueError(f"t_span is {[t0, t1]}; a run is prepared for a time that is longer than 0")
+        momenta, _ = momenta_of(system, sample)
+        picked = sample_of(cast(System, system), momenta, t0, t1 - t0)
+        attitude = read_attitude(attitude)
+        # Elements of the members of a run, which need not be as many as states of the sample.
+        self._kind = True if np.ndim(attitude) == 3 else attitude
+        self.choice: Choice = choose(cast(Any, system), picked, (t0, t1), accuracy, attitude=self._kind, methods=method)
+        step = self.choice.step
+        super().__init__(
+            system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
+        )
+        self._asked = {"attitude": self._attitude, "watch": watch, "observe": observe, "threads": threads}
+        self._among, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
+        self._whole = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
+        self._halves = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
+        self._timed = bool(system.hamiltonian.timed)
+        self._once = 0.0, self.signed_step
+        self._read: tuple[Any, float] = None, t0
+        self._own, self._allowed = self.choice.method.own_steps, math.inf
+        if self._own:
+            self.most_evaluations = WORSE * self._evaluations(picked, t0)
+        else:
+            self._allowed = max(ROUNDED, WORSE * self._worst_along(picked, t0))
+
+    def __repr__(self) -> str:
+        return f"<run of {self.system!r} prepared for the accuracy {self.choice.accuracy:g}: {self.method}>"
+
+    def run(
+        self,
+        x0: Any,
+        t_span: tuple[float, float],
+        save_every: int = 1,
+        *,
+        t_eval: Any = None,
+        attitude: Any = None,
+        progress: bool = False,
+        events: Any = (),
+        **inputs: Any,
+    ) -> Solution:
+        """Integrate from an initial state to the prepared accuracy; see `PreparedRun.run`.
+
+        Parameters
+        ----------
+        x0, save_every, t_eval, attitude, progress, events
+            As in `PreparedRun.run`; for a run with a choice of its own `save_every` counts the steps of that choice.
+        t_span : (float, float)
+            Start and end, in the direction and at most the length prepared; a whole number of steps.
+        **inputs : array_like
+            Not supported.
+
+        Returns
+        -------
+        Solution
+            Its `choice` is the choice used.
+
+        Raises
+        ------
+        ValueError, TypeError
+            For wrong input, before the first step; for an accuracy that is not reached from x0.
+        IntegrationError
+            As in `integrate`.
+        """
+        t0 = self._start_of(t_span)
+        given: dict[str, Any] = {"t_eval": t_eval, "attitude": attitude, "progress": progress, "events": events}
+        given |= inputs
+        if self._own or self.serves(x0, t0):
+            found = super().run(x0, t_span, save_every, **given)
+            if _most(found) <= self.most_evaluations:
+                return with_choice(found, self.choice)
+        alone, choice = self._alone(x0, t_span)
+        return with_choice(alone.run(x0, t_span, save_every, **given), choice)
+
+    def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
+        """Return only the state at the end, as `PreparedRun.end`; times as in `run`. The check takes 5 us."""
+        t0 = self._start_of(t_span)
+        if self._own or self.serves(x0, t0):
+            return super().end(x0, t_span)
+        return self._alone(x0, t_span)[0].run(x0, t_span, EVERY).x[-1]
+
+    def serves(self, x0: Any, t0: float = 0.0) -> bool:
+        """Return whether the choice for the sample serves a run from a state, or from all of several.
+
+        Parameters
+        ----------
+        x0 : array_like, shape (n,) or (members, n)
+            Initial momentum.
+        t0 : float
+            Initial time.
+
+        Returns
+        -------
+        bool
+        """
+        if self._own:
+            return self._evaluations(x0, t0) <= self.most_evaluations
+        once = (t0, t0 + self.signed_step) if self._timed else self._once
+        try:
+            whole, halves = self._whole.end(x0, once), self._halves.end(x0, once)
+        except IntegrationError:
+            return False
+        if whole.ndim > 1:
+            apart, size = _squares(whole, halves)
+            sound = (size > LEAST) & (size < LARGEST)
+            return bool(np.all((sound & (apart <= self._allowed**2 * size)) | ~np.any([whole, halves], axis=(0, 2))))
+        one, other = whole.tolist(), halves.tolist()
+        size = sum(map(mul, one, one))
+        if LEAST < size < LARGEST:
+            off = list(map(sub, one, other))
+            return bool(sum(map(mul, off, off)) <= self._allowed**2 * size)
+        # A zero state passes; if squares overflow or underflow, a choice of its own is made.
+        return not (any(one) or any(other))
+
+    def _evaluations(self, x0: Any, t0: float) -> float:
+        """Return the largest number of evaluations among runs from some states, over the time prepared."""
+        return _most(self._whole.run(x0, (t0, t0 + self._time), EVERY))
+
+    def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
+        """Return the largest difference along the motions from a sample, relative to the state."""
+        steps = max(1, round(self._time / self.signed_step))
+        along = self._whole.run(sample, (t0, t0 + self._time), max(1, steps // LOOKED_AT))
+        if self._timed:
+            starts = zip(along.x, along.t.tolist(), strict=True)
+            pairs = [(x, (t, t + self.signed_step)) for x, t in starts]
+        else:
+            pairs = [(along.x.reshape(-1, along.x.shape[-1]), self._once)]
+        worst = 0.0
+        for states, once in pairs:
+            apart, size = _squares(self._whole.end(states, once), self._halves.end(states, once))
+            # Avoids division by zero for states at rest, which stay there.
+            worst = max(worst, float(np.max(apart / np.where(size > 0.0, size, 1.0))))
+        return math.sqrt(worst)
+
+    def _start_of(self, t_span: Any) -> float:
+        """Return the initial time; raise ValueError outside the direction and time prepared."""
+        if t_span is self._read[0]:
+            return self._read[1]
+        t0, t1 = span_of(t_span)
+        if not 0.0 <= (t1 - t0) / self._time <= SLACK:
+            raise ValueError(
+                f"t_span is {[t0, t1]}; the run was prepared for a time of {self._time:g}, and shorter ones in its "
+                "direction; prepare another run"
+            )
+        if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
+            self._read = t_span, t0
+        return t0
+
+    def _alone(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
+        """Return a run, with a choice of its own, for a state that the sample does not represent."""
+        given: Any = {"attitude": self._kind, "methods": self._among}
+        choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
+        return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice
+
+
+def _most(found: Solution) -> float:
+    return float(np.max(found._state["evaluations"]))
+
+
+def _squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the squared norms of the differences of states (members, n), and of the first ones."""
+    with np.errstate(over="ignore"):
+        return np.sum((one - other) ** 2, axis=-1), np.sum(one**2, axis=-1)

@@ -1,0 +1,1 @@
+"""Archives: runs and ensembles in Zarr stores that survive interruption."""

@@ -1,0 +1,181 @@
+"""Runs written to an archive piece by piece, each piece committed atomically."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping, Sequence
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, Kept, unwritten_archive
+from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
+from coadjoint.files.datasets.export import said_of
+from coadjoint.files.datasets.variables import (
+    Variables,
+    coordinates_of,
+    over_time,
+    starts_of,
+    summaries_of,
+    times_of_points,
+)
+from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.progress import progress_bar
+
+if TYPE_CHECKING:
+    from coadjoint.errors import IntegrationError
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+FINISHED, STEPS, STATES, ACCOUNTS = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
+FIRST_STEP, SAVE_EVERY = "archive_first_step", "archive_save_every"
+BLOCKS, LEAST_ROOM = 64, 2**24
+"""A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
+SECONDS_OF_STRETCH, FIRST_STRETCH = 0.25, 64
+SECONDS_OF_PIECE, SHARE_OF_COMMITS = 10.0, 20
+"""A piece is committed after 10 s, or after 20 times the duration of the last commit."""
+
+
+class ArchivedRun:
+    """A run and the archive that it writes; parameters as for `PiecewiseRun`."""
+
+    def __init__(
+        self,
+        store: ArchiveStore,
+        ready: PreparedRun,
+        times: Times,
+        start: Start,
+        stored: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.store, self.run = store, PiecewiseRun(ready, times, start, store.arrays["time"].chunk[0], stored)
+        self._states = states_of(store.attributes)
+        self._seconds = float(store.attributes.get("seconds", 0.0))
+        self._took = 0.0
+        self._committed = self.run.number
+        self._failure: IntegrationError | None = None
+
+    def advance(self, until: int | None = None, progress: bool = False) -> IntegrationError | None:
+        """Take and commit the steps up to number `until`, or all; return the failure of the run, if any.
+
+        ArchiveUnwritten: the archive could not be written, and holds the last commit.
+        """
+        run, stretch, last = self.run, FIRST_STRETCH, self.run.run.times.steps if until is None else until
+        begun = time.perf_counter()
+        with progress_bar(last - run.number, progress) as bar:
+            while not run.over and run.number < last:
+                target, before = min(last, run.reach, run.number + stretch), time.perf_counter()
+                done = run.number
+                try:
+                    run.advance(target)
+                except KeyboardInterrupt:
+                    if not run.torn:
+                        self.commit()
+                    raise
+                bar(target - done)
+                now = time.perf_counter()
+                pace = (target - done) / max(now - before, 1e-6)
+                stretch = max(1, min(int(pace * SECONDS_OF_STRETCH), 4 * stretch))
+                if target == run.reach or now - begun > max(SECONDS_OF_PIECE, SHARE_OF_COMMITS * self._took):
+                    self.commit()
+                    begun = time.perf_counter()
+        self.commit()
+        return self._failure
+
+    def commit(self) -> None:
+        """Commit the steps computed so far."""
+        run, began = self.run, time.perf_counter()
+        if run.number == self._committed:
+            return
+        piece: Solution | None = None
+        try:
+            piece = run.piece()
+            for name, (_, values, _) in growing_of(piece).items():
+                self.store.write(name, values, (run.first,))
+            for name, (_, values, _) in summaries_of(piece).items():
+                self.store.write(name, values)
+            self._failure = failure = run.failure(piece) if run.over else None
+            lengths = {"time": run.first + run.held}
+            states = self._kept(lengths)
+            said = {**self._attributes(piece, states), **(said_of(failure) if failure else {})}
+            self.store.commit(said, lengths, states)
+            self._states = states
+        except (OSError, ArchiveError) as reason:
+            held = self.store.attributes.get(STEPS) == run.number
+            raise unwritten(self.store, reason, None if held else piece) from reason
+        run.let_go()
+        self._took, self._committed = time.perf_counter() - began, run.number
+
+    def _kept(self, lengths: Mapping[str, int]) -> list[Kept]:
+        """Store the state; return all states to retain: those at block starts, and the last of an unfinished run."""
+        run, store = self.run, self.store
+        blocks = [kept for kept in self._states if kept.about["block"]]
+        bytes_of_state = 8 * run.run.state.arrays.numbers.size
+        room = max(LEAST_ROOM, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4)
+        since = run.number - (blocks[-1].about["number"] if blocks else 0)
+        block = not run.over and since * BLOCKS >= run.run.times.steps and (len(blocks) + 1) * bytes_of_state <= room
+        kept = store.keep(run.stored(block), {"number": run.number, **lengths, "block": int(block)})
+        if run.over and not self._states[-1].about["block"]:
+            blocks.append(self._states[-1])
+        return [*blocks, kept]
+
+    def _attributes(self, piece: Solution, states: Sequence[Kept]) -> dict[str, Any]:
+        stats = piece.stats
+        return {
+            STEPS: self.run.number,
+            FINISHED: int(self.run.over),
+            STATES: json.dumps(states),
+            "evaluations": stats.evaluations,
+            "iterations": stats.iterations,
+            "seconds": self._seconds + stats.seconds,
+        }
+
+
+def states_of(attributes: Mapping[str, Any]) -> list[Kept]:
+    """Return the states of an archive: of its blocks, and the last one."""
+    return [Kept(*kept) for kept in json.loads(attributes[STATES])]
+
+
+def growing_of(piece: Solution) -> Variables:
+    """Return the variables over time of a piece of a run."""
+    return {**over_time(piece), **times_of_points(piece.t)}
+
+
+def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
+    """Return the arrays of a new archive, the first values of those that grow, and the values of the others."""
+    growing = growing_of(piece)
+    fixed: Variables = {**starts_of(piece), **summaries_of(piece), **others}
+    fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
+    longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
+    rows = rows_of_chunk(longest, piece._times.every_point)
+    arrays = {}
+    for name, (dims, values, attributes) in (growing | fixed).items():
+        kind = TYPES.get(np.asarray(values).dtype.kind, "string")
+        shape = np.shape(values)
+        shape = (0, *shape[1:]) if name in growing else shape
+        arrays[name] = StoredArray(dims, kind, shape, chunk_of(dims, shape, rows), attributes)
+    return arrays, growing, fixed
+
+
+def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
+    """Return a digest of the state after the first step, which identifies the computation of a run."""
+    run = ready.begun(times._replace(most=2), start)
+    run.advance(until=min(1, times.steps))
+    return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
+
+
+def unwritten(store: ArchiveStore, reason: OSError | ArchiveError, partial: Solution | None = None) -> ArchiveUnwritten:
+    """Return the error for an archive that could not be written, with the points that it lacks."""
+    steps = store.attributes.get(STEPS, 0)
+    found = unwritten_archive(
+        store.path,
+        reason,
+        f"the run was written up to step {steps}, and nothing of what is there now was changed",
+        f"it holds the run up to step {steps}, and the run goes on from there when it is resumed",
+    )
+    found.partial = partial
+    return found

@@ -1,0 +1,156 @@
+"""The run of one block of an ensemble, into its own chunks of the archive and its marker."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint import __version__
+from coadjoint.files.archives.archived_run import FINISHED, STEPS, ArchivedRun
+from coadjoint.files.archives.blocks import DONE, FAILED, NOT_YET, STATUS, Block, lock_file, read_marker, write_marker
+from coadjoint.files.archives.store import (
+    HIDDEN,
+    ArchiveError,
+    ArchiveStore,
+    ArchiveUnwritten,
+    open_folder,
+    read_root_in,
+)
+from coadjoint.files.datasets.export import said_of
+from coadjoint.files.datasets.variables import over_time, summaries_of
+from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.times import times_of
+
+if TYPE_CHECKING:
+    from coadjoint.errors import IntegrationError
+    from coadjoint.files.archives.stored_arrays import StoredArray
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.times import Times
+
+BUSY = {"busy": True}
+
+
+class BlockRun(ArchivedRun):
+    """The run of a block of an ensemble, written like that of an archive."""
+
+    def __init__(self, store: ArchiveStore, ready: PreparedRun, times: Times, block: Block) -> None:
+        marker = read_marker(store.folder, block.number)
+        x0, attitude = (_of_block(store, name, block) for name in ("x0", "attitude0"))
+        start = ready.start(x0, attitude)
+        rows, stored = store.arrays["time"].chunk[0], None if marker is None else marker.stored
+        self.store, self.block, self.run = store, block, PiecewiseRun(ready, times, start, rows, stored)
+        self.about: dict[str, Any] = {FINISHED: 0} if marker is None else marker.about
+        self._seconds = float(self.about.get("seconds", 0.0))
+        self._took, self._failure = 0.0, None
+        self._committed = -1 if marker is None else self.run.number
+        if marker is None:
+            self.run.advance(0)
+
+    _committed: int
+    _failure: IntegrationError | None
+
+    def commit(self) -> None:
+        """Commit the steps of the block computed so far."""
+        run, store, block, began = self.run, self.store, self.block, time.perf_counter()
+        if run.number == self._committed:
+            return
+        piece = run.piece()
+        written = {**over_time(piece), **summaries_of(piece)}
+        for name, (dims, values, _) in written.items():
+            store.write(name, values, (run.first, block.first) if dims[0] == "time" else (block.first,))
+        self._failure = run.failure(piece) if run.over else None
+        failed = np.asarray(piece.failed)
+        status = np.where(failed, FAILED, DONE) if run.over else np.full(len(failed), NOT_YET)
+        store.write(STATUS, status, (block.first,))
+        store.folder.settle((*written, STATUS))
+        stats = piece.stats
+        self.about = {
+            STEPS: run.number,
+            FINISHED: int(run.over),
+            "evaluations": stats.evaluations,
+            "iterations": stats.iterations,
+            "seconds": self._seconds + stats.seconds,
+            "failed": int(failed.sum()),
+            "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
+            "rows": run.first + run.held,
+        }
+        if self._failure is not None:
+            self.about |= said_of(self._failure)
+            # Members are numbered within the block here; the ensemble adds who failed.
+            who = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
+            self.about["failed_reason"] = str(self._failure).replace(who, "")
+        write_marker(store.folder, block.number, self.about, run.stored())
+        store.check_place()
+        run.let_go()
+        self._took, self._committed = time.perf_counter() - began, run.number
+
+
+def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threads: int | None) -> dict[str, Any]:
+    """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if it is locked.
+
+    `ready` is prepared for all members (`whole`) or for those of the block. ArchiveError: the archive is missing, or of
+    another version of the library. ArchiveUnwritten: it cannot be written.
+    """
+    path, here = Path(archive), platform.node()
+    try:
+        folder = open_folder(path)
+    except ArchiveError as reason:
+        raise _unseen(reason) from None
+    store: ArchiveStore | None = None
+    try:
+        try:
+            arrays, attributes = read_root_in(path, folder)
+        except ArchiveError as reason:
+            raise _unseen(reason) from None
+        if attributes["coadjoint_version"] != __version__:
+            raise ArchiveError(
+                f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {here} has "
+                f"{__version__}; install the same version everywhere"
+            )
+        lock = folder.lock(HIDDEN, lock_file(block.number))
+        if lock is None:
+            return BUSY
+        store = ArchiveStore(path, arrays, attributes, lock, lock_file(block.number), folder)
+        times = times_of(_span(attributes), float(attributes["step"]), int(attributes["save_every"]))
+        first, last = (block.first, block.last) if whole else (0, block.last - block.first)
+        run = BlockRun(store, ready.among(first, last, threads), times, block)
+        if not run.about[FINISHED]:
+            run.advance()
+            run.commit()
+        return run.about
+    except ArchiveUnwritten:
+        raise
+    except OSError as reason:
+        said = reason.strerror or str(reason)
+        raise ArchiveUnwritten(
+            f"{path}: members {block.first} to {block.last - 1} could not be written on {here} ({said}); "
+            "the next call with this archive continues"
+        ) from reason
+    finally:
+        if store is not None:
+            store.close()
+        folder.close()
+
+
+def _unseen(reason: ArchiveError) -> ArchiveError:
+    """Return the error for an archive that a worker cannot read."""
+    return ArchiveError(f"{reason} on the machine {platform.node()}; every worker must see the folder by the same name")
+
+
+def _span(attributes: dict[str, Any]) -> Any:
+    return tuple(json.loads(attributes["t_span"]))
+
+
+def _of_block(store: ArchiveStore, name: str, block: Block) -> Any:
+    """Return the initial values of the members of a block, or None if the archive has no such array."""
+    array: StoredArray | None = store.arrays.get(name)
+    if array is None:
+        return None
+    chunk = store.chunk(name, (block.number, *(0,) * (len(array.shape) - 1)))
+    values = chunk[: block.last - block.first]
+    return values[..., 0] + 1j * values[..., 1] if array.dims[-1] == "part" else values

@@ -1,0 +1,178 @@
+"""Blocks of an ensemble in an archive: members that are run together, by one writer.
+
+Blocks have one size, which is the chunk size of all arrays along the members, so that no two blocks share a file. In
+the hidden folder of the archive each block has::
+
+    block-000012           its marker: progress, and the numbers from which it resumes
+    block-000012.lock      locked while a process runs it
+
+A marker is replaced atomically, after all chunks that it refers to. A block is done when its marker records it as
+finished. A damaged marker is ignored: the block is run again, with the same bits.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from coadjoint.files.archives.store import HIDDEN, array_key
+from coadjoint.files.archives.stored_numbers import numbers_from, numbers_to
+
+if TYPE_CHECKING:
+    from coadjoint.files.archives.folder import ArchiveFolder
+    from coadjoint.files.archives.stored_arrays import StoredArray
+
+SIZE = "archive_block"
+"""Attribute of an archive: members per block."""
+MEMBER = "member"
+STARTS = ("x0", "attitude0")
+STATUS = "status"
+COMPUTED = ("drift", "change", "balance", "failed", STATUS)
+"""Arrays over the members, and not over time, that a block writes."""
+NOT_YET, DONE, FAILED = 0, 1, 2
+ABOUT_STATUS = {
+    "long_name": "whether the member has been computed to its end",
+    "flag_values": [NOT_YET, DONE, FAILED],
+    "flag_meanings": "not_computed done failed",
+}
+BYTES = 2**22
+"""Limit on the state of a block at one time, for the default block size."""
+SIDE_BY_SIDE = 32
+"""Members that the kernels advance side by side."""
+BLOCKS_OF_A_WORKER = 4
+ABOUT: dict[str, Any] = {
+    name: int for name in ("archive_steps", "archive_finished", "evaluations", "iterations", "failed", "rows")
+} | {"seconds": int | float}
+"""Numbers that every marker has."""
+LONGEST_HEAD = 2**16
+"""Limit on the first line of a marker, in bytes."""
+
+
+class Block(NamedTuple):
+    """The members `first` to `last` - 1 of an ensemble."""
+
+    number: int
+    first: int
+    last: int
+
+
+def blocks_of(members: int, size: int) -> list[Block]:
+    """Return all blocks of an ensemble.
+
+    Examples
+    --------
+    >>> blocks_of(5, 2)
+    [Block(number=0, first=0, last=2), Block(number=1, first=2, last=4), Block(number=2, first=4, last=5)]
+    """
+    return [Block(k, first, min(first + size, members)) for k, first in enumerate(range(0, members, size))]
+
+
+def size_of_blocks(members: int, numbers: int, workers: int) -> int:
+    """Return the default block size: several blocks per worker for load balance, full lanes, and limited chunks.
+
+    Examples
+    --------
+    >>> size_of_blocks(1000, 3, 2), size_of_blocks(10, 3, 2), size_of_blocks(1000, 10**6, 2)
+    (128, 2, 1)
+    """
+    fair = -(-members // (BLOCKS_OF_A_WORKER * workers))
+    if fair > SIDE_BY_SIDE:
+        fair = -(-fair // SIDE_BY_SIDE) * SIDE_BY_SIDE
+    return max(1, min(fair, members, BYTES // (8 * max(1, numbers))))
+
+
+class Marker(NamedTuple):
+    """Progress of a block: plain numbers and text `about` it, and the arrays `stored` from which it resumes."""
+
+    about: dict[str, Any]
+    stored: dict[str, NDArray[Any]]
+
+
+def marker_file(number: int) -> str:
+    """Return the name of a block's marker in the hidden folder."""
+    return f"block-{number:06d}"
+
+
+def lock_file(number: int) -> str:
+    """Return the name of a block's lock file in the hidden folder."""
+    return f"block-{number:06d}.lock"
+
+
+def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
+    """Write the marker of a block atomically: a line of JSON with check sums, then the numbers."""
+    raw = numbers_to(stored)
+    head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
+    line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
+    folder.write(HIDDEN, marker_file(number), line.encode() + raw)
+    folder.settle([HIDDEN])
+
+
+def read_about(folder: ArchiveFolder, number: int) -> dict[str, Any] | None:
+    """Return the head of a block's marker, without its numbers; None if it is missing or damaged."""
+    marker = _marker(folder, number, LONGEST_HEAD)
+    return None if marker is None else marker[0]["about"]
+
+
+def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
+    """Return the marker of a block; None if it is missing or damaged."""
+    marker = _marker(folder, number)
+    if marker is None or hashlib.sha256(marker[1]).hexdigest() != marker[0].get("numbers"):
+        return None
+    try:
+        return Marker(marker[0]["about"], numbers_from(marker[1]))
+    except ValueError:
+        return None
+
+
+def _marker(folder: ArchiveFolder, number: int, head: int | None = None) -> tuple[dict[str, Any], bytes] | None:
+    """Return the head of a marker and its raw numbers; None if it is missing or damaged."""
+    try:
+        line, _, raw = folder.read(HIDDEN, marker_file(number), head=head).partition(b"\n")
+        return _head(line), raw
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
+def _head(line: bytes) -> dict[str, Any]:
+    digest, _, text = line.decode("utf-8").rstrip("\n").partition(" ")
+    if hashlib.sha256(text.encode()).hexdigest() != digest:
+        raise ValueError("the marker is damaged")
+    found = json.loads(text)
+    if not isinstance(found, dict) or not isinstance(found.get("about"), dict):
+        raise ValueError("the marker is damaged")
+    about = found["about"]
+    for name, kinds in ABOUT.items():
+        if isinstance(about.get(name), bool) or not isinstance(about.get(name), kinds) or not 0 <= about[name] < 2**62:
+            raise ValueError("the marker is damaged")
+    return found
+
+
+def is_computed(name: str, array: StoredArray) -> bool:
+    """Whether an array is written by the blocks, rather than when the archive is begun."""
+    return array.grows or name in COMPUTED
+
+
+def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Yield the chunks of a block with this many rows: array name, and chunk indices."""
+    for name, array in arrays.items():
+        if MEMBER not in array.dims or name in STARTS:
+            continue
+        along = [range(-(-size // chunk)) for size, chunk in zip(array.shape, array.chunk, strict=True)]
+        along[array.dims.index(MEMBER)] = range(block.number, block.number + 1)
+        if array.grows:
+            along[0] = range(-(-rows // array.chunk[0]))
+        for place in itertools.product(*along):
+            yield name, place
+
+
+def is_whole(folder: ArchiveFolder, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
+    """Whether all chunks that a marker refers to exist; some may have been removed."""
+    wanted = dict[str, set[str]]()
+    for name, place in chunks_of(arrays, block, rows):
+        wanted.setdefault(name, set()).add(array_key(place))
+    return all(files <= folder.names(name) for name, files in wanted.items())

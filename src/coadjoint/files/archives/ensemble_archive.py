@@ -1,0 +1,222 @@
+"""Archives of ensembles: creation, comparison with a run that continues them, and completion. All times are known."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.files.archives.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STEPS, first_step
+from coadjoint.files.archives.blocks import (
+    ABOUT_STATUS,
+    MEMBER,
+    NOT_YET,
+    SIZE,
+    STATUS,
+    Block,
+    blocks_of,
+    is_whole,
+    lock_file,
+    marker_file,
+    read_about,
+    size_of_blocks,
+)
+from coadjoint.files.archives.metadata_checks import CROSSINGS, RESERVED, SERIES
+from coadjoint.files.archives.resume import check_new, unmade
+from coadjoint.files.archives.store import HIDDEN, ArchiveError, ArchiveStore
+from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, rows_of_chunk
+from coadjoint.files.datasets.export import attributes_of
+from coadjoint.files.datasets.variables import (
+    About,
+    Variables,
+    accounts_of,
+    coordinates_of,
+    over_time,
+    starts_of,
+    summaries_of,
+    times_of_points,
+)
+from coadjoint.files.output.atomic_output import Unfinished
+from coadjoint.files.records.fingerprints import same_fingerprint
+from coadjoint.files.records.required_functions import GIVEN, OBSERVED, said_of_functions
+from coadjoint.runs.piecewise_run import PiecewiseRun
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+SAME = {
+    "system": "the system",
+    "sign": "the sign of the system",
+    "method": "the scheme",
+    "t_span": "t_span",
+    "step": "the step",
+    "save_every": "save_every",
+    "watch": "watch",
+    "attitude_carried": "the attitude",
+    OBSERVED: "observe",
+    ACCOUNTS: "the forces",
+    "coadjoint_version": "the version of coadjoint",
+    FIRST_STEP: "the first step, by a function or a number that is not stored,",
+}
+"""Attributes that an archive must share with a run that continues it, and their names in messages."""
+
+
+class Ensemble(NamedTuple):
+    """A prepared run of all members, with its start and times."""
+
+    ready: PreparedRun
+    times: Times
+    start: Start
+
+    def at_start(self) -> Solution:
+        """Return the solution before the first step."""
+        run = PiecewiseRun(self.ready, self.times, self.start, 1)
+        run.advance(0)
+        return run.piece()
+
+
+def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, about: About) -> ArchiveStore:
+    """Create an archive with the initial states of all members.
+
+    `size` is the number of members per block; if None, it is chosen for this number of workers. `about` has further
+    metadata to write.
+    """
+    target = check_new(archive)
+    piece = ensemble.at_start()
+    about = about.beside(piece.system)
+    members = len(ensemble.start.momenta)
+    growing = over_time(piece)
+    longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
+    size = min(members, size or size_of_blocks(members, longest, workers))
+    rows = rows_of_chunk(longest * size, ensemble.times.every_point)
+    times = times_of_points(ensemble.times.seen)
+    fixed: Variables = {**starts_of(piece), **about.coordinates, **coordinates_of(piece), **times}
+    later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
+    taken = sorted(name for name in about.coordinates if name in RESERVED or name.startswith((*SERIES, CROSSINGS)))
+    if taken:
+        raise ValueError(f"coordinates has the name {taken[0]!r}, which is reserved")
+    points = ensemble.times.every_point
+    arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
+    here = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
+    attributes = {**described(ensemble, piece), "platform": here, SIZE: size, FINISHED: 0, STEPS: 0}
+    attributes |= about.attributes
+    if about.coordinates:
+        attributes["coordinates"] = " ".join(about.coordinates)
+    try:
+        with Unfinished(target) as unfinished:
+            store = ArchiveStore.begun(unfinished.place, arrays)
+            try:
+                for name, (_, values, _) in fixed.items():
+                    store.write(name, np.asarray(values))
+                store.commit(attributes, {"time": points})
+            except BaseException:
+                store.close()
+                raise
+            store.moved(target)
+    except OSError as reason:
+        raise unmade(target, reason) from None
+    return store
+
+
+def described(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
+    """Return the attributes that identify a run."""
+    return {
+        **attributes_of(piece),
+        ACCOUNTS: json.dumps(accounts_of(piece)),
+        **said_of_functions(ensemble.ready, ()),
+        FIRST_STEP: first_step(ensemble.ready, ensemble.times, ensemble.start),
+    }
+
+
+def _array(
+    dims: tuple[str, ...], values: Any, attributes: Mapping[str, Any], size: int, rows: int, points: int
+) -> StoredArray:
+    """Return an array whose chunks along the members are blocks."""
+    shape = list(np.shape(values))
+    if dims[0] == "time":
+        shape[0] = points
+    lengths = {"time": rows, MEMBER: size}
+    chunk = [max(1, lengths.get(name, length)) for name, length in zip(dims, shape, strict=True)]
+    kind = TYPES.get(np.asarray(values).dtype.kind, "string")
+    return StoredArray(dims, kind, tuple(shape), tuple(chunk), dict(attributes))
+
+
+def check_same(ensemble: Ensemble, store: ArchiveStore) -> None:
+    """Raise ArchiveError if the archive is that of another run, with the first difference."""
+    piece = ensemble.at_start()
+    mine, theirs = described(ensemble, piece), store.attributes
+    if SIZE not in theirs:
+        raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
+    for name, (_, values, _) in starts_of(piece).items():
+        array = store.arrays.get(name)
+        if array is None or not _equal(store, name, array, np.asarray(values)):
+            what = {"x0": "x0", "attitude0": "the initial attitude"}[name]
+            raise _another(store, f"{what} differs")
+    known, given = json.loads(theirs[GIVEN]), json.loads(mine[GIVEN])
+    for name in known.keys() | given.keys():
+        if not same_fingerprint(known.get(name, {}), given.get(name, {})):
+            raise _another(store, f"the code or the numbers of functions of {name} differ")
+    for key, what in SAME.items():
+        if mine.get(key) != theirs.get(key):
+            raise _another(store, f"{what} differs")
+
+
+def _another(store: ArchiveStore, said: str) -> ArchiveError:
+    return ArchiveError(f"{store.path}: is the archive of another ensemble: {said}; give another name")
+
+
+def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> bool:
+    """Whether an array is bitwise equal to these numbers; read chunk by chunk."""
+    if array.shape != values.shape:
+        return False
+    for place, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
+        held = store.chunk(name, place)[inside]
+        if held.tobytes() != np.ascontiguousarray(values[outside]).tobytes():
+            return False
+    return True
+
+
+def left_of(store: ArchiveStore) -> list[Block]:
+    """Return the unfinished blocks."""
+    found = []
+    for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE])):
+        about = read_about(store.folder, block.number)
+        if about is not None and not is_whole(store.folder, store.arrays, block, int(about["rows"])):
+            store.folder.remove(HIDDEN, marker_file(block.number))
+            about = None
+        if about is None or not about[FINISHED]:
+            found.append(block)
+    return found
+
+
+def finish(store: ArchiveStore) -> dict[str, Any]:
+    """Mark the ensemble as finished in the root; return its attributes, including those of failures."""
+    blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE]))
+    abouts = [read_about(store.folder, block.number) or {} for block in blocks]
+    said: dict[str, Any] = {
+        FINISHED: 1,
+        STEPS: min(int(about[STEPS]) for about in abouts),
+        "evaluations": sum(int(about["evaluations"]) for about in abouts),
+        "iterations": sum(int(about["iterations"]) for about in abouts),
+        "seconds": sum(float(about["seconds"]) for about in abouts),
+    }
+    broken = [about for about in abouts if about.get("run_failed")]
+    if broken:
+        count, first = sum(about["failed"] for about in abouts), broken[0]
+        members = store.arrays["x0"].shape[0]
+        said |= {name: value for name, value in first.items() if name.startswith(("run_failed", "failed_"))}
+        if count:
+            who = f"{count} of {members} members failed, the first of them is member {first['first_failed']}: "
+            said["failed_reason"] = f"{who}{first['failed_reason']}"
+    store.commit(said, {"time": store.arrays["time"].shape[0]})
+    for block in blocks:
+        store.folder.remove(HIDDEN, lock_file(block.number))
+    return said

@@ -1,0 +1,165 @@
+"""File access within the folder of an archive, by plain names and never through symbolic links."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from coadjoint.files.output.atomic_files import WRITING, settle, write_whole
+from coadjoint.files.output.atomic_output import locked
+from coadjoint.memory import check_room
+
+ANCHORED = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
+"""Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
+NO_LINK = "a symbolic link, which an archive never contains"
+NO_FILE = "no regular file"
+BYTES_PER_BYTE = 2
+"""Memory needed to read a file, per byte."""
+
+
+class ArchiveFolder:
+    """The open folder of an archive; it stays the same folder if its path is renamed.
+
+    `path` itself, given by a user, may lead through links.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+        self._descriptor: int | None = None
+        if ANCHORED:
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        elif not path.is_dir():
+            os.scandir(path).close()  # raises the specific OSError
+
+    def __enter__(self) -> ArchiveFolder:
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the folder."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    @contextmanager
+    def _at(self, folder: str) -> Iterator[int | None]:
+        """Yield the descriptor of a subfolder, or of this folder for ''; None on platforms without descriptors."""
+        if not ANCHORED:
+            _refuse_link(self.path / folder, None)
+            yield None
+            return
+        assert self._descriptor is not None
+        if not folder:
+            yield self._descriptor
+            return
+        try:
+            found = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
+        except OSError:
+            _refuse_link(Path(folder), self._descriptor)
+            raise
+        try:
+            yield found
+        finally:
+            os.close(found)
+
+    def _place(self, folder: str, file: str) -> Path:
+        return Path(file) if ANCHORED else self.path / folder / file
+
+    def read(self, folder: str, file: str, most: int | None = None, head: int | None = None) -> bytes:
+        """Return a file of at most `most` bytes, or its first `head` bytes.
+
+        OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
+        """
+        with self._at(folder) as inside:
+            place = self._place(folder, file)
+
+            def opened(name: str, flags: int) -> int:
+                if not ANCHORED:
+                    _refuse_link(place, None)
+                flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+                try:
+                    return os.open(name, flags, dir_fd=inside)
+                except OSError:
+                    _refuse_link(place, inside)
+                    raise
+
+            with open(place, "rb", opener=opened) as content:
+                found = os.fstat(content.fileno())
+                if not stat.S_ISREG(found.st_mode):
+                    raise OSError(errno.EINVAL, NO_FILE)
+                if most is not None and found.st_size > most:
+                    raise ValueError(f"it has {found.st_size} bytes, and at most {most} belong there")
+                length = found.st_size if head is None else min(head, found.st_size)
+                check_room(BYTES_PER_BYTE * length, "it")
+                return content.read(length)
+
+    def write(self, folder: str, file: str, content: bytes) -> None:
+        """Replace a file atomically."""
+        with self._at(folder) as inside:
+            write_whole(self._place(folder, file), content, inside)
+
+    def make(self, folder: str) -> None:
+        """Create a subfolder."""
+        with self._at("") as inside:
+            os.mkdir(self._place("", folder), dir_fd=inside)
+
+    def names(self, folder: str) -> set[str]:
+        """Return the names in a subfolder."""
+        with self._at(folder) as inside:
+            return set(os.listdir(self.path / folder if inside is None else inside))
+
+    def has(self, folder: str, file: str) -> bool:
+        """Whether a regular file of this name exists."""
+        try:
+            return stat.S_ISREG(self.status(folder, file).st_mode)
+        except OSError:
+            return False
+
+    def status(self, folder: str, file: str) -> os.stat_result:
+        """Return the status of a file, or of a link itself."""
+        with self._at(folder) as inside:
+            return os.stat(self._place(folder, file), dir_fd=inside, follow_symlinks=False)
+
+    def remove(self, folder: str, file: str) -> None:
+        """Remove a file or a link itself, if present."""
+        with self._at(folder) as inside, suppress(FileNotFoundError):
+            os.unlink(self._place(folder, file), dir_fd=inside)
+
+    def remove_unfinished(self, folder: str) -> None:
+        """Remove temporary files left by killed processes."""
+        for name in self.names(folder):
+            if name.startswith(".") and name.endswith(WRITING):
+                self.remove(folder, name)
+
+    def settle(self, folders: Iterable[str]) -> None:
+        """Sync the directory entries of some subfolders to disk."""
+        for folder in folders:
+            with self._at(folder) as inside:
+                if inside is not None:
+                    settle(inside)
+
+    def lock(self, folder: str, file: str) -> int | None:
+        """Lock a file, created if missing; return its descriptor, or None if another process holds the lock."""
+        with self._at(folder) as inside:
+            place = self._place(folder, file)
+            try:
+                return locked(place, os.O_CREAT, inside)
+            except OSError:
+                _refuse_link(place, inside)
+                raise
+
+
+def _refuse_link(place: Path, folder: int | None) -> None:
+    """Raise OSError if the path is a symbolic link."""
+    try:
+        linked = stat.S_ISLNK(os.stat(place, dir_fd=folder, follow_symlinks=False).st_mode)
+    except OSError:
+        return
+    if linked:
+        raise OSError(errno.ELOOP, NO_LINK) from None

@@ -1,0 +1,281 @@
+"""Runs in new archives, and their resumption."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.errors import IntegrationError
+from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
+from coadjoint.files.archives.archived_run import (
+    ACCOUNTS,
+    FINISHED,
+    FIRST_STEP,
+    SAVE_EVERY,
+    STATES,
+    STEPS,
+    ArchivedRun,
+    first_step,
+    new_arrays,
+    states_of,
+)
+from coadjoint.files.archives.archived_solution import ArchivedSolution, open_archive
+from coadjoint.files.archives.extended_runs import lengthen, longer_times
+from coadjoint.files.archives.metadata_checks import reading
+from coadjoint.files.archives.store import ArchiveError, ArchiveStore, path_of, read_kept, unwritable
+from coadjoint.files.datasets.export import attributes_of
+from coadjoint.files.datasets.variables import NOTHING, About, accounts_of
+from coadjoint.files.output.atomic_output import Unfinished, remove_leftovers
+from coadjoint.files.records.required_functions import asked_again, said_of_functions
+from coadjoint.optional_packages import need
+from coadjoint.runs.events import read_events
+from coadjoint.runs.piecewise_run import PiecewiseRun
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+
+def archive_run(
+    ready: PreparedRun,
+    x0: Any,
+    t_span: tuple[float, float],
+    save_every: int,
+    archive: str | Path,
+    *,
+    t_eval: Any = None,
+    progress: bool = False,
+    events: Any = None,
+    until: int | None = None,
+    about: About = NOTHING,
+) -> ArchivedSolution:
+    """Run into a new archive; parameters as for `coadjoint.integrate`.
+
+    `until` is the number of steps after which the run stops, to be resumed; `about` has further metadata to write.
+    ArchiveError: the folder exists or cannot be written. IntegrationError: its partial solution is the archive.
+    """
+    need("an archive of a run", "xarray", "zarr")
+    if t_eval is not None or read_events(events):
+        raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
+    target = check_new(archive)
+    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
+    try:
+        with Unfinished(target) as unfinished:
+            store = begun(ready, times, start, unfinished.place, int(save_every), about)
+            store.moved(target)
+    except OSError as reason:
+        raise unmade(target, reason) from None
+    return _run_on(store, ready, times, start, None, progress, until)
+
+
+def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int, about: About) -> ArchiveStore:
+    """Create an archive from which the run can be resumed, before its first step."""
+    run = PiecewiseRun(ready, times, start, 1)
+    run.advance(0)
+    piece = run.piece()
+    about = about.beside(piece.system)
+    arrays, growing, fixed = new_arrays(piece, about.coordinates)
+    store = ArchiveStore.begun(place, arrays)
+    try:
+        for name, (_, values, _) in (growing | fixed).items():
+            store.write(name, values)
+        lengths = {"time": run.held}
+        kept = store.keep(run.stored(), {"number": 0, **lengths, "block": 1})
+        attributes = {
+            **attributes_of(piece),
+            **about.attributes,
+            **({"coordinates": " ".join(about.coordinates)} if about.coordinates else {}),
+            ACCOUNTS: json.dumps(accounts_of(piece)),
+            **said_of_functions(ready, ()),
+            FIRST_STEP: first_step(ready, times, start),
+            "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
+            FINISHED: int(run.over),
+            STEPS: 0,
+            STATES: json.dumps([kept]),
+            SAVE_EVERY: save_every,
+        }
+        store.commit(attributes, lengths, [kept])
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def check_new(archive: str | Path) -> Path:
+    """Validate the path of a new archive; ArchiveError if it exists or cannot be created."""
+    target = path_of(archive)
+    try:
+        if os.path.lexists(target):
+            raise ArchiveError(f"{target}: exists; co.resume continues an archive, and a new one needs another name")
+        if not target.parent.is_dir():
+            raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
+        remove_leftovers(target)
+    except OSError as reason:
+        raise unmade(target, reason) from None
+    return target
+
+
+def unmade(target: Path, reason: OSError) -> ArchiveError:
+    """Return the error for a new archive that cannot be created."""
+    return ArchiveError(f"{target}: cannot be made ({reason.strerror}); give another name")
+
+
+def resume(
+    path: str | Path,
+    t_end: float | None = None,
+    *,
+    system: Any = None,
+    observe: Mapping[str, Any] | None = None,
+    events: Any = None,
+    threads: int | None = None,
+    progress: bool = False,
+    until: int | None = None,
+    client: Any = None,
+    workers: int | None = None,
+) -> ArchivedSolution:
+    """Continue the run of an archive; bitwise equal to an uninterrupted run.
+
+    A finished run is only opened, unless a later end is given.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that ``integrate(..., archive=path)`` has written.
+    t_end : float, optional
+        A new end, a whole number of steps from the start and later than what was computed. The result is bitwise equal
+        to a run with this end from the beginning. Some steps, usually less than a sixth, are recomputed to find the
+        drifts in each tenth of the new run.
+    system, observe, events : optional
+        Those of the run, if they contain Python functions, which are not stored. They are compared with those with
+        which the run began, as far as `coadjoint.files.records.fingerprints` can, and rejected if they differ.
+    threads : int, optional
+        As for `integrate`; it does not affect the result.
+    progress : bool
+        Show a progress bar.
+    until : int, optional
+        Number of steps after which the run stops again.
+    client, workers : optional
+        Workers for an ensemble in blocks, as for `coadjoint.ensemble`; by default this process.
+
+    Returns
+    -------
+    ArchivedSolution
+        The solution, which reads from disk lazily.
+
+    Raises
+    ------
+    ArchiveError
+        The archive is missing, damaged, or written by another process.
+    ArchiveUnwritten
+        The archive could not be written during the run; it holds the last commit.
+    IntegrationError
+        The run fails, or failed before.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import tempfile
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     sol = co.integrate(body, (1.0, 0.2, 0.1), (0, 10), 0.1, archive=f"{folder}/run.zarr")
+    ...     sol = co.resume(f"{folder}/run.zarr", t_end=20.0)
+    ...     float(sol.t[-1])
+    20.0
+    """
+    from coadjoint.runs.prepared_run import PreparedRun
+
+    need("an archive of a run", "xarray", "zarr")
+    place = path_of(path)
+    found = open_archive(place, system)
+    if isinstance(found, ArchivedEnsemble):
+        from coadjoint.files.archives.run_in_blocks import resume_in_blocks, team_of
+
+        if t_end is not None or events is not None or until is not None:
+            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; omit them")
+        return resume_in_blocks(found, system, observe, team_of(client, workers, threads), progress)
+    if client is not None or workers is not None:
+        raise ValueError(f"{place}: is the archive of one run; client and workers are for ensembles in blocks")
+    if found.finished and (t_end is None or found.attributes.get("run_failed")):
+        return _told(found)
+    store = ArchiveStore.opened(place)
+    try:
+        found = open_archive(place, system)
+        found.check_whole()
+        given = asked_again(place, found, system, observe, events)
+        with reading(place):
+            inputs = found.inputs(given.events)
+        ready = PreparedRun(
+            inputs["system"],
+            inputs["method"],
+            inputs["step"],
+            attitude=inputs["attitude"],
+            watch=inputs["watch"],
+            observe=given.observe,
+            threads=threads,
+        )
+        start = ready.start(inputs["x0"])
+        times, _ = ready.times_of(inputs["t_span"], inputs["save_every"])
+        if first_step(ready, times, start) != store.attributes[FIRST_STEP]:
+            raise ArchiveError(
+                f"{place}: the first step, recomputed, has other bits than when the archive was begun by coadjoint "
+                f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; resume it there, and with "
+                "the same system"
+            )
+        if t_end is not None:
+            longer = longer_times(store, times, ready, t_end)
+            if longer.steps != times.steps:
+                times = longer
+                try:
+                    with reading(place):
+                        lengthen(store, ready, times, start)
+                except OSError as reason:
+                    raise unwritable(place, reason) from None
+        if store.attributes[FINISHED]:
+            store.close()
+            return found
+        stored = read_kept(place, states_of(store.attributes)[-1])
+    except BaseException:
+        store.close()
+        raise
+    return _run_on(store, ready, times, start, stored, progress, until)
+
+
+def _run_on(
+    store: ArchiveStore, ready: PreparedRun, times: Times, start: Start, stored: Any, progress: bool, until: int | None
+) -> ArchivedSolution:
+    try:
+        with reading(store.path):
+            run = ArchivedRun(store, ready, times, start, stored)
+        failure = run.advance(until, progress)
+    except KeyboardInterrupt as stopped:
+        stopped.partial = open_archive(store.path, ready.system)  # type: ignore[attr-defined]
+        stopped.add_note(f"{store.path} has what was computed; co.resume({str(store.path)!r}) goes on with it")
+        raise
+    finally:
+        store.close()
+    found = open_archive(store.path, ready.system)
+    if failure is not None:
+        failure.partial = found
+        raise failure
+    return found
+
+
+def _told(found: ArchivedSolution) -> ArchivedSolution:
+    """Return a finished run, or raise the failure that ended it."""
+    said = found.attributes
+    if not said.get("run_failed"):
+        return found
+    raise IntegrationError(
+        said["failed_reason"],
+        step=int(said["failed_step"]),
+        time=float(said["failed_time"]),
+        residual=float(said["failed_residual"]),
+        partial=found,
+    )

@@ -1,0 +1,215 @@
+"""Ensembles in blocks: an archive is begun or continued, and its unfinished blocks are run."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import warnings
+import weakref
+from collections.abc import Mapping
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from coadjoint.errors import IntegrationError
+from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
+from coadjoint.files.archives.block_run import BUSY, run_block
+from coadjoint.files.archives.ensemble_archive import Ensemble, begun, check_same, finish, left_of
+from coadjoint.files.archives.metadata_checks import check_archive
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, path_of, unwritten_archive
+from coadjoint.files.datasets.variables import NOTHING, About
+from coadjoint.files.records.required_functions import asked_again
+from coadjoint.optional_packages import need
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.progress import progress_bar
+from coadjoint.short_repr import short
+from coadjoint.validation import read_whole
+
+if TYPE_CHECKING:
+    from coadjoint.files.archives.blocks import Block
+
+
+WITHOUT_TLS = ("tcp", "ws", "ucx", "ucxx")
+"""Dask protocols without authentication."""
+
+
+class Team(NamedTuple):
+    """Workers of an ensemble: those of a Dask `client`, so many processes on this machine, or (both None) this process.
+
+    `threads` is the number per block; None is one on workers, and otherwise one for each core.
+    """
+
+    client: Any = None
+    workers: int | None = None
+    threads: int | None = None
+
+    @property
+    def hands(self) -> int:
+        """Number of workers."""
+        if self.client is not None:
+            return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
+        return self.workers or 1
+
+
+def team_of(client: Any, workers: Any, threads: Any) -> Team:
+    """Validate client, workers and threads."""
+    if client is not None and workers is not None:
+        raise TypeError("ensemble was given a client and workers; give only one: workers are processes of this machine")
+    if client is not None:
+        need("ensemble(client=)", "distributed")
+        from distributed import Client
+
+        if not isinstance(client, Client):
+            raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
+        warn_of_plain_text(client)
+    if workers is not None:
+        need("ensemble(workers=)", "distributed", "cryptography")
+        workers = read_whole(workers, "workers", floats=True)
+    return Team(client, workers, None if threads is None else read_whole(threads, "threads", floats=True))
+
+
+def warn_of_plain_text(client: Any) -> None:
+    """Warn if a client reaches its scheduler over a network without TLS."""
+    address = getattr(client.scheduler, "address", "")
+    protocol, _, place = address.partition("://")
+    host = urlsplit(f"//{place}").hostname
+    if protocol not in WITHOUT_TLS or host is None or is_loopback(host):
+        return
+    warnings.warn(
+        f"the client is connected to {address} without TLS; anyone who reaches it can run code on the workers "
+        "and in this process: start the cluster with TLS credentials and connect by Client(address, security=...)",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is an address of this machine that other machines cannot reach."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def run_in_blocks(
+    ready: PreparedRun,
+    x0: Any,
+    t_span: tuple[float, float],
+    save_every: int,
+    archive: str | Path | None,
+    team: Team,
+    *,
+    size: int | None = None,
+    progress: bool = False,
+    about: About = NOTHING,
+) -> ArchivedEnsemble:
+    """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
+
+    `ready` is prepared for all members; `about` has further metadata to write.
+    """
+    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
+    if start.single:
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
+    whole = Ensemble(ready, times, start)
+    if archive is not None:
+        return _run(whole, path_of(archive).absolute(), team, size, progress, about)
+    folder = tempfile.mkdtemp(prefix="coadjoint-")
+    kept: Any = None
+    try:
+        kept = _run(whole, Path(folder, "ensemble.zarr"), team, size, progress, about)
+    except (IntegrationError, KeyboardInterrupt) as stopped:
+        kept = getattr(stopped, "partial", None)
+        raise
+    finally:
+        if kept is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        else:
+            weakref.finalize(kept, shutil.rmtree, folder, ignore_errors=True)
+    found: ArchivedEnsemble = kept
+    return found
+
+
+def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bool, about: About) -> ArchivedEnsemble:
+    """Begin or continue the archive, and run its unfinished blocks."""
+    ready = whole.ready
+    if path.exists():
+        store = ArchiveStore.opened(path)
+        try:
+            check_archive(path, store.arrays, store.attributes)
+            check_same(whole, store)
+        except BaseException:
+            store.close()
+            raise
+    else:
+        store = begun(whole, path, size, team.hands, about)
+    try:
+        left = left_of(store)
+        if team.client is None and team.workers is None:
+            _here(store, left, ready, progress)
+        else:
+            from coadjoint.files.archives.dask_blocks import on_client, on_processes
+
+            if team.client is not None:
+                on_client(team.client, store, left, ready, team.threads, progress)
+            else:
+                on_processes(team.hands, store, left, ready, team.threads, progress)
+        try:
+            said = finish(store)
+        except OSError as reason:
+            raise _unwritten(store, reason) from reason
+    except KeyboardInterrupt as stopped:
+        stopped.partial = ArchivedEnsemble(path, ready.system)  # type: ignore[attr-defined]
+        raise
+    finally:
+        store.close()
+    found = ArchivedEnsemble(path, ready.system)
+    if said.get("run_failed"):
+        raise IntegrationError(
+            said["failed_reason"],
+            step=int(said["failed_step"]),
+            time=float(said["failed_time"]),
+            residual=float(said["failed_residual"]),
+            partial=found,
+        )
+    return found
+
+
+def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: bool) -> None:
+    """Run blocks in this process, one after the other."""
+    with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
+        for block in left:
+            try:
+                store.check_place()
+            except OSError as reason:
+                raise _unwritten(store, reason) from reason
+            if run_block(str(store.path), block, ready, True, None) == BUSY:
+                raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
+            bar(block.last - block.first)
+
+
+def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
+    """Return the error for an archive whose blocks are written by themselves, or have been."""
+    replaced, otherwise = "nothing of what is there now was changed", "the next call with this archive continues"
+    return unwritten_archive(store.path, reason, replaced, otherwise)
+
+
+def resume_in_blocks(
+    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, team: Team, progress: bool
+) -> ArchivedEnsemble:
+    """Compute the missing members of an ensemble, as `coadjoint.resume` does."""
+    given, inputs = asked_again(found.path, found, system, observe, None), found.inputs()
+    ready = PreparedRun(
+        inputs["system"],
+        inputs["method"],
+        inputs["step"],
+        attitude=inputs["attitude"],
+        watch=inputs["watch"],
+        observe=given.observe,
+        threads=team.threads,
+    )
+    return run_in_blocks(
+        ready, inputs["x0"], inputs["t_span"], inputs["save_every"], found.path, team, progress=progress
+    )

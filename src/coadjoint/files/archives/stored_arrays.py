@@ -1,0 +1,240 @@
+"""Arrays of an archive and their encoding: Zarr format 3, in chunks, readable by any Zarr reader.
+
+An array that grows does so along its first dimension; chunks are always stored whole, padded with `FILL`. Numbers use
+the codecs bytes, blosc and crc32c; names use vlen-utf8.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.short_repr import short
+
+GROWING = ("time", "crossing")
+"""Dimensions along which arrays grow."""
+FEWEST_ROWS, MOST_ROWS = 2**10, 2**16
+BYTES = 2**22
+"""Size of a chunk before compression, unless a single row is longer."""
+TYPES = {"f": "float64", "i": "int64", "b": "bool"}
+FILL: dict[str, Any] = {"float64": "NaN", "int64": 0, "bool": False, "string": ""}
+SEPARATOR = "."
+MOST_AXES = 8
+LONGEST, LARGEST_ROWS = 2**62, 2**16
+"""Limits on axis lengths, and on the rows of a chunk, when reading."""
+ITEM = 8
+"""Bytes of a number."""
+OVERHEAD = 16
+"""Bytes of the Blosc header, by which a compressed chunk may exceed its data."""
+CHECKED = 4
+"""Bytes of the check sum of a chunk."""
+
+
+class StoredArray(NamedTuple):
+    """An array of an archive: dimensions, type, shape, shape of a chunk, and attributes.
+
+    `kind` is "float64", "int64", "bool" or "string"; the array grows if its first dimension is in `GROWING`.
+    """
+
+    dims: tuple[str, ...]
+    kind: str
+    shape: tuple[int, ...]
+    chunk: tuple[int, ...]
+    attributes: Mapping[str, Any]
+
+    @property
+    def grows(self) -> bool:
+        """Whether the array grows as the run proceeds."""
+        return self.dims[:1] != () and self.dims[0] in GROWING
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the Zarr metadata."""
+        numbers = self.kind not in ("string", "bool")
+        codecs: list[dict[str, Any]] = [{"name": "bytes"}]
+        if self.kind == "string":
+            codecs = [{"name": "vlen-utf8"}]
+        elif numbers:
+            codecs = [
+                {"name": "bytes", "configuration": {"endian": "little"}},
+                {"name": "blosc", "configuration": BLOSC},
+            ]
+        return {
+            "zarr_format": 3,
+            "node_type": "array",
+            "shape": list(self.shape),
+            "data_type": self.kind,
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(self.chunk)}},
+            "chunk_key_encoding": {"name": "default", "configuration": {"separator": SEPARATOR}},
+            "fill_value": FILL[self.kind],
+            "codecs": [*codecs, {"name": "crc32c"}],
+            "attributes": dict(self.attributes),
+            "dimension_names": list(self.dims),
+            "storage_transformers": [],
+        }
+
+    @classmethod
+    def of_metadata(cls, metadata: Mapping[str, Any]) -> StoredArray:
+        """Return the array with this metadata."""
+        return cls(
+            tuple(metadata["dimension_names"]),
+            metadata["data_type"],
+            tuple(metadata["shape"]),
+            tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"]),
+            metadata["attributes"],
+        )
+
+    def check(self) -> None:
+        """Raise ValueError for shapes and chunks that the library does not write."""
+        axes = len(self.dims)
+        if not all(isinstance(name, str) and name.isidentifier() for name in self.dims) or not 1 <= axes <= MOST_AXES:
+            raise ValueError(f"the dimensions are {short(self.dims)}")
+        for what, sizes, least in (("shape", self.shape, 0), ("chunk", self.chunk, 1)):
+            if len(sizes) != axes or any(type(size) is not int or not least <= size <= LONGEST for size in sizes):
+                raise ValueError(f"the {what} is {short(sizes)}; it must be {axes} whole numbers from {least} up")
+        longest = [max(1, size) for size in self.shape]
+        if self.grows:
+            longest[0] = LARGEST_ROWS
+        row = ITEM * prod(longest[int(self.grows) :])
+        if any(size > most for size, most in zip(self.chunk, longest, strict=True)) or (
+            ITEM * prod(self.chunk) > max(BYTES, row)
+        ):
+            raise ValueError(f"the chunk is {short(self.chunk)}, which is too large for the shape {short(self.shape)}")
+
+    @property
+    def extent(self) -> list[tuple[int, int]]:
+        """Pairs of array length and chunk length along each axis."""
+        return list(zip(self.shape, self.chunk, strict=True))
+
+    @property
+    def most_bytes(self) -> int | None:
+        """Limit on the encoded size of a chunk; None for text."""
+        if self.kind == "string":
+            return None
+        return np.dtype(self.kind).itemsize * prod(self.chunk) + OVERHEAD + CHECKED
+
+    def chunks_at(self, first: tuple[int, ...], shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
+        """Yield the chunks that a region at `first` intersects, as `chunks_in`."""
+        return self.chunks_in([range(a, a + n) for a, n in zip(first, shape, strict=True)])
+
+    def chunks_in(self, part: Sequence[range]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
+        """Yield the chunks that intersect ascending ranges of entries: indices, and slices of chunk and part."""
+        along = [range(r[0] // c, r[-1] // c + 1) if r else range(0) for r, c in zip(part, self.chunk, strict=True)]
+        for place in itertools.product(*along):
+            inside, outside = [], []
+            for k, r, c in zip(place, part, self.chunk, strict=True):
+                low, high = (-(-(end - r.start) // r.step) for end in (k * c, (k + 1) * c))
+                low, high = max(low, 0), min(high, len(r))
+                outside.append(slice(low, high))
+                inside.append(slice(r.start + low * r.step - k * c, r.start + (high - 1) * r.step + 1 - k * c, r.step))
+            if all(one.start < one.stop for one in outside):
+                yield place, tuple(inside), tuple(outside)
+
+    def empty(self) -> NDArray[Any]:
+        """Return a chunk of fill values."""
+        if self.kind == "string":
+            return np.full(self.chunk, "", dtype=object)
+        return np.full(self.chunk, np.nan if self.kind == "float64" else 0, dtype=self.kind)
+
+    def encoded(self, chunk: NDArray[Any]) -> bytes:
+        """Encode a chunk."""
+        from numcodecs import Blosc, VLenUTF8
+
+        if self.kind == "string":
+            content = bytes(VLenUTF8().encode(np.asarray(chunk, dtype=object).ravel()))
+        else:
+            content = np.ascontiguousarray(chunk, dtype=np.dtype(self.kind).newbyteorder("<")).tobytes()
+            if self.kind != "bool":
+                whole = np.frombuffer(content, dtype="<i8")
+                content = bytes(Blosc(BLOSC["cname"], BLOSC["clevel"], Blosc.SHUFFLE).encode(whole))
+        return content + _sum_of(content)
+
+    def decoded(self, content: bytes) -> NDArray[Any]:
+        """Decode a chunk; ValueError if it is damaged."""
+        content, declared = content[:-CHECKED], content[-CHECKED:]
+        if _sum_of(content) != declared:
+            raise ValueError("a chunk of the archive is damaged: its check sum does not match")
+        if self.kind == "string":
+            return np.array(texts_of(content, prod(self.chunk)), dtype=object).reshape(self.chunk)
+        kind = np.dtype(self.kind).newbyteorder("<")
+        if self.kind != "bool":
+            content = unpacked(content, kind.itemsize * prod(self.chunk))
+        if len(content) != kind.itemsize * prod(self.chunk):
+            raise ValueError(f"a chunk of the archive has {len(content)} bytes, which contradicts its shape")
+        return np.frombuffer(content, dtype=kind).reshape(self.chunk).copy()
+
+
+BLOSC = {"typesize": 8, "cname": "zstd", "clevel": 3, "shuffle": "shuffle", "blocksize": 0}
+
+
+def unpacked(content: bytes, length: int) -> bytes:
+    """Decompress Blosc data to a known length; ValueError if it is damaged or of another length."""
+    from numcodecs import Blosc
+
+    # Header: versions, flags, item size; lengths of the content, of a block, and of the compressed data.
+    held, packed = (int.from_bytes(content[at : at + 4], "little") for at in (4, 12))
+    if len(content) < OVERHEAD or held != length or packed != len(content):
+        raise ValueError("a chunk of the archive is damaged: its header contradicts its length")
+    try:
+        return bytes(Blosc().decode(content))
+    except (RuntimeError, ValueError, TypeError) as reason:
+        raise ValueError(f"a chunk of the archive is damaged: {in_one_line(str(reason), 100)}") from None
+
+
+def texts_of(content: bytes, count: int) -> list[str]:
+    """Decode a known number of vlen-utf8 texts; ValueError if they are damaged."""
+    found, at = [], 4
+    if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
+        raise ValueError("a chunk of the archive is damaged: it has another number of texts")
+    for _ in range(count):
+        begin = at + 4
+        at = begin + int.from_bytes(content[at:begin], "little")
+        found.append(content[begin:at].decode("utf-8"))
+    if at != len(content):
+        raise ValueError("a chunk of the archive is damaged: its texts have other lengths")
+    return found
+
+
+def _sum_of(content: bytes) -> bytes:
+    import google_crc32c
+
+    return int(google_crc32c.value(content)).to_bytes(4, "little")
+
+
+def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[int, ...]:
+    """Return the chunk shape of an array: all of it, or `rows` rows of one that grows; large ones are split.
+
+    Examples
+    --------
+    >>> chunk_of(("time", "component"), (11, 3), 64), chunk_of(("component",), (3,), 64)
+    ((64, 3), (3,))
+    >>> chunk_of(("time", "member", "component"), (1, 10**6, 3), 1)
+    (1, 166667, 3)
+    """
+    grows = dims[0] in GROWING
+    chunk = list(shape)
+    if grows:
+        chunk[0] = rows
+    for axis in range(int(grows), len(chunk)):
+        # Split leading axes first: those of members.
+        over = max(1, -(-8 * prod(chunk) // BYTES))
+        chunk[axis] = max(1, -(-chunk[axis] // over))
+    return tuple(max(1, size) for size in chunk)
+
+
+def rows_of_chunk(numbers: int, most: int) -> int:
+    """Return the rows of a chunk, if a row of the longest array has this many numbers.
+
+    Short runs get spare rows, since they may be continued.
+
+    Examples
+    --------
+    >>> rows_of_chunk(3, 10**9), rows_of_chunk(3, 11), rows_of_chunk(10**6, 100)
+    (65536, 1024, 1)
+    """
+    return max(1, min(BYTES // (8 * max(1, numbers)), MOST_ROWS, max(FEWEST_ROWS, most)))

@@ -1,0 +1,1 @@
+"""Configuration files: parsing, validation, sweeps, dry runs."""

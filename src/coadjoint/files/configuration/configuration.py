@@ -1,0 +1,433 @@
+"""Configuration files: parsed, validated and converted to runs; nothing in them is executed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from coadjoint import systems
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.files.configuration.construction import ConfigurationError, method_of_file, section, system_of_file
+from coadjoint.files.configuration.error_collector import SeveralErrors, told_together
+from coadjoint.files.configuration.initial_states import initial_state
+from coadjoint.files.configuration.named_states import check_named, state_by_name
+from coadjoint.files.configuration.parsing import tables_of, text_of
+from coadjoint.files.configuration.partial_parsing import Readable, readable
+from coadjoint.files.configuration.polynomials import read_polynomial
+from coadjoint.files.configuration.sweeps import Sweep, read_sweep
+from coadjoint.files.configuration.swept_members import swept_states, swept_system
+from coadjoint.files.datasets.content_checksum import CHECKSUM
+from coadjoint.files.datasets.variables import About, Variables, over_members
+from coadjoint.files.records.stored_events import event_of_file
+from coadjoint.memory import available, in_words
+from coadjoint.methods.forced import check_direction, check_serves, serving
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.suggested_scheme import default_scheme
+from coadjoint.optional_packages import need
+from coadjoint.runs.events import Event
+from coadjoint.runs.integrate import chosen_for, integrate
+from coadjoint.runs.output_times import moments_of
+from coadjoint.runs.solution import Solution, with_choice
+from coadjoint.runs.start import momenta_of, start_of
+from coadjoint.runs.times import times_of
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import unforced
+from coadjoint.validation import read_path
+
+CONFIGURATION = "configuration"
+"""Attribute with the text of the file."""
+
+__all__ = ["Configuration", "ConfigurationError", "load"]
+
+if TYPE_CHECKING:
+    import xarray
+    from pydantic import BaseModel
+
+    from coadjoint.files.configuration.models import File
+    from coadjoint.runs.prepared_run import PreparedRun
+
+    Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A validated run described by a configuration file.
+
+    Parameters
+    ----------
+    path : str
+        The file, for messages.
+    system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads, workers
+        As for `coadjoint.integrate`.
+    output, archive, figure, movie : str or None
+        Paths of the results, relative to the current directory.
+    choice : Choice or None
+        Result of `choose` if the file gives an accuracy; `method` and `step` come from it.
+    swept : mapping
+        Settings of a sweep: key of the file -> values, one for each member.
+    text : str
+        Text of the file, stored with the results.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> lines = '''
+    ... system = {name = "rigid_body", parameters = {inertia = [1, 2, 3]}}
+    ... initial = {x = [1.0, 0.1, 0.5]}
+    ... method = {name = "Splitting", order = 4}
+    ... run = {t_span = [0, 10], step = 0.1}
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "body.toml").write_text(lines)
+    ...     configuration = load(f"{folder}/body.toml")
+    >>> configuration.integrate().x.shape
+    (101, 3)
+    """
+
+    path: str
+    system: Any
+    x0: Any
+    t_span: tuple[float, float]
+    step: float
+    method: Method
+    save_every: int = 1
+    t_eval: Any = None
+    attitude: Any = False
+    watch: bool = True
+    observe: Mapping[str, Polynomial] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+    threads: int | None = None
+    workers: int | None = None
+    output: str | None = None
+    archive: str | None = None
+    figure: str | None = None
+    movie: str | None = None
+    choice: Any = None
+    swept: Mapping[str, list[Any]] = field(default_factory=dict, repr=False)
+    text: str = field(default="", repr=False)
+
+    def integrate(self, progress: bool = False, archive: str | Path | None = None) -> Solution:
+        """Integrate the described run.
+
+        Parameters
+        ----------
+        progress : bool
+            Show a progress bar.
+        archive : str or Path, optional
+            A new folder to which the run is written while it runs.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        ConfigurationError
+            The scheme cannot be used for the system, or the saved states do not fit into memory.
+        IntegrationError
+            The run fails.
+        """
+        if archive is not None or self.workers is not None:
+            return self._integrate_into(archive, progress)
+        self.check_memory()
+        # `load` has validated the rest; errors here come from the preparation of the scheme.
+        with section(self.path, "method"):
+            found = integrate(
+                self.system,
+                self.x0,
+                self.t_span,
+                self.step,
+                self.method,
+                save_every=self.save_every,
+                t_eval=self.t_eval,
+                attitude=self.attitude,
+                watch=self.watch,
+                observe=self.observe,
+                events=self.events,
+                threads=self.threads,
+                progress=progress,
+            )
+        return with_choice(found, self.choice)
+
+    def ready(self) -> PreparedRun:
+        """Return the prepared run.
+
+        Raises
+        ------
+        ConfigurationError
+            The scheme cannot be used for the system.
+        """
+        from coadjoint.runs.prepared_run import PreparedRun
+
+        with section(self.path, "method"):
+            return PreparedRun(
+                self.system,
+                self.method,
+                self.step,
+                attitude=self.attitude,
+                watch=self.watch,
+                observe=self.observe,
+                threads=self.threads,
+            )
+
+    def _integrate_into(self, archive: str | Path | None, progress: bool) -> Solution:
+        from coadjoint.files.archives.resume import archive_run
+
+        if archive is not None:
+            check_archived(self.path, self.t_eval, self.events)
+        ready = self.ready()
+        about = About(self.swept_coordinates(), {CONFIGURATION: self.text})
+        if self.workers is not None:
+            from coadjoint.files.archives.run_in_blocks import run_in_blocks, team_of
+
+            team = team_of(None, self.workers, self.threads)
+            given = ready, self.x0, self.t_span, self.save_every, archive, team
+            return with_choice(run_in_blocks(*given, progress=progress, about=about), self.choice)
+        assert archive is not None
+        run = ready, self.x0, self.t_span, self.save_every, archive
+        return with_choice(archive_run(*run, progress=progress, about=about), self.choice)
+
+    def check_memory(self) -> None:
+        """Raise ConfigurationError if the saved states do not fit in memory."""
+        every = times_of(self.t_span, self.step, self.save_every).points
+        points = every if self.t_eval is None else 2 * len(self.t_eval)
+        start = start_of(self.system, serving(self.system, self.method), self.x0, self.attitude)
+        first = self.system[0] if isinstance(self.system, Batch) else self.system
+        numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
+        needed, free = 8 * points * len(start.momenta) * numbers, available()
+        if needed > free:
+            raise ConfigurationError(
+                f"{self.path}: run.save_every: the saved states do not fit into memory: they need {in_words(needed)}, "
+                f"and this machine has {in_words(free)} free; save fewer of the steps"
+            )
+
+    def dataset(self, solution: Solution) -> xarray.Dataset:
+        """Return a solution of this configuration as a dataset, the text of the file among its attributes.
+
+        Settings of a sweep are coordinates along the members, such as ``swept_inertia_2``.
+
+        Parameters
+        ----------
+        solution : Solution
+            From `integrate`, or the partial solution of its failure.
+
+        Returns
+        -------
+        xarray.Dataset
+        """
+        found = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
+        found.attrs.pop(CHECKSUM, None)  # it does not cover the additions
+        return found.assign_coords(self.swept_coordinates())
+
+    def swept_coordinates(self) -> Variables:
+        """Return the settings of a sweep as variables over the members."""
+        return over_members(self.swept)
+
+
+def system_of_text(text: str) -> Any:
+    """Return the system of a configuration from the text of its file, as stored with a result."""
+    name = "the configuration of this run"
+    wrong = SeveralErrors(name)
+    found, sweep = _read(name, tables_of(name, text), wrong)
+    wrong.tell()
+    assert found.file is not None
+    return _system(name, found.file, sweep)
+
+
+def load(path: str | Path) -> Configuration:
+    """Read and validate a configuration file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+
+    Returns
+    -------
+    Configuration
+
+    Raises
+    ------
+    ConfigurationError
+        With file, key or line, what is wrong, and how to correct it.
+
+    Examples
+    --------
+    >>> load("none.toml")
+    Traceback (most recent call last):
+    ...
+    coadjoint.files.configuration.construction.ConfigurationError: none.toml: cannot be read (No such file or directory)
+    """
+    need("reading a configuration file", "pydantic")
+    name, text = str(read_path(path, "path")), text_of(path)
+    wrong = SeveralErrors(name)
+    return _configuration(name, text, *_read(name, tables_of(name, text), wrong), wrong)
+
+
+def _read(name: str, raw: Mapping[str, Any], wrong: SeveralErrors) -> tuple[Readable, Sweep | None]:
+    """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
+    from coadjoint.files.configuration.models import OfSweep
+
+    sweep: Sweep | None = None
+    if "sweep" in raw:
+        given, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
+        with wrong.caught():
+            made = read_sweep(name, given, _checked(name, OfSweep, given).sweep)
+            sweep, raw = made, made.raw_of(0)
+    found = readable(raw)
+    for said in (*found.said, *([] if found.has("system") else _unknown_system(raw))):
+        wrong.add(said)
+    return found, sweep
+
+
+def _system(name: str, file: File, sweep: Sweep | None) -> Any:
+    from coadjoint.files.configuration.models import File as Tables
+
+    return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, Tables))
+
+
+def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
+    """Validate tables against a model; ConfigurationError with the key."""
+    from pydantic import ValidationError
+
+    from coadjoint.files.configuration.models import all_errors
+
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigurationError(f"{name}: {told_together(all_errors(error))}") from None
+
+
+def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
+    """Return the error for an unknown ready-made system, to be reported together with errors of keys."""
+    table = raw.get("system")
+    given = table.get("name") if isinstance(table, Mapping) else None
+    if not isinstance(given, str) or given in systems.names():
+        return []
+    try:
+        systems.get(given)
+    except ValueError as error:
+        return [f"system: {error}"]
+    return []
+
+
+def _method(name: str, file: File, system: Any) -> Method:
+    """Return the scheme of a file, or the default of `integrate`."""
+    return default_scheme(system) if file.method is None else method_of_file(name, file.method)
+
+
+def _check_times(name: str, file: File, system: Any, step: float) -> None:
+    """Validate the times against the step and the forces."""
+    with section(name, "run"):
+        times = times_of(file.run.t_span, step, file.run.save_every)
+        if file.run.t_eval is not None:
+            moments_of(file.run.t_eval, times, file.run.save_every)
+        check_direction(system, times.h)
+
+
+def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
+    """Reject `workers` for runs that they do not support."""
+    with section(name, "run.workers"):
+        need("workers", "distributed")
+        if momenta_of(system, x0)[1]:
+            raise ValueError("workers are for the members of an ensemble, and the file has one state; omit workers")
+        if file.run.t_eval is not None or file.events:
+            raise ValueError("workers save every save_every-th step and have no events; give neither t_eval nor events")
+
+
+def check_archived(name: str, t_eval: Any, events: Any) -> None:
+    """Reject settings that an archive does not support; ConfigurationError with the key."""
+    for key, given in (("run.t_eval", t_eval), ("events", events or None)):
+        if given is not None:
+            said = "an archive keeps every save_every-th step, and looks for no events; leave it out, or the archive"
+            raise ConfigurationError(f"{name}: {key}: {said}")
+
+
+def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, wrong: SeveralErrors) -> Configuration:
+    from coadjoint.files.configuration.models import File as Tables
+
+    file = found.file
+    if file is None:
+        wrong.tell()
+    assert file is not None
+    system: Any = None
+    method: Any = None
+    x0: Any = None
+    step, choice, checked = file.run.step, None, partial(_checked, name, Tables)
+    if found.has_system:
+        with wrong.caught():
+            if found.has("initial"):
+                check_named(name, file)
+            system = _system(name, file, sweep)
+    if file.output.archive is not None:
+        with wrong.caught():
+            check_archived(name, file.run.t_eval, file.events)
+    # Checks that need a system are skipped without one; scheme and times are independent.
+    with wrong.caught():
+        method = _method(name, file, system)
+        if system is not None:
+            with section(name, "method"):
+                check_serves(system[0] if isinstance(system, Batch) else system, method)
+    if step is not None and found.has("run"):
+        with wrong.caught():
+            _check_times(name, file, system, step)
+    if system is not None and found.has("initial"):
+        with wrong.caught():
+            x0 = (
+                state_by_name(name, file.initial, system)
+                if sweep is None
+                else swept_states(sweep, file, system, checked)
+            )
+            with section(name, "initial.x"):
+                x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
+                momenta_of(system, x0)
+    observe, events = {}, []
+    for key, written in file.observe.items() if system is not None else ():
+        with wrong.caught(), section(name, f"observe.{key}"):
+            if isinstance(unforced(system), MatrixSystem):
+                raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
+            observe[key] = read_polynomial(written, system.dim)
+    for key, table in file.events.items() if system is not None else ():
+        with wrong.caught(), section(name, f"events.{key}"):
+            events.append(event_of_file(key, table.model_dump(), system))
+    wrong.tell()
+    with section(name, "initial.x"):
+        start_of(system, serving(system, method), x0, False)
+    with section(name, "initial.attitude"):
+        start_of(system, serving(system, method), x0, file.initial.attitude)
+    if file.run.accuracy is not None:
+        with section(name, "run.accuracy"):
+            wanted = None if file.method is None else method
+            choice = chosen_for(file.run.accuracy, system, x0, file.run.t_span, file.initial.attitude, wanted)
+        method, step = choice.method, choice.step
+        _check_times(name, file, system, step)
+    assert step is not None
+    if file.run.workers is not None:
+        _check_workers(name, file, system, x0)
+    return Configuration(
+        path=name,
+        system=system,
+        x0=x0,
+        t_span=(float(file.run.t_span[0]), float(file.run.t_span[1])),
+        step=step,
+        method=method,
+        save_every=file.run.save_every,
+        t_eval=file.run.t_eval,
+        attitude=file.initial.attitude,
+        watch=file.run.watch,
+        observe=observe,
+        events=tuple(events),
+        threads=file.run.threads,
+        workers=file.run.workers,
+        output=file.output.file,
+        archive=file.output.archive,
+        figure=file.output.figure,
+        movie=file.output.movie,
+        choice=choice,
+        swept={} if sweep is None else sweep.values,
+        text=text,
+    )

@@ -1,0 +1,254 @@
+"""Dry runs of configuration files: description and cost estimate, from a trial of the first steps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.errors import IntegrationError, in_one_line
+from coadjoint.kernels.arrays import Layout
+from coadjoint.memory import available, in_words
+from coadjoint.methods.forced import serving
+from coadjoint.methods.protocol.method import declared_by
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.optional_packages import installed
+from coadjoint.runs.events import read_events
+from coadjoint.runs.memory_estimate import bytes_of_run
+from coadjoint.runs.times import Times
+from coadjoint.systems.batch import Batch
+
+if TYPE_CHECKING:
+    from coadjoint.files.configuration.configuration import Configuration
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
+
+TRIAL = 0.2
+"""Approximate duration of the last trial run, in seconds."""
+POINTS = 2, 12
+"""Saved points of two short runs, from which the size of the whole dataset is extrapolated."""
+WIDE = 14
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Description and cost of the run of a configuration file.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The validated file.
+    dim, members : int
+        Coordinates of a state (entries of a matrix), and number of states.
+    properties : Properties
+        Conservation properties of the scheme.
+    steps, points : int
+        Steps of the run, and states that are saved.
+    memory : int
+        Memory of the run in bytes; an archived run needs less.
+    written : int or None
+        Size of the dataset in bytes, uncompressed; None if xarray is not installed.
+    ready : float
+        Preparation time of the run in seconds.
+    seconds : float or None
+        Estimated duration of the run in seconds; None if the trial failed.
+    tried : int
+        Steps of the trial.
+    failed : str
+        Reason why the trial failed, or empty.
+    """
+
+    configuration: Configuration
+    dim: int
+    members: int
+    properties: Properties
+    steps: int
+    points: int
+    memory: int
+    written: int | None
+    ready: float
+    seconds: float | None
+    tried: int
+    failed: str = ""
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name:{WIDE}}{said}" for name, said in self._lines())
+
+    def _lines(self) -> Iterator[tuple[str, str]]:
+        run = self.configuration
+        one = run.system[0] if isinstance(run.system, Batch) else run.system
+        many = f"; {len(run.system)} systems, one for each member" if isinstance(run.system, Batch) else ""
+        yield "system", f"{one.name}, dimension {self.dim}{many}"
+        yield "members", f"{self.members}"
+        if run.swept:
+            yield "swept", in_one_line(", ".join(run.swept), 200)
+        chosen = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
+        yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {run.method.order}{chosen}"
+        yield "keeps", kept(self.properties)
+        start, end = run.t_span
+        size = abs(end - start) / self.steps if self.steps else run.step
+        yield "steps", f"{self.steps} of {size:g}, from t = {start:g} to {end:g}"
+        yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
+        yield "memory", f"{in_bytes(self.memory)}, {in_words(available())} are free"
+        if self.written is None:
+            without = "xarray is not installed, so that nothing can be written"
+            yield "output", "not known: the trial failed" if self.failed else without
+        else:
+            yield "output", f"{in_bytes(self.written)} before compression{self._places()}"
+        if self.seconds is None:
+            yield "time", f"not known: the trial failed ({in_one_line(self.failed, 200)})"
+        else:
+            tried = "all its" if self.tried == self.steps else f"{self.tried} of its"
+            shared = "" if run.workers is None else f", in one process; {run.workers} workers share it"
+            yield (
+                "time",
+                (
+                    f"about {in_time(self.ready + self.seconds)}{shared}; estimated from a trial of {tried} steps, "
+                    f"{in_time(self.ready)} of it to make it ready"
+                ),
+            )
+
+    def _places(self) -> str:
+        run = self.configuration
+        places = [place for place in (run.archive, run.output, run.figure, run.movie) if place is not None]
+        return f"; to {', '.join(places)}" if places else "; the file names no place for it"
+
+
+def kept(properties: Properties) -> str:
+    """Describe the conservation properties of a scheme, to round-off.
+
+    Examples
+    --------
+    >>> kept(Properties(poisson=True, energy=False, casimirs="all", attitude="none"))
+    'Poisson bracket, all Casimirs; not the energy'
+    """
+    found = ["Poisson bracket"] if properties.poisson else []
+    found += ["energy"] if properties.energy else []
+    if properties.casimirs != "none":
+        found.append("all Casimirs" if properties.casimirs == "all" else f"{properties.casimirs} Casimirs")
+    lost = [what for what, has in (("Poisson bracket", properties.poisson), ("energy", properties.energy)) if not has]
+    lost += [] if properties.casimirs != "none" else ["Casimirs"]
+    missing = f"not the {' and the '.join(lost)}" if lost else ""
+    broken = f"broken by forces ({', '.join(properties.broken_by)})" if properties.broken_by else ""
+    return "; ".join(part for part in (", ".join(found), missing, broken) if part)
+
+
+def in_bytes(count: int) -> str:
+    """Format a number of bytes.
+
+    Examples
+    --------
+    >>> in_bytes(800), in_bytes(59_300), in_bytes(3 * 10**9)
+    ('800 bytes', '59 kB', '3.0 GB')
+    """
+    if count < 1000:
+        return f"{count} bytes"
+    return f"{count / 1000:.0f} kB" if count < 1e6 else in_words(count)
+
+
+def in_time(seconds: float) -> str:
+    """Format a duration.
+
+    Examples
+    --------
+    >>> in_time(0.0123), in_time(90.0), in_time(7200.0), in_time(1e6)
+    ('0.012 s', '1.5 minutes', '2 hours', '12 days')
+    """
+    for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 1.5 * size or (unit == "minutes" and seconds >= size):
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+def plan(configuration: Configuration) -> Plan:
+    """Describe the run of a configuration and estimate its cost; nothing is written.
+
+    Time and memory are those of this machine. The time is extrapolated from a trial over the first steps; motions that
+    become rougher later, or a different load of the machine, change it. ConfigurationError: the scheme cannot be used.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from coadjoint.files.configuration.configuration import load
+    >>> lines = '''
+    ... system = {name = "rigid_body"}
+    ... initial = {x = [1.0, 0.1, 0.5]}
+    ... run = {t_span = [0, 1000], step = 0.125, save_every = 10}
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "body.toml").write_text(lines)
+    ...     found = plan(load(f"{folder}/body.toml"))
+    >>> found.steps, found.points, found.members, found.properties.poisson
+    (8000, 801, 1, True)
+    """
+    if configuration.archive is None and configuration.workers is None:
+        configuration.check_memory()
+    begun = time.perf_counter()
+    ready = configuration.ready()
+    times, moments = ready.times_of(configuration.t_span, configuration.save_every, configuration.t_eval)
+    start = ready.start(configuration.x0)
+    loops: Any = ready.loops(times.h)
+    made = time.perf_counter() - begun
+    marked = times if moments is None else times.marking(moments.marks)
+    layout = loops.plan(len(start.momenta), marked.points, start.groups.shape[1] ** 2, 1).layout
+    memory, points = bytes_of_run(layout, marked), marked.points
+    if moments is not None:
+        # Output times are filled in while the steps from which they are reached are still in memory.
+        points = len(moments.t)
+        memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=moments.ends))
+    one = configuration.system[0] if isinstance(configuration.system, Batch) else configuration.system
+    seconds, tried, failed, written = None, 0, "", None
+    try:
+        seconds, tried = _seconds(configuration, ready, times)
+        written = _written(configuration, ready, times)
+    except IntegrationError as error:
+        failed = str(error)
+    return Plan(
+        configuration,
+        start.momenta.shape[1],
+        len(start.momenta),
+        declared_by(serving(one, configuration.method), one),
+        times.steps,
+        points,
+        memory,
+        written,
+        made,
+        seconds,
+        tried,
+        failed,
+    )
+
+
+def _short(configuration: Configuration, ready: PreparedRun, times: Times, steps: int, every: int) -> Solution:
+    """Run the first steps."""
+    # Not `run`, whose step is the prepared one: output times may shorten that of a scheme with its own steps.
+    first = times._replace(steps=steps, save_every=min(every, max(1, steps)))
+    return ready.follow(first, ready.start(configuration.x0), events=read_events(configuration.events))
+
+
+def _seconds(configuration: Configuration, ready: PreparedRun, times: Times) -> tuple[float, int]:
+    """Return the estimated seconds of all steps, and the number of steps of the trial."""
+    count = 1
+    while True:
+        count = min(count, times.steps)
+        begun = time.perf_counter()
+        if count:
+            _short(configuration, ready, times, count, configuration.save_every)
+        spent = time.perf_counter() - begun
+        if count == times.steps or spent >= TRIAL:
+            return spent * times.steps / max(count, 1), count
+        # Overhead per call dominates the first trials.
+        count *= 2 if spent < TRIAL / 64 else max(2, min(64, int(TRIAL / spent)))
+
+
+def _written(configuration: Configuration, ready: PreparedRun, times: Times) -> int | None:
+    """Estimate the size of the dataset in bytes by linear extrapolation from two short runs."""
+    if not installed("xarray"):
+        return None
+    points = times.every_point if configuration.t_eval is None else len(configuration.t_eval)
+    counts = [min(count, times.steps + 1) for count in POINTS]
+    found = [configuration.dataset(_short(configuration, ready, times, n - 1, 1)).nbytes for n in counts]
+    each = (found[1] - found[0]) / max(1, counts[1] - counts[0])
+    return round(found[0] + each * (points - counts[0]))

@@ -1,0 +1,286 @@
+"""Models of configuration files: the keys, their types, and the errors of validation."""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from coadjoint.errors import in_one_line, nearest
+from coadjoint.files.configuration.sweep_models import SweepTable
+from coadjoint.files.configuration.values import (
+    SHOWN,
+    Attitude,
+    Matrix,
+    Name,
+    Number,
+    Sign,
+    Span,
+    States,
+    Vector,
+    Whole,
+    Written,
+    ending,
+)
+from coadjoint.short_repr import short
+
+
+class Table(BaseModel):
+    """Base of all tables: no unknown keys, no type conversion; attribute docstrings become schema descriptions."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
+
+
+class SystemTable(Table):
+    """A ready-made system; `coadjoint systems` lists them."""
+
+    name: str
+    """The name of the system."""
+    parameters: dict[str, Any] = {}
+    """Its parameters; omitted ones have their defaults."""
+
+
+class AlgebraTable(Table):
+    """An algebra of the catalogue, or one given by brackets."""
+
+    name: str | None = None
+    """An algebra of the catalogue, such as "so(4)" or "A3,7"."""
+    parameters: dict[str, Any] = {}
+    """Its parameters: numbers without unit."""
+    dim: Whole | None = None
+    """The dimension of an algebra of your own; the basis is then e1, e2, ..."""
+    basis: list[Name] | None = None
+    """The names of its basis elements, in the order of the coordinates."""
+    brackets: list[str] | None = None
+    """Its brackets, such as "[e1, e2] = 2 e3 - e1"; those that are not listed are zero."""
+
+
+class HamiltonianTable(Table):
+    """The energy H: x.Mx/2 + linear.x + constant, or a polynomial."""
+
+    M: Matrix | None = None
+    """A number, the diagonal, or the symmetric matrix (energy per momentum squared)."""
+    linear: Vector | None = None
+    """The linear term (energy per momentum)."""
+    constant: Number | None = None
+    """A constant that is added to H (an energy)."""
+    polynomial: Written | None = None
+    """All of H: text such as "0.5*x1^2 + x2*x3", or a list of [coefficient, [exponents]] (an energy)."""
+
+
+class InitialTable(Table):
+    """The initial state, or several; or a kind of state, with its parameters as further keys."""
+
+    x: States | None = None
+    """The initial momentum; a list of them is an ensemble. Or the name of a file .npy, from the folder of this file."""
+    kind: str | None = None
+    """A named state of the system; its parameters are the further keys."""
+    parameters: dict[str, Any] = {}
+    """The further keys beside `kind`."""
+    attitude: Attitude = False
+    """Whether the group element (attitude) is computed: true, "coadjoint", or its initial matrix (no unit)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _further_keys(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "kind" not in given:
+            return given
+        own = {key: given[key] for key in ("kind", "attitude") if key in given}
+        return {**own, "parameters": {key: value for key, value in given.items() if key not in own}}
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> InitialTable:
+        if self.kind is None and self.x is None:
+            raise ValueError("x is missing; give it, or the kind of an initial state")
+        if self.kind is None and self.parameters:
+            raise ValueError("parameters belong to a kind of initial state; give kind too")
+        return self
+
+
+class RunTable(Table):
+    """The times of the run, and what is saved and watched. Either `step` or `accuracy`."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["step"]}, {"required": ["accuracy"]}]})
+
+    t_span: Span
+    """Start and end (time); the run goes backward if the end is the smaller one."""
+    step: Annotated[float, Field(gt=0)] | None = None
+    """Length of a step (time); it divides the span."""
+    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Instead of `step`: the wanted error of the momentum at the end, relative to the largest momentum during the run
+    (no unit). The step is chosen, and without `method` also the scheme."""
+    save_every: Whole = 1
+    """Number of steps from one saved state to the next."""
+    t_eval: Vector | None = None
+    """Times at which states are saved, instead of `save_every` (time)."""
+    watch: bool = True
+    """Whether the invariants are computed after every step, or only at the saved states."""
+    threads: Whole | None = None
+    """Number of threads for the members of an ensemble; by default all cores. Results do not depend on it."""
+    workers: Whole | None = None
+    """Number of processes of this machine that run the members in blocks; by default this process only."""
+
+    @model_validator(mode="after")
+    def _step_or_accuracy(self) -> RunTable:
+        if self.step is None and self.accuracy is None:
+            raise ValueError("step is missing; give step, or accuracy to have it chosen")
+        if self.step is not None and self.accuracy is not None:
+            raise ValueError("step and accuracy are both given; give step, or accuracy to have it chosen")
+        return self
+
+
+class EventTable(Table):
+    """An event: a function of the state passes through zero."""
+
+    g: int | Written
+    """The function: the number of a coordinate, from 0, its name, or a polynomial."""
+    direction: Annotated[int, Field(json_schema_extra={"enum": [-1, 0, 1]})] = 0
+    """1 where g rises, -1 where it falls, 0 for both."""
+    count: Whole | None = None
+    """Number of crossings recorded for each member; by default all."""
+    terminal: bool = False
+    """Whether the run ends at the last recorded crossing."""
+
+
+class OutputTable(Table):
+    """Paths of the results, relative to the current directory."""
+
+    file: Annotated[str, ending(".nc", ".zarr")] | None = None
+    """The solution as a dataset, .nc or .zarr."""
+    archive: str | None = None
+    """A new folder, such as run.zarr, to which the run is written while it runs; `coadjoint resume` continues it."""
+    figure: Annotated[str, ending(".png", ".pdf", ".svg")] | None = None
+    """A figure of the run, .png, .pdf or .svg."""
+    movie: Annotated[str, ending(".mp4", ".gif")] | None = None
+    """A movie of the run, .mp4 or .gif."""
+
+
+class File(Table):
+    """A run: the system, the initial state, the scheme, the times, and the paths of the results."""
+
+    name: Name | None = None
+    """The name of the system, for pictures and messages."""
+    sign: Sign | None = None
+    """1: x' = J grad H, the default. -1: x' = -J grad H, the convention of the body."""
+    system: SystemTable | None = None
+    algebra: AlgebraTable | None = None
+    hamiltonian: HamiltonianTable | None = None
+    casimirs: dict[Name, Written] | None = None
+    """Polynomials by name, checked to be Casimirs and recorded during the run."""
+    forces: list[dict[str, Any]] = []
+    """Forces in addition to H, one table for each: its name and its parameters."""
+    initial: InitialTable
+    sweep: SweepTable | None = None
+    method: dict[str, Any] | None = None
+    """The scheme: its name and its parameters. `coadjoint methods` lists them."""
+    run: RunTable
+    observe: dict[Name, Written] = {}
+    """Polynomials by name, evaluated at the saved states."""
+    events: dict[Name, EventTable] = {}
+    """Events by name."""
+    output: OutputTable = OutputTable()
+
+
+class OfSweep(BaseModel):
+    """The table of a sweep alone; it generates the rest of the file."""
+
+    sweep: SweepTable
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """Describe an unknown key, with the nearest known one, or all known ones if none is near.
+
+    Examples
+    --------
+    >>> unknown_key("stpe", ["t_span", "step"])
+    "unknown key; did you mean 'step'?"
+    """
+    names = sorted(known)
+    near = nearest(key, names)
+    if near is not None:
+        return f"unknown key; did you mean {near!r}?"
+    return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
+
+
+def known_keys(place: Sequence[str | int]) -> list[str]:
+    """Return the keys that a table of a file may have.
+
+    Examples
+    --------
+    >>> known_keys(["events", "flip"])
+    ['g', 'direction', 'count', 'terminal']
+    """
+    return list(_table_at(place).model_fields)
+
+
+def all_errors(error: ValidationError) -> list[str]:
+    """Return the errors in the tables of a file: dotted key and reason.
+
+    Unknown keys come first; a missing key is omitted if it is one of them, misspelled.
+
+    Examples
+    --------
+    >>> try:
+    ...     File.model_validate({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}})
+    ... except ValidationError as error:
+    ...     all_errors(error)
+    ["run.stpe: unknown key; did you mean 'step'?"]
+    """
+    rank = {"extra_forbidden": 0, "missing": 2}
+    found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
+    said: dict[str, str] = {}
+    for entry in found:
+        # pydantic appends "[key]" for an invalid key of a table.
+        place = [key for key in entry["loc"] if key != "[key]"]
+        path = "".join(f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, SHOWN)}" for key in place)
+        path = path.lstrip(".")
+        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), place)
+        misspelled = entry["type"] == "missing" and any(f"did you mean {place[-1]!r}?" in one for one in said.values())
+        # For a union, pydantic lists one error per alternative; report the first.
+        if not misspelled:
+            said.setdefault(".".join(map(str, place[:2])), f"{path}: {reason}" if path else f": {reason}")
+    return list(said.values())
+
+
+def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], place: list[int | str]) -> str:
+    if kind == "extra_forbidden":
+        return unknown_key(str(place[-1]), known_keys(place[:-1]))
+    if kind == "missing":
+        return "is missing; give it"
+    if kind == "value_error":
+        return str(context["error"])
+    wanted = {
+        "string_type": "text in quotes",
+        "int_type": "a whole number",
+        "int_from_float": "a whole number",
+        "float_type": "a number",
+        "bool_type": "true or false",
+        "list_type": "a list",
+        "dict_type": "a table",
+        "model_type": "a table",
+        "model_attributes_type": "a table",
+        "greater_than": f"greater than {context.get('gt')}",
+        "greater_than_equal": f"{context.get('ge')} or more",
+        "finite_number": "finite",
+    }.get(kind)
+    return (
+        f"must be {wanted}, not {short(given, SHOWN)}"
+        if wanted
+        else f"{message[:1].lower()}{message[1:]}, not {short(given, SHOWN)}"
+    )
+
+
+def _table_at(place: Sequence[int | str]) -> type[BaseModel]:
+    table: type[BaseModel] = File
+    keys = iter(place)
+    for key in keys:
+        annotation: Any = table.model_fields[str(key)].annotation
+        if typing.get_origin(annotation) is dict:  # tables by name
+            next(keys)
+            annotation = typing.get_args(annotation)[1]
+        options = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
+        table = next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
+    return table

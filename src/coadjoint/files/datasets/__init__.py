@@ -1,0 +1,1 @@
+"""Solutions as xarray datasets, and their files."""

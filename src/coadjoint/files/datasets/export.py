@@ -1,0 +1,302 @@
+"""Solutions as xarray datasets, with the attributes needed to repeat a run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint import __version__
+from coadjoint.errors import IntegrationError
+from coadjoint.files.datasets.content_checksum import with_checksum
+from coadjoint.files.datasets.state_arrays import DIMENSIONS, state_of
+from coadjoint.files.datasets.variables import (
+    CONVENTIONS,
+    coordinates_of,
+    over_time,
+    parameters_of,
+    starts_of,
+    summaries_of,
+)
+from coadjoint.files.records.entries import Entry, made_of, parsed
+from coadjoint.files.records.records import record_of, system_of
+from coadjoint.files.records.stored_events import events_of, not_stored, variables_of, written_events
+from coadjoint.methods import registry
+from coadjoint.optional_packages import need
+from coadjoint.runs.events import Event
+from coadjoint.runs.times import times_of
+from coadjoint.short_repr import short
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+if TYPE_CHECKING:
+    import xarray
+
+    from coadjoint.runs.solution import Solution
+
+NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
+
+ENDED = "ended_after"
+"""Attribute with the number of steps after which an event ended the run."""
+
+
+def dataset_of(solution: Solution) -> xarray.Dataset:
+    """Return a solution as a dataset whose attributes make it repeatable.
+
+    Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
+    ``column``, complex ones also over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
+    ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
+    run, replaced for systems with forces by ``change``, ``balance``, and ``work`` over ``account``; ``x0``,
+    ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such
+    as ``swept_inertia_2``. Names, units and dimensions follow the CF conventions. Attributes: version, system and
+    method (JSON), step, times, and the names of functions that cannot be stored.
+
+    Parameters
+    ----------
+    solution : Solution
+        From `integrate`, or the `partial` solution of an `IntegrationError`.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    See Also
+    --------
+    rebuild : The inverse.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> dict(dataset_of(sol).sizes)
+    {'time': 11, 'component': 3, 'invariant': 2, 'tenth': 10}
+    """
+    need("a dataset of a solution", "xarray")
+    import xarray
+
+    variables = {**over_time(solution), **summaries_of(solution), **starts_of(solution)}
+    if solution.events is not None:
+        variables |= variables_of(solution.events)
+    coordinates = {**parameters_of(solution.system), **coordinates_of(solution)}
+    return with_checksum(xarray.Dataset(variables, coordinates, attributes_of(solution)))
+
+
+def attributes_of(solution: Solution) -> dict[str, Any]:
+    """Return the attributes of the dataset of a solution."""
+    record = record_of(solution.system)
+    missing = [*record.get("not_stored", []), *(f"observed: {name}" for name in solution.observed)]
+    times = times_of(solution.asked_span, solution.step, 1)
+    attributes: dict[str, Any] = {
+        "Conventions": CONVENTIONS,
+        "coadjoint_version": __version__,
+        "system": json.dumps(record),
+        "system_repr": repr(solution.system),
+        "sign": solution.system.sign,
+        "method": json.dumps(registry.description_of(solution.method)),
+        "method_repr": repr(solution.method),
+        "step": solution.step,
+        "save_every": solution.save_every,
+        "between_steps": int(solution.t_eval is not None),
+        "watch": int(solution.watched),
+        "attitude_carried": solution.carried or "none",
+        "t_span": json.dumps(solution.asked_span),
+        "steps": times.steps,
+        "evaluations": solution.stats.evaluations,
+        "iterations": solution.stats.iterations,
+        "seconds": solution.stats.seconds,
+    }
+    if solution.t_span != solution.asked_span:
+        attributes[ENDED] = solution.stats.steps
+    if solution.events is not None:
+        attributes["events"], functions = written_events(solution.events.asked, solution.events.names)
+        missing += [f"event: {name}" for name in functions]
+        if any(event.terminal for event in solution.events.asked) and functions:
+            attributes["events_not_stored"] = ", ".join(functions)
+    if missing:
+        attributes["not_stored"] = "functions are not stored: " + ", ".join(missing)
+    return attributes
+
+
+def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Dataset:
+    """Add attributes of the failure to the dataset of a partial solution.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Dataset of ``error.partial``.
+    error : IntegrationError
+        The failure.
+
+    Returns
+    -------
+    xarray.Dataset
+        With ``run_failed`` = 1, ``failed_step``, ``failed_time``, ``failed_residual`` (NaN for an overflow) and
+        ``failed_reason``.
+
+    Examples
+    --------
+    >>> import coadjoint as co, xarray
+    >>> error = co.IntegrationError("overflow", step=3, time=0.2, residual=0.0)
+    >>> mark_failed(xarray.Dataset(), error).attrs["failed_step"]
+    3
+    """
+    return with_checksum(dataset.assign_attrs(**said_of(error)))
+
+
+def said_of(error: IntegrationError) -> dict[str, Any]:
+    """Return the attributes that describe the failure of a run."""
+    return {
+        "run_failed": 1,
+        "failed_step": error.step,
+        "failed_time": error.time,
+        "failed_residual": error.residual,
+        "failed_reason": str(error),
+    }
+
+
+def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
+    """Return the arguments of `integrate` that repeat the run of a dataset.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `dataset_of`, or read from a file.
+    system, events : optional
+        Those of the run, if they contain Python functions, which are not stored.
+
+    Returns
+    -------
+    dict
+        ``integrate(**solution_inputs(dataset))``
+
+    Raises
+    ------
+    TypeError
+        The argument is not a dataset.
+    ValueError
+        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> solution_inputs(sol.to_xarray())["t_span"]
+    (0.0, 1.0)
+    """
+    inputs = stored_inputs(dataset, system, events)
+    if _coadjoint_start(dataset) is not None:
+        raise ValueError("the run began with its own coadjoint matrix, which `integrate` does not take; use `rebuild`")
+    return inputs
+
+
+def asked_events(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]:
+    """Return the events of a stored run, with `not_stored` for functions."""
+    return events_of(Entry(dataset.attrs["events"], "events"), system) if "events" in dataset.attrs else ()
+
+
+def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
+    """Return the arguments of `solution_inputs`, also where the initial coadjoint matrix is none of them."""
+    attributes = getattr(dataset, "attrs", None)
+    if not isinstance(attributes, Mapping):
+        raise TypeError(f"{short(dataset)} is no dataset; give one that xarray has read")
+    absent = [key for key in NEEDED if key not in attributes]
+    if absent:
+        raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")
+    given = {key: Entry(attributes[key], key) for key in NEEDED}
+    x0 = state_of(dataset, "x0", DIMENSIONS)
+    described = parsed(attributes["method"], "method")
+    description = {key: entry.plain() for key, entry in described.table().items()}
+    with made_of(described):
+        method = registry.from_description(description)
+    start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
+    step, save_every = given["step"].number(), given["save_every"].whole(1)
+    with made_of(given["step"]):
+        times = times_of((start, end), step, save_every)
+    if times.steps != given["steps"].whole():
+        raise given["steps"].wrong(f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}")
+    carried = given["attitude_carried"].text()
+    initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
+    if carried not in (*initial, "representation"):
+        raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
+    between = Entry(attributes.get("between_steps", 0), "between_steps").flag()
+    if "events_not_stored" in attributes and events is None:
+        raise ValueError(
+            f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
+            "not stored; run the script that made it"
+        )
+    if system is None:
+        system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
+    if events is None:
+        events = tuple(event for event in asked_events(dataset, system) if event.g is not not_stored)
+    return {
+        "system": system,
+        "x0": x0,
+        "t_span": (start, end),
+        "step": step,
+        "method": method,
+        "save_every": save_every,
+        "t_eval": state_of(dataset, "time", (("time",),)) if between else None,
+        "watch": given["watch"].flag(),
+        "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", DIMENSIONS[1:2]),
+        "events": events,
+    }
+
+
+def _numbers(states: xarray.DataArray) -> int:
+    """Return the number of components of a state."""
+    return int(np.prod([size for name, size in states.sizes.items() if name != "member"]))
+
+
+def _system(dataset: xarray.Dataset, system: Any) -> Any:
+    """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
+    in_numbers = isinstance(system, MatrixSystem) and "component" in dataset["x0"].dims
+    return system.in_numbers if in_numbers else system
+
+
+def rebuild(dataset: xarray.Dataset) -> Solution:
+    """Repeat the run of a dataset, bitwise, with any number of threads.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `dataset_of`, or read from a file.
+
+    Returns
+    -------
+    Solution
+        The solution, without observed quantities, and without Casimirs and events that are functions.
+
+    Raises
+    ------
+    ValueError
+        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
+    IntegrationError
+        The run fails, as it did before.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> bool((rebuild(sol.to_xarray()).x == sol.x).all())
+    True
+    """
+    from coadjoint.runs.integrate import integrate
+    from coadjoint.runs.prepared_run import PreparedRun
+
+    inputs = stored_inputs(dataset)
+    element = _coadjoint_start(dataset)
+    with made_of(Entry(None, "the run of this dataset")):
+        if element is None:
+            return integrate(**inputs)
+        prepared = {name: inputs.pop(name) for name in ("system", "method", "step", "attitude", "watch")}
+        return PreparedRun(**prepared).run(**inputs, attitude=element)
+
+
+def _coadjoint_start(dataset: xarray.Dataset) -> NDArray[np.float64] | None:
+    """Return the initial coadjoint matrix, which `integrate` does not take; None for a unit matrix or none at all."""
+    if dataset.attrs["attitude_carried"] != "coadjoint":
+        return None
+    element = state_of(dataset, "attitude0", DIMENSIONS[1:2])
+    return None if np.array_equal(element, np.broadcast_to(np.eye(element.shape[-1]), element.shape)) else element

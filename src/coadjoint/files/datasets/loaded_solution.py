@@ -1,0 +1,257 @@
+"""Solutions read from files: `load`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.files.archives.archived_solution import open_archive
+from coadjoint.files.archives.store import HIDDEN
+from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
+from coadjoint.files.datasets.export import ENDED, NEEDED, asked_events, stored_inputs
+from coadjoint.files.datasets.read_solution import ReadSolution
+from coadjoint.files.output.file_validation import check_hdf5, check_zarr
+from coadjoint.memory import check_room
+from coadjoint.optional_packages import need
+from coadjoint.runs.events import Ending, Events
+from coadjoint.runs.solution import Solution, Statistics
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import unforced
+from coadjoint.validation import read_path
+
+if TYPE_CHECKING:
+    import xarray
+
+KINDS = {b"\x89HDF": ("h5netcdf", ("xarray", "h5netcdf", "h5py")), b"CDF": ("scipy", ("xarray", "scipy"))}
+"""File signatures, with the xarray engine and the packages it needs."""
+
+
+class LoadError(OneLineError):
+    """A file or folder contains no readable run."""
+
+
+class LoadedSolution(ReadSolution):
+    """A run read from a file by `load`, with all attributes of a `Solution` except `choice`.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    dataset : xarray.Dataset
+        Content of the file, in memory; settings of a sweep are coordinates.
+    """
+
+    path: Path
+    dataset: xarray.Dataset
+    _given: Any
+
+    def __init__(self, path: Path, dataset: xarray.Dataset, system: Any = None) -> None:
+        arrays = {
+            str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
+            for name, values in dataset.variables.items()
+        }
+        accounts = list(map(str, dataset["account"].values)) if "account" in arrays else []
+        names = list(map(str, dataset["invariant"].values)) if accounts else []
+        self.__dict__.update(
+            path=path,
+            dataset=dataset,
+            choice=None,
+            _error=None,
+            _began=None,
+            _given=system,
+            _arrays=arrays,
+            attributes=dict(dataset.attrs),
+            _accounts=tuple(_account(label, names) for label in accounts),
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return LoadedSolution, (self.path, self.dataset, self._given)
+
+    def inputs(self, events: Any = ()) -> dict[str, Any]:
+        return stored_inputs(self.dataset, self._given, events)
+
+    def _whole(self, name: str) -> NDArray[Any]:
+        return np.asarray(self.dataset[name].values)
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        values = [self.energy, *self.casimirs.values()]
+        if self.t[0] == self.t_span[0]:
+            return {name: series[0] for name, series in zip(self._names, values, strict=True)}
+        # The start is not among the saved times.
+        if self.failed is None:
+            return _invariants_at(self.system, self.x0, self.t_span[0])
+        systems = self.system if isinstance(self.system, Batch) else [self.system] * len(self.x0)
+        each = [_invariants_at(own, x, self.t_span[0]) for own, x in zip(systems, self.x0, strict=True)]
+        return {name: np.array([found[name] for found in each]) for name in self._names}
+
+    @cached_property
+    def _ending(self) -> Ending | None:  # type: ignore[override]
+        """The event that ended the run, or None."""
+        if ENDED not in self.attributes:
+            return None
+        values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
+        attitude = None if self.attitude is None else self.attitude[-1]
+        return Ending(len(self.t), int(self.attributes[ENDED]), float(self.t[-1]), self.x[-1], values, attitude)
+
+    @cached_property
+    def stats(self) -> Statistics:
+        said = self.attributes
+        steps = int(said[ENDED if ENDED in said else "steps"])
+        return Statistics(steps, int(said["evaluations"]), int(said["iterations"]), float(said["seconds"]))
+
+    @cached_property
+    def _worst(self) -> NDArray[np.float64]:
+        names = ("change", "balance") if "change" in self._arrays else ("drift",)
+        return np.concatenate([np.moveaxis(self._whole(name), -2, -1) for name in names], axis=-1)
+
+    @cached_property
+    def events(self) -> Events | None:  # type: ignore[override]
+        """Crossings found in the run, or None if it had no events."""
+        if "event_time" not in self._arrays:
+            return None
+        asked = asked_events(self.dataset, self._system)
+        moved: Any = unforced(self._system)
+        named = () if isinstance(moved, MatrixSystem) else tuple(coordinate_names(moved, moved.dim))
+        t, x, which, member, direction = (
+            self._read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
+        )
+        attitude = self._read("event_attitude") if "event_attitude" in self._arrays else None
+        names = tuple(str(event.name) for event in asked)
+        return Events(names, t, x, which, member, direction, attitude, named, asked)
+
+    def to_xarray(self) -> xarray.Dataset:
+        return self.dataset.copy()
+
+
+def _account(text: str, invariants: list[str]) -> tuple[str, str]:
+    """Split the label of an account into force and invariant; both names may contain the separator.
+
+    Examples
+    --------
+    >>> _account("drag: on x: C: 2", ["energy", "2", "C: 2"])
+    ('drag: on x', 'C: 2')
+    """
+    ending = text.rpartition(": ")[2]
+    name = max((name for name in invariants if text.endswith(f": {name}")), key=len, default=ending)
+    return text[: -len(name) - 2], name
+
+
+def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:
+    """Return the energy and the Casimirs of one state."""
+    return {"energy": system.energy(x, t)} | {name: casimir(x) for name, casimir in system.casimirs.items()}
+
+
+def load(path: str | Path, system: Any = None) -> Solution:
+    """Open a run that was written to a file or a folder.
+
+    Files written by ``sol.to_xarray().to_netcdf(path)``, ``to_zarr`` and `coadjoint run` are read into memory; an
+    archive is read lazily, as by `open_archive`.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file ``.nc``, a folder ``.zarr``, or an archive. The kind is detected from the content, not from the name.
+    system : optional
+        The system of the run, if it contains Python functions, which are not stored. It is needed only by attributes
+        that use the system.
+
+    Returns
+    -------
+    Solution
+        The run, with bitwise equal states, energies, Casimirs, attitudes, events and drifts. System and scheme are
+        rebuilt lazily. `path` is the source, and `dataset` the content of a file, such as the coordinates of a sweep.
+
+    Raises
+    ------
+    ValueError
+        The file is missing or damaged, or contains no run of this library.
+    ArchiveError
+        An archive is damaged, or of a later format.
+    MissingPackageError
+        A package that the format needs is not installed.
+
+    See Also
+    --------
+    open_archive : Open an archive, also while it is written.
+    coadjoint.files.datasets.export.rebuild : Repeat the run of a dataset.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import tempfile
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), (0, 10), 0.1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = sol.to_xarray().to_netcdf(f"{folder}/run.nc", engine="h5netcdf")
+    ...     again = co.load(f"{folder}/run.nc")
+    >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
+    (True, True, Splitting(order=2...))
+    """
+    place = read_path(path, "path")
+    shown = in_one_line(str(place), 200)
+    try:
+        if (place / HIDDEN).is_dir():
+            return open_archive(place, system)
+        engine, packages = _reader(place)
+    except (OSError, ValueError) as reason:
+        if isinstance(reason, OneLineError):
+            raise
+        raise LoadError(f"{shown}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
+    need(f"{shown}: reading it", *packages)
+    import xarray
+
+    try:
+        if engine == "h5netcdf":
+            check_hdf5(place)
+        elif engine == "zarr":
+            check_zarr(place)
+        with xarray.open_dataset(place, engine=engine) as opened:
+            absent = [key for key in (*NEEDED, "evaluations", "iterations", "seconds") if key not in opened.attrs]
+            if absent or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
+                raise LoadError(f"{shown}: holds no run: it was not written by this library")
+            check_room(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
+            dataset = opened.load()
+        stated = dataset.attrs.get(CHECKSUM)
+        if stated is not None and stated != checksum_of(dataset):
+            raise LoadError(
+                f"{shown}: its content does not match its check sum: it was damaged, or changed after it was "
+                f"written; if you have changed it, remove its attribute {CHECKSUM} and write it again"
+            )
+    except LoadError:
+        raise
+    except Exception as reason:  # readers raise arbitrary errors for damaged files
+        raise LoadError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
+    return LoadedSolution(place, dataset, system)
+
+
+def _reader(place: Path) -> tuple[str, tuple[str, ...]]:
+    """Return the xarray engine for a file or folder, and the packages it needs."""
+    shown = in_one_line(str(place), 200)
+    if place.is_dir():
+        if not any((place / name).is_file() for name in ("zarr.json", ".zgroup")):
+            raise LoadError(
+                f"{in_one_line(str(place), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
+            )
+        return "zarr", ("xarray", "zarr")
+    if place.exists() and not place.is_file():
+        raise LoadError(f"{shown}: is no file and no folder")
+    with open(place, "rb", opener=_not_waiting) as file:
+        begin = file.read(4)
+    for head, found in KINDS.items():
+        if begin.startswith(head):
+            return found
+    raise LoadError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
+
+
+def _not_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

@@ -1,0 +1,1 @@
+"""Output files: atomic replacement, validation, movies."""

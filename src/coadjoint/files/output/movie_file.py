@@ -1,0 +1,117 @@
+"""Movie files: GIF by Pillow, MP4 by ffmpeg, written frame by frame."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from coadjoint.files.output.atomic_output import Unfinished
+from coadjoint.files.output.output_files import MOVIES, OutputError, check_target
+from coadjoint.memory import check_room
+from coadjoint.validation import read_positive
+
+NEARLY_WHITE = 248
+"""In a GIF, shades from here on become white."""
+FASTEST_GIF = 50
+"""Frames per second; viewers slow down faster GIFs."""
+
+
+class Frames(Protocol):
+    """Pictures of one size, drawn lazily."""
+
+    count: int
+    size: tuple[int, int]
+
+    def __iter__(self) -> Iterator[memoryview]:
+        """Yield each frame as RGBA bytes, (height, width, 4)."""
+
+
+def check_movie(path: str | Path) -> Path:
+    """Validate the path of a movie, ``.mp4`` or ``.gif``, as `check_target`; OutputError if ffmpeg is missing."""
+    target = check_target(path, MOVIES)
+    if target.suffix == ".mp4" and _ffmpeg() is None:
+        raise OutputError(f"{path}: MP4 needs the program ffmpeg, which was not found; install it, or give a .gif")
+    return target
+
+
+def check_speed(fps: float, target: Path) -> float:
+    """Validate the frames per second, at most 50 for a GIF.
+
+    Examples
+    --------
+    >>> check_speed(24, Path("run.gif"))
+    24.0
+    """
+    rate = read_positive(fps, "fps")
+    if target.suffix == ".gif" and rate > FASTEST_GIF:
+        raise ValueError(f"fps is {rate:g}; a GIF shows at most {FASTEST_GIF} frames per second")
+    return rate
+
+
+def write_movie(frames: Frames, target: Path, fps: float) -> None:
+    """Write a movie atomically, to a target of `check_movie` and at a rate of `check_speed`."""
+    with Unfinished(target) as unfinished:
+        (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.place, fps)
+        unfinished.finish()
+
+
+def _ffmpeg() -> str | None:
+    from matplotlib import rcParams
+
+    return shutil.which(str(rcParams["animation.ffmpeg_path"]))
+
+
+def _write_gif(frames: Frames, place: Path, fps: float) -> None:
+    """Write a GIF with the palette of the first frame, each colour counted once: its colour bar has all colours."""
+    from PIL import Image
+
+    width, height = frames.size
+    check_room(2 * frames.count * width * height, "a GIF of so many frames", "take fewer, or a smaller size")
+
+    def images() -> Iterator[Image.Image]:
+        palette = None
+        for frame in frames:
+            image = Image.fromarray(np.ascontiguousarray(np.asarray(frame)[..., :3]))
+            if palette is None:
+                shades = np.unique(np.asarray(image).reshape(-1, 3), axis=0)
+                shades = shades[(shades < NEARLY_WHITE).any(axis=1)]
+                found = Image.fromarray(shades[None]).quantize(255).getpalette() or []
+                palette = Image.new("P", (1, 1))
+                palette.putpalette([*found[: 3 * 255], *3 * [255]])
+            yield image.quantize(palette=palette, dither=Image.Dither.NONE)
+
+    each = images()
+    next(each).save(place, save_all=True, append_images=each, duration=round(1000 / fps), loop=0)
+
+
+def _write_mp4(frames: Frames, place: Path, fps: float) -> None:
+    width, height = frames.size
+    given = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-framerate", f"{fps:g}", "-i", "pipe:"]
+    made = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    command = [str(_ffmpeg()), "-loglevel", "error", "-y", *given, *made, str(place)]
+    with (
+        tempfile.TemporaryFile() as complaints,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints) as writer,
+    ):
+        assert writer.stdin is not None
+        try:
+            for frame in frames:
+                writer.stdin.write(frame)
+            writer.stdin.close()
+        except BrokenPipeError:
+            pass  # ffmpeg has exited; its messages are reported below
+        except BaseException:
+            writer.kill()
+            raise
+        status = writer.wait()
+        complaints.seek(0)
+        said = complaints.read().decode(errors="replace").strip()
+    if status != 0:
+        last = said.splitlines()[-1] if said else f"it ended with status {status}"
+        raise OutputError(f"{place.name}: ffmpeg could not write it ({last})")

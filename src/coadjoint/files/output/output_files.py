@@ -1,0 +1,235 @@
+"""Output files: written atomically, and validated before a run rather than after it."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coadjoint.errors import OneLineError
+from coadjoint.files.datasets.content_checksum import with_checksum
+from coadjoint.files.datasets.netcdf_file import write_netcdf
+from coadjoint.files.datasets.zarr_store import INDEX, write_zarr, written_by_coadjoint
+from coadjoint.files.output.atomic_output import Unfinished, remove_leftovers
+from coadjoint.optional_packages import need
+from coadjoint.validation import read_path
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+
+class OutputError(OneLineError):
+    """A result cannot be written to its target."""
+
+
+DATASETS = (".nc", ".zarr")
+FIGURES = (".png", ".pdf", ".svg")
+MOVIES = (".mp4", ".gif")
+TEXTS = (".json",)
+PAGES = (".html",)
+PACKAGES = {
+    ".nc": ("xarray", "h5netcdf", "h5py"),
+    ".zarr": ("xarray", "zarr"),
+    **dict.fromkeys((*FIGURES, ".mp4"), ("matplotlib",)),
+    ".gif": ("matplotlib", "PIL"),
+    ".json": (),
+    ".html": (),
+}
+NAMED = {
+    ".nc": "NetCDF",
+    ".zarr": "Zarr",
+    ".json": "JSON",
+    ".html": "a page",
+    **dict.fromkeys(FIGURES, "a figure"),
+    **dict.fromkeys(MOVIES, "a movie"),
+}
+
+
+def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
+    """Validate the path of a result, with one of the `suffixes`; nothing is left behind.
+
+    OutputError: unknown suffix, folder missing or not writable, or the target exists and is not a result.
+    MissingPackageError: the format needs a package that is not installed.
+
+    Examples
+    --------
+    >>> check_target("run.csv")
+    Traceback (most recent call last):
+    ...
+    coadjoint.files.output.output_files.OutputError: run.csv: the suffix sets the format; it must be .nc or .zarr
+    """
+    target, allowed = read_path(path, "path"), tuple(suffixes)
+    if target.suffix not in allowed:
+        listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
+        raise OutputError(f"{path}: the suffix sets the format; it must be {listed}")
+    need(f"{path}: {NAMED[target.suffix]}", *PACKAGES[target.suffix])
+    try:
+        if not target.parent.is_dir():
+            raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")
+        remove_leftovers(target)
+        _check_replaced(target)
+        _rehearse(target)
+    except (OSError, ValueError) as reason:
+        if isinstance(reason, OutputError):
+            raise
+        wanted = "a shorter name" if getattr(reason, "errno", None) == errno.ENAMETOOLONG else "another folder"
+        said = getattr(reason, "strerror", None) or reason
+        raise OutputError(f"{path}: cannot be written ({said}); give {wanted}") from None
+    return target
+
+
+def _check_replaced(target: Path) -> None:
+    """Refuse to replace anything that is not a result."""
+    if target.suffix != ".zarr":
+        if target.is_dir():
+            raise OutputError(f"{target}: is a folder; give the name of a file")
+    elif os.path.lexists(target):
+        if not any((target / name).exists() for name in (".zgroup", "zarr.json")):
+            raise OutputError(f"{target}: exists and is not a Zarr store, so it is not replaced; give another name")
+        other = written_by_coadjoint(target)
+        if other:
+            raise OutputError(
+                f"{target}: holds {other}, which coadjoint did not write, so it is not replaced; give another name"
+            )
+
+
+def _rehearse(target: Path) -> None:
+    """Create and remove the output once: the name may be too long, the disk full, or the folder not writable."""
+    with Unfinished(target) as trial:
+        if target.suffix == ".zarr":
+            trial.place.mkdir()
+            (trial.place / INDEX).touch()
+        else:
+            trial.place.touch()
+
+
+def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a check sum of its content.
+
+    It is written beside the target and renamed. A file is replaced in one step; when a Zarr store, which is a folder,
+    is replaced, there is a moment without either.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `coadjoint.files.datasets.export.dataset_of`.
+    path : str or Path
+        The target, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+    OSError
+        For instance if the disk is full; the target is then unchanged.
+
+    Examples
+    --------
+    >>> import tempfile, xarray
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_dataset(xarray.Dataset({"x": ("time", [1.0, 2.0])}), f"{folder}/run.zarr")
+    ...     xarray.open_zarr(f"{folder}/run.zarr")["x"].values
+    array([1., 2.])
+    """
+    target = check_target(path)
+    dataset = with_checksum(dataset)
+    write = write_netcdf if target.suffix == ".nc" else write_zarr
+    with Unfinished(target) as unfinished:
+        _in_a_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.give_up)
+        unfinished.finish()
+
+
+def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
+    """Run uninterruptibly, since HDF5 does not survive interrupts; only the main thread receives them."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(work)
+        try:
+            done.result()
+        except BaseException:
+            give_up()
+            raise
+
+
+def write_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, PDF or SVG, atomically.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        From `Solution.plot`, for instance.
+    path : str or Path
+        The target, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from matplotlib.figure import Figure
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_figure(Figure(), f"{folder}/empty.png")
+    """
+    target = check_target(path, FIGURES)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=target.suffix[1:])
+    with Unfinished(target) as unfinished:
+        unfinished.place.write_bytes(drawn.getbuffer())
+        unfinished.finish()
+
+
+def write_text(text: str, path: str | Path) -> None:
+    """Write JSON text to a file, atomically.
+
+    Parameters
+    ----------
+    text : str
+        From `Certificate.to_json`, for instance.
+    path : str or Path
+        The target, a ``.json`` file, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_text("{}", f"{folder}/empty.json")
+    ...     Path(f"{folder}/empty.json").read_text()
+    '{}'
+    """
+    _write(text, check_target(path, TEXTS))
+
+
+def write_page(text: str, path: str | Path) -> None:
+    """Write an HTML page to a file, atomically.
+
+    Parameters
+    ----------
+    text : str
+        From `coadjoint.pictures.gallery.gallery`, for instance.
+    path : str or Path
+        The target, an ``.html`` file, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+    """
+    _write(text, check_target(path, PAGES))
+
+
+def _write(text: str, target: Path) -> None:
+    with Unfinished(target) as unfinished:
+        unfinished.place.write_text(text, encoding="utf-8")
+        unfinished.finish()

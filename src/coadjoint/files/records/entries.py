@@ -1,0 +1,211 @@
+"""Entries of records: validating accessors, with the place of the entry in errors."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import fits
+from coadjoint.errors import in_one_line
+from coadjoint.short_repr import short
+
+# Prefixes of missing functions without which a run can be repeated, since they do not affect the motion.
+CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
+STREAM, ENERGY = "stream: ", "energy: "
+DEEPEST = 32
+MOST_LETTERS = 2000
+LARGEST_WHOLE = 2**62
+_QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
+
+
+class Entry:
+    """A value of a record from a file, not validated yet, and its place for messages.
+
+    Examples
+    --------
+    >>> record = Entry({"dim": 3, "basis": ["e1", 2]}, "algebra")
+    >>> record["dim"].whole(1)
+    3
+    >>> [name.text() for name in record["basis"].entries()]
+    Traceback (most recent call last):
+    ValueError: algebra.basis[1] is 2; it must be text
+    """
+
+    def __init__(self, value: Any, place: str, depth: int = 0) -> None:
+        self.value, self.place, self._depth = value, place, depth
+        if depth > DEEPEST:
+            raise ValueError(f"{place} is nested deeper than {DEEPEST} lists and tables")
+
+    def wrong(self, wanted: str) -> ValueError:
+        """Return the error that the value must be `wanted`."""
+        return ValueError(f"{self.place} is {short(self.value, 60)}; it must be {wanted}")
+
+    def table(self) -> dict[str, Entry]:
+        """Return a table of entries."""
+        if not isinstance(self.value, dict):
+            raise self.wrong("a table")
+        return {
+            key: Entry(value, f"{self.place}.{in_one_line(key, 40)}", self._depth + 1)
+            for key, value in self.value.items()
+        }
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.table()
+
+    def __getitem__(self, key: str) -> Entry:
+        found = self.table()
+        if key not in found:
+            raise ValueError(f"{self.place} has no {key!r}")
+        return found[key]
+
+    def only(self, *known: str) -> Entry:
+        """Reject unknown keys, whose meaning would be lost; return the entry itself."""
+        for key, entry in self.table().items():
+            if key not in known:
+                raise ValueError(f"{entry.place} is none of the keys that are known there, {', '.join(known)}")
+        return self
+
+    def entries(self, length: int | None = None) -> list[Entry]:
+        """Return a list of entries, of the given length if any."""
+        if not isinstance(self.value, list) or (length is not None and len(self.value) != length):
+            raise self.wrong("a list" if length is None else f"a list of {length} entries")
+        return [Entry(value, f"{self.place}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
+
+    def wholes(self, most: int, length: int | None = None) -> list[int]:
+        """Return a list of integers from 0 to `most`, of the given length if any."""
+        value = self.value
+        listed = isinstance(value, list) and set(map(type, value)) <= {int} and (length is None or len(value) == length)
+        if not listed or (value and not 0 <= min(value) <= max(value) <= most):
+            raise self.wrong(f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {most}")
+        return list(value)
+
+    def numbers(self, length: int) -> NDArray[np.float64]:
+        """Return an array of `length` finite numbers."""
+        return self._array(f"a list of {length} finite numbers", length)
+
+    def rows(self, *bounds: int) -> NDArray[np.float64]:
+        """Return an array of rows: integers below the bounds, then a finite number."""
+        wanted = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
+        if self.value == []:
+            return np.zeros((0, len(bounds) + 1))
+        found = self._array(wanted, None, len(bounds) + 1)
+        for column, bound in zip(found.T, bounds, strict=False):
+            if not ((column >= 0) & (column < bound) & (column == np.floor(column))).all():
+                raise self.wrong(wanted)
+        return found
+
+    def _array(self, wanted: str, *shape: int | None) -> NDArray[np.float64]:
+        try:
+            found = np.array(self.value)
+        except (ValueError, TypeError, OverflowError, RecursionError):
+            raise self.wrong(wanted) from None
+        fits_shape = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+        if not isinstance(self.value, list) or found.dtype.kind not in "if" or not fits_shape:
+            raise self.wrong(wanted)
+        if not np.isfinite(found).all():
+            raise self.wrong(wanted)
+        return found.astype(np.float64)
+
+    def text(self) -> str:
+        """Return the value as text."""
+        if not isinstance(self.value, str) or len(self.value) > MOST_LETTERS:
+            raise self.wrong("text" if not isinstance(self.value, str) else f"text of at most {MOST_LETTERS} letters")
+        return self.value
+
+    def whole(self, least: int = 0, most: int = LARGEST_WHOLE) -> int:
+        """Return the value as an integer between bounds."""
+        value = self.value.item() if isinstance(self.value, np.generic) else self.value
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise self.wrong(f"a whole number from {least} " + ("up" if most == LARGEST_WHOLE else f"to {most}"))
+        return value
+
+    def number(self) -> float:
+        """Return the value as a finite float."""
+        value = self.value.item() if isinstance(self.value, np.generic) else self.value
+        if isinstance(value, bool) or not isinstance(value, int | float) or not fits(value):
+            raise self.wrong("a finite number")
+        return float(value)
+
+    def exact(self) -> int | float | Fraction:
+        """Return the value as an exact number: an integer, a float, or a quotient of integers."""
+        if isinstance(self.value, str):
+            found = _QUOTIENT.fullmatch(self.value)
+            if found is None or not int(found[2]):
+                raise self.wrong("a number, or a quotient such as '1/3'")
+            quotient = Fraction(int(found[1]), int(found[2]))
+            if not fits(quotient):
+                raise self.wrong("a quotient that float64 holds")
+            return quotient
+        self.number()
+        return self.value
+
+    def flag(self) -> bool:
+        """Return the value as a bool, which a file may hold as 1 or 0."""
+        value = self.value.item() if isinstance(self.value, np.generic) else self.value
+        if not isinstance(value, bool | int) or value not in (0, 1):
+            raise self.wrong("0 or 1")
+        return bool(value)
+
+    def plain(self) -> Any:
+        """Return the value unconverted: tables, lists, text, booleans and finite numbers, of limited depth."""
+        if isinstance(self.value, dict):
+            return {key: entry.plain() for key, entry in self.table().items()}
+        if isinstance(self.value, list):
+            return [entry.plain() for entry in self.entries()]
+        if isinstance(self.value, bool) or self.value is None:
+            return self.value
+        if isinstance(self.value, str):
+            return self.text()
+        if isinstance(self.value, int):
+            return self.whole(-LARGEST_WHOLE)
+        self.number()
+        return self.value
+
+
+def parsed(value: Any, place: str) -> Entry:
+    """Parse an attribute that contains JSON.
+
+    Examples
+    --------
+    >>> parsed("[1, 2]", "t_span").entries()[1].number()
+    2.0
+    >>> parsed("[1, 2", "t_span")
+    Traceback (most recent call last):
+    ValueError: t_span is '[1, 2', which is no JSON: Expecting ',' delimiter: line 1 column 6 (char 5)
+    """
+    if not isinstance(value, str):
+        raise ValueError(f"{place} is {short(value, 60)}; it must be text, JSON")
+    try:
+        return Entry(json.loads(value), place)
+    except ValueError as reason:
+        said = in_one_line(str(reason), 120)
+    except RecursionError:
+        said = "lists or tables are nested too deeply"
+    raise ValueError(f"{place} is {short(value, 60)}, which is no JSON: {said}")
+
+
+@contextmanager
+def made_of(entry: Entry) -> Iterator[None]:
+    """Convert errors of the library inside the context to ValueError with the place of the entry.
+
+    Examples
+    --------
+    >>> with made_of(Entry({}, "system.algebra")):
+    ...     raise TypeError("constants are missing")
+    Traceback (most recent call last):
+    ValueError: system.algebra: constants are missing
+    """
+    try:
+        with np.errstate(all="ignore"):  # overflows are rejected here or in the run
+            yield
+    except (ValueError, TypeError) as reason:
+        raise ValueError(f"{entry.place}: {in_one_line(str(reason), 300)}") from reason
+    except (ArithmeticError, RecursionError, MemoryError) as reason:
+        raise ValueError(f"{entry.place}: {type(reason).__name__}: {in_one_line(str(reason), 300)}") from reason

@@ -1,0 +1,229 @@
+"""Reconstruction of systems from records; errors name the damaged entry."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import MOST_DEGREE, Polynomial
+from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, made_of
+from coadjoint.files.records.matrix_records import matrix_system_of
+from coadjoint.memory import check_room
+from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces import registry as described
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import System
+
+BYTES_PER_COORDINATE = 400
+
+
+def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | ForcedSystem | Batch:
+    """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants.
+
+    ValueError: the motion depends on functions, which were not stored; or the record is damaged.
+
+    Examples
+    --------
+    >>> from coadjoint.files.records.records import record_of
+    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
+    >>> system_of(record_of(rigid_body((1, 2, 2.5)))).parameters
+    {'inertia': (1.0, 2.0, 2.5)}
+    >>> system_of({"name": "rigid_body", "parameters": {"inertia": [1, 2]}})
+    Traceback (most recent call last):
+    ValueError: system.parameters: inertia has shape (2,); give three principal moments, or a symmetric (3, 3)
+    """
+    given = record if isinstance(record, Entry) else Entry(dict(record), "system")
+    if "members" not in given:
+        return _one_of(given, dim)
+    given.only("name", "members", "not_stored")
+    members = [_one_of(member, dim) for member in given["members"].entries()]
+    with made_of(given["members"]):
+        return Batch(members)
+
+
+def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
+    if "forces" not in record:
+        return _member_of(record, dim)
+    record.only("name", "forces", "system", "not_stored")
+    _check_stored(record, record["name"].text())
+    forces = []
+    for force in record["forces"].entries():
+        parameters = {key: entry.plain() for key, entry in force.table().items()}
+        with made_of(force):
+            forces.append(described.from_description(parameters))
+    system = _member_of(record["system"], dim)
+    with made_of(record["forces"]):
+        return ForcedSystem(system, forces)
+
+
+def _member_of(record: Entry, dim: int | None) -> Any:
+    name = record["name"].text()
+    if "parameters" in record:
+        record.only("name", "parameters")
+        parameters = {key: entry.plain() for key, entry in record["parameters"].table().items()}
+        with made_of(record["parameters"]):
+            system = importlib.import_module("coadjoint.systems").get(name, **parameters)
+        _check_dimension(record, system.dim, dim)
+        return system
+    _check_stored(record, name)
+    if "matrices" in record:
+        matrices = matrix_system_of(record)
+        _check_dimension(record, matrices.dim, dim)
+        return matrices
+    record.only(
+        "name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "layout", "not_stored"
+    )
+    algebra = _algebra_of(record["algebra"], dim)
+    hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)
+    casimirs = invariants_of(record["casimirs"], algebra.dim)
+    integrals = invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
+    representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
+    layout = {key: entry.plain() for key, entry in record["layout"].table().items()} if "layout" in record else None
+    sign = record["sign"].whole(-1, 1)
+    with made_of(record):
+        return LiePoissonSystem(
+            algebra,
+            hamiltonian,
+            sign=sign,
+            casimirs=casimirs,
+            representation=representation,
+            name=name,
+            integrals=integrals,
+            layout=layout,
+        )
+
+
+def _check_stored(record: Entry, name: str) -> None:
+    """Reject a record of a system whose motion depends on functions."""
+    missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
+    lost = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
+    if lost:
+        raise ValueError(
+            f"{short(name)[1:-1]} cannot be rebuilt from its record: functions are not stored "
+            f"({short(', '.join(lost), 200)[1:-1]}); make the system in Python and integrate it there"
+        )
+
+
+def _check_dimension(record: Entry, found: int, wanted: int | None) -> None:
+    if wanted is not None and found != wanted:
+        raise ValueError(f"{record.place} has the dimension {found}, and the stored states have {wanted}")
+
+
+def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
+    record.only("name", "dim", "basis", "constants", "representation", "casimirs")
+    dim = record["dim"].whole(1)
+    _check_dimension(record, dim, wanted)
+    with made_of(record):
+        check_room(BYTES_PER_COORDINATE * dim, "an algebra")
+    basis = [name.text() for name in record["basis"].entries(dim)]
+    constants = record["constants"].rows(dim, dim, dim)
+    name = None if record["name"].value is None else record["name"].text()
+    representation = _matrices_of(record["representation"], dim) if "representation" in record else None
+    casimirs = invariants_of(record["casimirs"], dim) if "casimirs" in record else None
+    with made_of(record):
+        return LieAlgebra(
+            constants,
+            dim=dim,
+            basis=basis,
+            name=name,
+            representation=representation,
+            casimirs=casimirs,
+        )
+
+
+def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
+    size = record.only("size", "entries")["size"].whole(1)
+    with made_of(record):
+        check_room(8 * dim * size**2, "a representation")
+        matrices = np.zeros((dim, size, size))
+    *where, values = record["entries"].rows(dim, size, size).T
+    matrices[tuple(index.astype(np.int64) for index in where)] = values
+    return matrices
+
+
+def invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
+    """Return polynomials and quadratic forms by name."""
+    return {
+        name: _form_of(entry, dim) if isinstance(entry.value, dict) else _polynomial_of(entry, dim)
+        for name, entry in record.table().items()
+    }
+
+
+def _form_of(record: Entry, dim: int) -> Quadratic:
+    form = _hamiltonian_of(record, dim)
+    with made_of(record):
+        form = Quadratic.from_polynomial(form) if isinstance(form, Polynomial) else form
+    if not isinstance(form, Quadratic):
+        raise record["kind"].wrong("'quadratic' or 'polynomial'")
+    return form
+
+
+def _polynomial_of(record: Entry, dim: int) -> Polynomial:
+    monomials = {}
+    for term in record.entries():
+        coefficient, exponents = term.entries(2)
+        powers = tuple(exponents.wholes(MOST_DEGREE, dim))
+        if sum(powers) > MOST_DEGREE or powers in monomials:
+            raise exponents.wrong(f"of a degree up to {MOST_DEGREE}, and in no other term")
+        monomials[powers] = coefficient.exact()
+    with made_of(record):
+        return Polynomial(monomials, dim=dim)
+
+
+def _hamiltonian_of(record: Entry, dim: int) -> Any:
+    kind = record["kind"].text()
+    if kind == "split":
+        return _split_of(record, dim)
+    if kind == "sum":
+        return _sum_of(record, dim)
+    if record["dim"].whole(1) != dim:
+        raise record["dim"].wrong(f"{dim}, the number of its coordinates")
+    if kind == "polynomial":
+        return _polynomial_of(record.only("kind", "dim", "monomials")["monomials"], dim)
+    if kind == "quadratic":
+        return _quadratic_of(record, dim)
+    raise record["kind"].wrong("'quadratic', 'polynomial', 'split' or 'sum'")
+
+
+def _split_of(record: Entry, dim: int) -> SplitHamiltonian:
+    pieces = []
+    for piece in record.only("kind", "pieces")["pieces"].entries():
+        coordinates, inner = piece.entries(2)
+        chosen = coordinates.wholes(dim - 1)
+        pieces.append((chosen, _hamiltonian_of(inner, len(chosen))))
+    with made_of(record):
+        return SplitHamiltonian(pieces)
+
+
+def _sum_of(record: Entry, dim: int) -> Any:
+    given = record.only("kind", "summands")["summands"]
+    summands = [_hamiltonian_of(one, dim) for one in given.entries()]
+    if not summands:
+        raise given.wrong("a list of at least one Hamiltonian")
+    with made_of(record):
+        return sum(summands[1:], summands[0])
+
+
+def _quadratic_of(record: Entry, dim: int) -> Quadratic:
+    from scipy.sparse import coo_array
+
+    record.only("kind", "dim", "M", "linear", "constant")
+    upper = record["M"].rows(dim, dim)
+    places = upper[:, :2].astype(np.int64)
+    if len(np.unique(places, axis=0)) < len(places) or (places[:, 0] > places[:, 1]).any():
+        raise record["M"].wrong("rows (i, j, value) with i up to j, each pair once")
+    below = places[places[:, 0] < places[:, 1]][:, ::-1]
+    (rows, columns), values = np.concatenate([places, below]).T, upper[:, 2]
+    linear, constant = record["linear"].numbers(dim), record["constant"].exact()
+    with made_of(record):
+        values = np.concatenate([values, values[places[:, 0] < places[:, 1]]])
+        return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)

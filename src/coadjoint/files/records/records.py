@@ -1,0 +1,210 @@
+"""Records: systems as plain numbers, lists and text, from which a run can be repeated."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL
+from coadjoint.files.records.matrix_records import matrix_record
+from coadjoint.files.records.reconstruction import system_of
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces import registry as described
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import System
+
+__all__ = ["record_of", "safe_name", "system_of"]
+
+LONGEST_NAME = 64
+STORED = (Polynomial, Quadratic)
+
+
+def record_of(system: System | Batch) -> dict[str, Any]:
+    """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise.
+
+    A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
+    sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
+    algebra; a matrix system is its algebra and its stream. Functions cannot be stored, and are listed under
+    ``"not_stored"``. A batch is the list of its members, and a system with forces its Hamiltonian part and the forces.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
+    >>> record_of(rigid_body((1, 2, 3)))
+    {'name': 'rigid_body', 'parameters': {'inertia': [1.0, 2.0, 3.0]}}
+    """
+    if isinstance(system, Batch):
+        return _batch_record(system)
+    if isinstance(system, ForcedSystem):
+        return _forced_record(system)
+    ready_made = importlib.import_module("coadjoint.systems").names()
+    if system.parameters is not None and system.name in ready_made:
+        functions = [f"{system.name}: {key}" for key, value in system.parameters.items() if callable(value)]
+        if functions:
+            return {"name": system.name, "not_stored": functions}
+        return {"name": system.name, "parameters": {key: _plain(value) for key, value in system.parameters.items()}}
+    if isinstance(system, MatrixSystem):
+        return matrix_record(system)
+    if not isinstance(system, LiePoissonSystem):
+        return {"name": system.name, "not_stored": [f"structure matrix: {_function_name(system.structure_function)}"]}
+    hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
+    followed, known = system.casimirs, system.algebra.casimirs_known
+    lost = [name for name, value in (*followed.items(), *known.items()) if not isinstance(value, STORED)]
+    missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(lost)]
+    missing += [f"{INTEGRAL}{name}" for name, value in system.integrals.items() if not isinstance(value, STORED)]
+    missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
+    record: dict[str, Any] = {
+        "name": system.name,
+        "sign": system.sign,
+        "algebra": _algebra_record(system.algebra),
+        "hamiltonian": hamiltonian,
+        "casimirs": invariants_record(followed),
+    }
+    if system.representation is not None and system.representation is not system.algebra.representation:
+        record["representation"] = _matrices_record(system.representation)
+    if system.integrals:
+        record["integrals"] = invariants_record(system.integrals)
+    if system.layout:
+        record["layout"] = {key: _plain(value) for key, value in system.layout.items()}
+    if missing:
+        record["not_stored"] = missing
+    return record
+
+
+def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
+    i, j, k, c = (column.tolist() for column in algebra.triples)
+    record: dict[str, Any] = {
+        "name": algebra.name,
+        "dim": algebra.dim,
+        "basis": list(algebra.basis),
+        "constants": [list(row) for row in zip(i, j, k, c, strict=True)],
+    }
+    if algebra.representation is not None:
+        record["representation"] = _matrices_record(algebra.representation)
+    if algebra.casimirs_known:
+        record["casimirs"] = invariants_record(algebra.casimirs_known)
+    return record
+
+
+def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
+    where = np.nonzero(matrices)
+    columns = [*(index.tolist() for index in where), matrices[where].tolist()]
+    return {"size": matrices.shape[1], "entries": [list(row) for row in zip(*columns, strict=True)]}
+
+
+def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return polynomials as monomials, and quadratic forms as for a Hamiltonian; functions are omitted."""
+    return {
+        name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)
+        for name, value in casimirs.items()
+        if isinstance(value, STORED)
+    }
+
+
+def _batch_record(batch: Batch) -> dict[str, Any]:
+    members = [record_of(member) for member in batch]
+    missing = [f"{what} (member {m})" for m, record in enumerate(members) for what in record.get("not_stored", [])]
+    record: dict[str, Any] = {"name": batch.name, "members": members}
+    return {**record, "not_stored": missing} if missing else record
+
+
+def _forced_record(system: ForcedSystem) -> dict[str, Any]:
+    """Return the Hamiltonian part, and the forces by name and parameters."""
+    inner, forces, missing = record_of(system.system), [], []
+    for label, force in zip(system.labels, system.forces, strict=True):
+        given = force.parameters()
+        known = described.KINDS.get(type(force).__name__) is type(force)
+        if not known or any(callable(value) for value in given.values()):
+            missing.append(f"force: {label}")
+            continue
+        forces.append({"name": type(force).__name__, **{key: _plain(value) for key, value in given.items()}})
+    missing = [*inner.get("not_stored", ()), *missing]
+    record: dict[str, Any] = {"name": system.name, "forces": forces, "system": inner}
+    return {**record, "not_stored": missing} if missing else record
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, tuple) and np.asarray(value).dtype.kind == "c":
+        matrix = np.asarray(value)
+        return {"real": matrix.real.tolist(), "imaginary": matrix.imag.tolist()}
+    if isinstance(value, tuple | list):
+        return [_plain(entry) for entry in value]
+    return {str(key): _plain(entry) for key, entry in value.items()} if isinstance(value, Mapping) else value
+
+
+def _function_name(function: Any) -> str:
+    return str(getattr(function, "__name__", type(function).__name__))
+
+
+def _number(value: Any) -> Any:
+    return f"{value.numerator}/{value.denominator}" if isinstance(value, Fraction) else value
+
+
+def _monomials(polynomial: Polynomial) -> list[list[Any]]:
+    return [[_number(value), list(exponents)] for exponents, value in polynomial.monomials.items()]
+
+
+def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
+    """Return the record of a Hamiltonian, and its functions that cannot be stored."""
+    if isinstance(H, PolynomialHamiltonian):
+        return _polynomial_record(H.polynomial), []
+    if isinstance(H, Quadratic):
+        return _form_record(H), []
+    if isinstance(H, SplitHamiltonian):
+        inner = [_hamiltonian_record(piece) for piece in H.pieces]
+        pieces = [[list(chosen), record] for chosen, (record, _) in zip(H.coordinates, inner, strict=True)]
+        return {"kind": "split", "pieces": pieces}, [name for _, names in inner for name in names]
+    if isinstance(H, SumOfHamiltonians):
+        parts = [_hamiltonian_record(one) for one in H.summands]
+        missing = [name for _, names in parts for name in names]
+        return {"kind": "sum", "summands": [record for record, _ in parts]}, missing
+    names = [_function_name(term.value) for term in H.terms() if isinstance(term, FunctionTerm)]
+    return {"kind": type(H).__name__}, [f"hamiltonian: {name}" for name in names or [type(H).__name__]]
+
+
+def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
+    return {"kind": "polynomial", "dim": polynomial.dim, "monomials": _monomials(polynomial)}
+
+
+def _form_record(H: Quadratic) -> dict[str, Any]:
+    """Return a quadratic form, as a polynomial if it has fractions."""
+    if H.exact:
+        return _polynomial_record(H.to_polynomial())
+    (term,) = H.terms()
+    assert isinstance(term, QuadraticTerm)
+    entries = zip(term.rows.tolist(), term.indices.tolist(), term.values.tolist(), strict=True)
+    return {
+        "kind": "quadratic",
+        "dim": H.dim,
+        "M": [[i, j, value] for i, j, value in entries if i <= j],
+        "linear": term.linear.tolist(),
+        "constant": H.constant,
+    }
+
+
+def safe_name(name: str) -> str:
+    """Convert a name to at most 64 letters, digits and underscores, for variables and files.
+
+    Examples
+    --------
+    >>> safe_name("x1*x3 + x2^2")
+    'x1_x3_x2_2'
+    """
+    letters = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name)
+    return "_".join(letters.split())[:LONGEST_NAME] or "unnamed"

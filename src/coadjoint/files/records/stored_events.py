@@ -1,0 +1,104 @@
+"""Events in files: parsed from configurations, and stored with solutions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.files.configuration.polynomials import read_polynomial
+from coadjoint.files.datasets.state_arrays import in_parts, state_dimensions
+from coadjoint.files.datasets.variables import named
+from coadjoint.files.records.entries import Entry, made_of
+from coadjoint.files.records.reconstruction import invariants_of
+from coadjoint.files.records.records import invariants_record
+from coadjoint.runs.events import Event, Events
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import unforced
+from coadjoint.validation import read_whole
+
+
+def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
+    """Return the event of a table: ``g``, an index or name of a coordinate or a polynomial, and options of `Event`.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
+    >>> event_of_file("far", {"g": "x1^2 - 0.25", "direction": 1}, rigid_body((1, 2, 3))).g
+    -0.25 + x1^2
+    """
+    moved = unforced(system[0] if isinstance(system, Batch) else system)
+    if isinstance(moved, MatrixSystem):
+        raise ValueError(f"an event of a file needs coordinates; the states of {moved.name} are matrices")
+    options = dict(table)
+    g = options.pop("g")
+    if isinstance(g, str) and g not in coordinate_names(moved, moved.dim):
+        g = read_polynomial(g, moved.dim)
+    elif isinstance(g, list):
+        g = read_polynomial(g, moved.dim)
+    elif not isinstance(g, str):
+        g = read_whole(g, "g", 0, moved.dim - 1)
+    return Event(g, name=name, **options)
+
+
+def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
+    """Return events as JSON, and the names of those that are functions, whose g is null since it cannot be stored.
+
+    Examples
+    --------
+    >>> written_events([Event("x2", terminal=True)], ["x2"])
+    ('{"x2": {"g": "x2", "direction": 0, "count": null, "terminal": true}}', [])
+    >>> written_events([Event(abs)], ["mine"])
+    ('{"mine": {"g": null, "direction": 0, "count": null, "terminal": false}}', ['mine'])
+    """
+    tables, missing = {}, []
+    for event, name in zip(events, names, strict=True):
+        g: Any = str(event.g) if isinstance(event.g, Polynomial) else event.g
+        if isinstance(g, Quadratic):
+            g = invariants_record({name: g})[name]
+        if not isinstance(g, int | str | dict):
+            missing.append(name)
+            g = None
+        tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
+    return json.dumps(tables), missing
+
+
+def variables_of(events: Events) -> dict[str, Any]:
+    """Return crossings as variables of a dataset, over ``crossing``."""
+    over = ("crossing",)
+    found: dict[str, Any] = {
+        "event_time": (over, events.t, named("time of a crossing")),
+        "event_x": ((*over, *state_dimensions(events.x, 1)), in_parts(events.x), named("momentum there")),
+        "event_which": (over, events.which, {"long_name": "number of the event"}),
+        "event_member": (over, events.member, {"long_name": "member that crosses"}),
+        "event_direction": (over, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
+    }
+    if events.attitude is not None:
+        found["event_attitude"] = ((*over, "row", "column"), events.attitude, named("group element there"))
+    return found
+
+
+def not_stored(x: NDArray[Any], t: float) -> float:
+    """Raise an error in place of the function of an event, which datasets do not contain."""
+    raise ValueError("the function of this event was not stored; give the events again")
+
+
+def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
+    """Parse the events of `written_events`, with `not_stored` for functions; ValueError if damaged."""
+    found = []
+    with made_of(entry):
+        for name, table in json.loads(entry.text()).items():
+            if table["g"] is None:
+                found.append(Event(**{**table, "g": not_stored}, name=name))
+            elif isinstance(table["g"], dict):
+                g = invariants_of(Entry({name: table["g"]}, entry.place), system.dim)[name]
+                found.append(Event(**{**table, "g": g}, name=name))
+            else:
+                found.append(event_of_file(name, table, system))
+    return tuple(found)

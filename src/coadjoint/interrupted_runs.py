@@ -1,0 +1,108 @@
+"""Handling of failed and interrupted runs in the command-line interface: partial results and messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coadjoint import interruption
+
+if TYPE_CHECKING:
+    import xarray
+
+    from coadjoint.errors import IntegrationError
+
+
+class RunFailed(click.ClickException):
+    """A run failed, or its result could not be written: exit status 1."""
+
+    exit_code = 1
+
+
+class RunStopped(click.ClickException):
+    """A run was interrupted: exit status 128 + number of the signal."""
+
+    def __init__(self, said: str, number: int) -> None:
+        super().__init__(said)
+        self.__dict__["exit_code"] = 128 + number
+
+
+@contextmanager
+def ending(
+    name: str, archive: Path | None, target: Path | None, dataset: Callable[[Any], xarray.Dataset] | None
+) -> Iterator[None]:
+    """Context that saves the solution so far of a run that fails or is interrupted, and reports it in one line.
+
+    `archive` is written during the run, `target` from the result converted by `dataset`.
+    """
+    from coadjoint.errors import IntegrationError
+
+    try:
+        with interruption.raising():
+            yield
+    except IntegrationError as error:
+        raise _failed(name, error, archive, target, dataset) from error
+    except interruption.Told as told:
+        raise _stopped(name, told, archive, target, dataset) from told
+
+
+@contextmanager
+def writing(name: str, target: Path) -> Iterator[None]:
+    """Context that reports in one line if the result of a run cannot be written."""
+    from coadjoint.files.output.output_files import OutputError
+
+    try:
+        yield
+    except (OSError, OutputError, MemoryError) as reason:
+        raise RunFailed(f"{name}: {_unwritten(target, reason)}") from reason
+
+
+def _unwritten(target: Path, reason: BaseException) -> str:
+    said = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
+    return f"{target} could not be written ({said}); nothing was replaced"
+
+
+def _failed(name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any) -> RunFailed:
+    """Write the solution so far and return the error to raise."""
+    from coadjoint.files.datasets.export import said_of
+
+    written = "" if archive is None else f"; the archive {archive} holds the solution so far"
+    if target is not None and error.partial is not None:
+        written = _write(dataset(error.partial).assign_attrs(said_of(error)), target)
+    return RunFailed(f"{name}: the run failed: {error}{written}")
+
+
+def _stopped(name: str, told: interruption.Told, archive: Path | None, target: Path | None, dataset: Any) -> RunStopped:
+    partial: Any = told.partial if archive is None else _held(archive)
+    written = ""
+    if archive is not None and partial is not None:
+        held = getattr(partial, "said", f"the run up to step {partial.reached}")
+        written = f"; {archive} holds {held}: coadjoint resume {archive} goes on with it"
+    elif target is not None and partial is not None and len(partial.t):
+        reason = {"run_incomplete": 1, "incomplete_reason": told.said, "incomplete_time": float(partial.t[-1])}
+        written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
+    return RunStopped(f"{name}: {told.said}{written}" if written else f"coadjoint: {told.said}", told.number)
+
+
+def _held(archive: Path) -> Any:
+    """Open the partial run in an archive; None if the archive was not created yet."""
+    from coadjoint.files.archives.archived_solution import open_archive
+
+    try:
+        return open_archive(archive)
+    except ValueError:
+        return None
+
+
+def _write(dataset: xarray.Dataset, target: Path, marked: str = "") -> str:
+    from coadjoint.files.output.output_files import OutputError, write_dataset
+
+    try:
+        write_dataset(dataset, target)
+    except (OSError, OutputError, MemoryError) as reason:
+        return f"; the solution so far is lost: {_unwritten(target, reason)}"
+    return f"; the solution so far is in {target}{marked}"

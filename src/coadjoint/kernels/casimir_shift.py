@@ -1,0 +1,87 @@
+"""The factor exp(t X) of a Casimir subtracted from the Hamiltonian in group elements, g = g0 exp(t X) g_shifted(t).
+
+X = -sign rho(grad C(x0)) is constant and linear in the initial momentum.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import addressof
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.arrays import number_at
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.structures import packer, pointed
+from coadjoint.program.shifts.group_correction import UnshiftTables
+
+# Multiplications per call; interrupts are handled between calls.
+MOST_PRODUCTS = 2e7
+
+
+class Unshifted(NamedTuple):
+    """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points.
+
+    X is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and
+    member, instead of those of a schedule.
+    """
+
+    momenta: int
+    initial: int
+    held: int
+    out: int
+    members: int
+    first: int
+    last: int
+    k0: int
+    k1: int
+    rate: float
+    elapsed: int = 0
+
+
+class Unshifting:
+    """Prepared tables of one shift.
+
+    The generator X of `tables` is multiplied by `rate`. `most` bounds the norm of X for momenta with components of at
+    most 1.
+    """
+
+    def __init__(self, tables: UnshiftTables, rate: float) -> None:
+        self._keep, self._rate = pointed(tables), rate
+        self.tables, self.rate = tables, rate
+        self._address, self._packed = ctypes.byref(self._keep), packer(Unshifted)
+        self._unshift = kernels().unshift
+        # The norm of X is at most this times the largest component of the momentum.
+        self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
+        width = max(np.diff(tables.begin).tolist(), default=0)
+        self._products = tables.size**3 + 30 * width**3
+
+    def fill(
+        self,
+        out: NDArray[np.float64],
+        held: int,
+        momenta: NDArray[np.float64],
+        initial: NDArray[np.float64],
+        first: int,
+        last: int,
+        schedule: bytes,
+        elapsed: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
+
+        `held` is the address of the transposed elements (k, members, d*d) of the shifted run, started at the unit
+        element. `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal `initial`
+        to the bit. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays are
+        C-contiguous.
+        """
+        x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
+        points, members = out.shape[:2]
+        since = 0 if elapsed is None else addressof(number_at(elapsed))
+        size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
+        for k in range(0, points, size):
+            stop = min(k + size, points)
+            # Packed bytes take a tenth of the time of a ctypes structure.
+            numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate, since
+            self._unshift(self._address, self._packed(*numbers), schedule)

@@ -1,0 +1,201 @@
+"""The interface of the kernels to Python, as the library describes it, and the check that it matches this package.
+
+Tables, arrays of a run, codes and limits are defined in the headers of `source/boundary`. `program` works without
+compiled code and therefore defines some of them again; these are compared by name when the description is first read.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any, NamedTuple
+
+from coadjoint.algebra.invariants.logarithmic import ANGLE, COSH, HOLD, LOGARITHM, QUOTIENT, SINH, SINH_SQUARED
+from coadjoint.kernels.library import kernels
+from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
+from coadjoint.program.shifts.group_correction import Turn
+from coadjoint.program.term_table import FUNCTION, LINEAR, POLYNOMIAL
+
+Fields = tuple[tuple[str, str], ...]
+
+BUILT_AGAIN = "they were built for another version; build them again, for instance by `pip install --force-reinstall`"
+
+
+class Array(NamedTuple):
+    """An array of a run: its type, and the names of its axes, which are fields of `Extent` or limits."""
+
+    kind: str
+    axes: tuple[str, ...]
+
+
+class Description(NamedTuple):
+    """The interface that the library describes: `tables` by name as pairs (type, field) in order; `arrays` by "saved"
+    or "state" and name, in order; `codes` by list and name, with the limits in the list "Limit".
+    """
+
+    tables: Mapping[str, Fields]
+    arrays: Mapping[str, Mapping[str, Array]]
+    codes: Mapping[str, Mapping[str, int]]
+
+
+WRITTEN: Mapping[str, Mapping[str, int]] = {
+    "Kind": {kind.name: int(kind) for kind in Kind},
+    "TermKind": {"LINEAR": LINEAR, "POLYNOMIAL": POLYNOMIAL, "FUNCTION": FUNCTION},
+    "Role": {
+        "HOLD": HOLD,
+        "QUOTIENT": QUOTIENT,
+        "LOGARITHM": LOGARITHM,
+        "ANGLE": ANGLE,
+        "SINH": SINH,
+        "SINH_SQUARED": SINH_SQUARED,
+        "COSH": COSH,
+    },
+    "Turn": {turn.name: int(turn) for turn in Turn},
+    "Limit": {"CUBIC_HEADER": CUBIC_HEADER, "MOST_SUBSTEPS": MOST_SUBSTEPS},
+}
+"""Codes that Python also defines: complete lists, except for the limits, of which `program` needs some."""
+
+USED: Mapping[str, Iterable[str]] = {
+    "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
+    "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
+    "Outcome": ("INTERRUPTED", "NO_MEMORY"),
+    "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
+    "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
+    "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW", "MODE_RATES", "MODE_NOISE"),
+    "ModeKind": ("HARMONICS", "WAVES"),
+    "Shape": ("MULTIPLE", "DIAGONAL", "FULL"),
+    "Limit": (
+        "TENTHS",
+        "RATIONAL",
+        "LARGEST_DENSE",
+        "LARGEST_DIRECT",
+        "WIDEST",
+        "LARGEST_CROWD",
+        "STATE_VERSION",
+        "PROJECTION_EXACT",
+        "PROJECTION_STAGNANT",
+        "PROJECTION_CORRECTIONS",
+        "DEPENDENT_BITS",
+        "GROWTH_BITS",
+    ),
+}
+"""Codes whose values Python looks up by name."""
+
+ARRAYS: Mapping[str, frozenset[str]] = {
+    "saved": frozenset(("x", "group", "values")),
+    "state": frozenset(
+        (
+            *("momenta", "errors", "groups", "group_errors", "memory", "first", "last", "worst"),
+            *("residual", "status", "step", "evaluations", "iterations"),
+        )
+    ),
+}
+"""The arrays of a run that Python uses by name; their order, types and axes come from the library."""
+
+
+TYPES = ("numbers", "integers")
+"""Types of the arrays of a run: float64 and int64."""
+
+
+def parsed(text: str) -> Description:
+    r"""Parse a description: one line for each table, kind of arrays and list of codes, with its kind, name and entries.
+
+    Examples
+    --------
+    >>> said = parsed("table Pair:number left;number right;\narrays saved:numbers x points * size;\ncodes Way:UP 1;")
+    >>> said.tables["Pair"], said.arrays["saved"]["x"].axes, said.codes["Way"]
+    ((('number', 'left'), ('number', 'right')), ('points', 'size'), {'UP': 1})
+    """
+    found: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
+    for line in text.splitlines():
+        head, _, rest = line.partition(":")
+        what, name = head.split(" ")
+        entries = [entry.split(" ") for entry in rest.split(";") if entry]
+        if what == "table":
+            found[what][name] = tuple((kind, field) for kind, field in entries)
+        elif what == "arrays":
+            found[what][name] = {label: Array(kind, tuple(axes[::2])) for kind, label, *axes in entries}
+        else:
+            found[what][name] = {label: int(value) for label, value in entries}
+    return Description(found["table"], found["arrays"], found["codes"])
+
+
+def check(description: Description) -> None:
+    """Raise ImportError, with the first difference and the remedy, if the kernels have other codes or arrays than this
+    package.
+    """
+    codes, arrays = description.codes, description.arrays
+    for what, values in WRITTEN.items():
+        for name, value in values.items():
+            _agree(f"{what}.{name}", value, codes.get(what, {}).get(name))
+        if what != "Limit":
+            _agree(f"{what}: names", sorted(values), sorted(codes[what]))
+    for what, names in USED.items():
+        for name in names:
+            if name not in codes.get(what, {}):
+                _agree(f"{what}.{name}", "a number", None)
+    axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
+    for kind, used in ARRAYS.items():
+        _agree(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
+        for name, array in arrays[kind].items():
+            unknown = sorted(set(array.axes) - axes)
+            if unknown:
+                _agree(f"axes of {kind}.{name}", "numbers of Extent and limits", unknown)
+            if array.kind not in TYPES:
+                _agree(f"type of {kind}.{name}", " or ".join(TYPES), array.kind)
+
+
+def check_fields(name: str, fields: Iterable[str]) -> None:
+    """Raise ImportError if the kernels have no table of this name, or one with other fields than in Python."""
+    there = described().tables.get(name)
+    if there is None:
+        raise ImportError(f"the compiled kernels have no table {name}: {BUILT_AGAIN}")
+    _agree(f"table {name}: fields", sorted(fields), sorted(field for _, field in there))
+
+
+def _agree(name: str, own: Any, theirs: Any) -> None:
+    if own == theirs:
+        return
+    if isinstance(own, list) and isinstance(theirs, list):
+        own, theirs = (sorted(set(one) - set(other)) for one, other in ((own, theirs), (theirs, own)))
+        raise ImportError(
+            f"{name}: {_listed(own)} only in this package, {_listed(theirs)} only in the compiled kernels: "
+            f"{BUILT_AGAIN}"
+        )
+    said = "missing" if theirs is None else theirs
+    raise ImportError(f"{name} is {own} in this package and {said} in the compiled kernels: {BUILT_AGAIN}")
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names) or "nothing"
+
+
+def text_of_kernels() -> str:
+    """Return the description as text from the loaded library."""
+    describe = kernels().description
+    describe.restype = ctypes.c_char_p
+    return str(describe().decode())
+
+
+@cache
+def described() -> Description:
+    """Return the description of the loaded kernels, checked once; raise ImportError if they are missing or of another
+    version.
+    """
+    try:
+        description = parsed(text_of_kernels())
+    except AttributeError as error:
+        raise ImportError(f"the compiled kernels do not describe themselves: {BUILT_AGAIN}") from error
+    check(description)
+    return description
+
+
+def codes(name: str) -> Mapping[str, int]:
+    """Return the codes of a list, by name."""
+    return described().codes[name]
+
+
+def limit(name: str) -> int:
+    """Return a limit or a count of the kernels."""
+    return described().codes["Limit"][name]

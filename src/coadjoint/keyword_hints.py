@@ -1,0 +1,138 @@
+"""Keywords and attributes of other libraries, mapped to the names used here for error messages."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar, cast
+
+from coadjoint.errors import nearest
+from coadjoint.short_repr import short
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+STEP = "step=, the size of a step, which is used as given"
+ACCURACY = "accuracy=, the wanted error of the momentum at the end, by which a constant step is chosen"
+KEYWORDS: Mapping[str, str] = {
+    **dict.fromkeys(("dt", "h", "delta_t", "stepsize", "step_size", "first_step", "dt0"), STEP),
+    **dict.fromkeys(("max_step", "min_step", "dtmax", "hmax"), STEP),
+    **dict.fromkeys(("tol", "tolerance", "reltol", "abstol", "eps", "epsabs", "epsrel"), ACCURACY),
+    **dict.fromkeys(("y0", "u0", "initial", "initial_state", "x_0", "state"), "x0=, the initial momentum"),
+    **dict.fromkeys(("tspan", "time_span", "t_range", "interval", "times", "tlist", "t"), "t_span=, start and end"),
+    **dict.fromkeys(("t_end", "tmax", "t_final", "T"), "t_span=(start, end)"),
+    **dict.fromkeys(("n_steps", "nsteps", "num_steps", "steps"), "step= and t_span=, which tell the number of steps"),
+    **dict.fromkeys(("saveat", "save_at", "ts"), "t_eval=, the times at which states are kept, or save_every="),
+    **dict.fromkeys(("save", "save_freq", "thin", "every", "stride"), "save_every=, to keep every so many steps"),
+    "dense_output": "it needs none: sol.at(t) has the states at any time",
+    **dict.fromkeys(("n_jobs", "num_threads", "nthreads", "n_threads", "cores"), "threads="),
+    **dict.fromkeys(("workers", "processes"), "threads=, or processes to co.ensemble(..., workers=)"),
+    **dict.fromkeys(("solver", "scheme", "integrator", "alg", "stepper"), "method=, such as Splitting(order=4)"),
+    **dict.fromkeys(("verbose", "disp", "show_progress", "progress_bar"), "progress=True"),
+    **dict.fromkeys(("callback", "callbacks", "event"), "events=, or observe= for quantities along the run"),
+    **dict.fromkeys(("args", "params", "parameters", "p"), "the parameters to the system, when you make it"),
+    **dict.fromkeys(("fun", "f", "rhs", "func", "vector_field"), "system=, such as co.systems.rigid_body()"),
+    **dict.fromkeys(("jac", "jacobian"), "it needs none: derivatives belong to the Hamiltonian"),
+    **dict.fromkeys(("output", "filename", "file", "path"), "archive=, the folder that the run is written to"),
+    **dict.fromkeys(("I", "J", "moments", "inertias", "moments_of_inertia"), "inertia=, the principal moments"),
+    "order": "the order through the scheme, such as Splitting(order=4) or GaussLegendre(stages=2), of order 4",
+}
+"""Keyword of other libraries -> the corresponding argument here."""
+ATTRIBUTES: Mapping[str, str] = {
+    **dict.fromkeys(("y", "u", "states", "momentum", "z", "X"), "x"),
+    **dict.fromkeys(("sol", "interpolate", "dense", "interp"), "at(t), the states at any times"),
+    **dict.fromkeys(("ts", "times", "time"), "t"),
+    **dict.fromkeys(("ys", "xs"), "x"),
+    **dict.fromkeys(("H", "hamiltonian", "energies", "E"), "energy"),
+    **dict.fromkeys(("t_events", "y_events", "crossings"), "events"),
+    **dict.fromkeys(("success", "status", "message"), "failed, which members have failed; a run of one raises instead"),
+    **dict.fromkeys(("nfev", "njev", "nsteps", "statistics"), "stats"),
+    **dict.fromkeys(("R", "g", "rotation", "orientation"), "attitude, where attitude=True was asked for"),
+    **dict.fromkeys(("invariants",), "energy and casimirs"),
+    **dict.fromkeys(
+        ("save", "to_netcdf", "to_csv", "to_pandas", "to_dataframe"),
+        "to_xarray(), whose result can be written to a file",
+    ),
+    **dict.fromkeys(("error",), "error_estimate, of a run with accuracy="),
+}
+"""Solution attribute of other libraries -> the corresponding one here."""
+
+
+def told(function: Function) -> Function:
+    """Decorate a function so that unknown keywords raise a TypeError with the corresponding or nearest known one.
+
+    Examples
+    --------
+    >>> @told
+    ... def run(x0, step=None): ...
+    >>> run((1, 2), dt=0.1)
+    Traceback (most recent call last):
+    TypeError: run has no dt; give step=, the size of a step, which is used as given
+    >>> run((1, 2), stepp=0.1)
+    Traceback (most recent call last):
+    TypeError: run has no stepp; did you mean step=?
+    """
+    parameters = inspect.signature(function).parameters
+    known = tuple(parameters)
+    by_place = [name for name, one in parameters.items() if one.kind is not inspect.Parameter.KEYWORD_ONLY]
+    any_number = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in parameters.values())
+
+    @functools.wraps(function)
+    def told_function(*args: Any, **given: Any) -> Any:
+        for name in given:
+            if name not in known:
+                raise unknown_keyword(function.__name__, name, known)
+        if len(args) > len(by_place) and not any_number:
+            raise too_many(function.__name__, args, by_place, known)
+        return function(*args, **given)
+
+    return cast(Function, told_function)
+
+
+def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError:
+    """Return the TypeError for an unknown keyword of a function.
+
+    Examples
+    --------
+    >>> print(unknown_keyword("GaussLegendre", "stage", ["stages"]))
+    GaussLegendre has no stage; did you mean stages=?
+    """
+    return TypeError(_answer(function, name, known))
+
+
+def too_many(function: str, given: Sequence[Any], by_place: Sequence[str], known: Sequence[str]) -> TypeError:
+    """Return the TypeError for too many positional arguments; `by_place` and `known` are positional and all names.
+
+    Examples
+    --------
+    >>> print(too_many("rigid_body", (1, 2, 3), ["inertia"], ["inertia"]))
+    rigid_body was given 3 arguments, and takes inertia; give several values as one, inertia=(1, 2, 3)
+    """
+    said = f"{function} was given {len(given)} arguments, and takes {', '.join(known) or 'none'}"
+    if len(by_place) == 1 == len(known):
+        return TypeError(f"{said}; give several values as one, {known[0]}={short(tuple(given))}")
+    return TypeError(f"{said}" + (f", those after {by_place[-1]} by name" if 0 < len(by_place) < len(known) else ""))
+
+
+def _answer(function: str, name: str, known: Sequence[str]) -> str:
+    meant = KEYWORDS.get(name)
+    # Suggest the corresponding argument only if this function has it.
+    if meant is not None and ("=" not in meant or meant.partition("=")[0] in known):
+        return f"{function} has no {name}; {'' if meant.startswith('it ') else 'give '}{meant}"
+    near = nearest(name, known)
+    return f"{function} has no {name}; " + (f"did you mean {near}=?" if near else f"it takes {', '.join(known)}")
+
+
+def no_such_part(name: str, known: list[str]) -> AttributeError:
+    """Return the AttributeError for an unknown attribute of a solution.
+
+    Examples
+    --------
+    >>> print(no_such_part("y", ["x", "t"]), no_such_part("enregy", ["energy"]), sep="; ")
+    a Solution has no attribute 'y'; here it is x; a Solution has no attribute 'enregy'; did you mean 'energy'?
+    """
+    text = f"a Solution has no attribute {name!r}"
+    if name in ATTRIBUTES:
+        return AttributeError(f"{text}; here it is {ATTRIBUTES[name]}")
+    near = None if name.startswith("_") else nearest(name, known)
+    return AttributeError(f"{text}; did you mean {near!r}?" if near else text)

@@ -1,0 +1,1 @@
+"""Compilation of user-written steps in C++, and its cache."""

@@ -1,0 +1,211 @@
+"""Compilation of user-written steps in C++ against the headers of the kernels."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from coadjoint.kernels.compiling import options, tuning
+from coadjoint.kernels.library import kernels, level_in_use
+from coadjoint.methods.compiled_steps.code_cache import cached_library
+from coadjoint.methods.compiled_steps.preprocessed_source import PreprocessedSource, Stamp, settled, stamps_of
+from coadjoint.short_repr import short
+
+COMPILERS = ("c++", "g++", "clang++")
+SECONDS = 600.0
+
+
+@dataclass(frozen=True)
+class CompiledStep:
+    """A compiled step from a file of the user.
+
+    Parameters
+    ----------
+    name : str
+        Name that ``STEP_SCHEME`` gives it.
+    path : str
+        The file.
+    digest : str
+        Digest of the file, of the user's headers that it includes, and of the options in ``CXX``.
+    """
+
+    name: str
+    path: str
+    digest: str
+
+    @property
+    def address(self) -> int:
+        """Address of the compiled function in this process."""
+        library = _LIBRARIES.get((self.path, self.digest))
+        if library is None:
+            # Pickled in another process, perhaps on another machine: machine code may differ, its source must not.
+            here = compile_step(self.path, self.name)
+            if here.digest != self.digest:
+                raise ValueError(
+                    f"{self.path}: is not what the step {self.name} was compiled from: the file, its headers or the "
+                    "options in CXX have changed; give every process the same ones"
+                )
+            library = _LIBRARIES[self.path, self.digest]
+        return ctypes.cast(getattr(library, f"{self.name}_step"), ctypes.c_void_p).value or 0
+
+
+class _Compiled(NamedTuple):
+    """The last compilation of a file: its dependencies, and its digest."""
+
+    settings: object
+    stamps: dict[bytes, Stamp]
+    digest: str
+
+
+_LOADED: dict[str, ctypes.CDLL] = {}
+"""Libraries in use by digest of all inputs of the machine code; never unloaded."""
+_LIBRARIES: dict[tuple[str, str], ctypes.CDLL] = {}
+"""The same libraries by path and digest of a step."""
+_LAST: dict[str, _Compiled] = {}
+
+
+def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
+    """Compile a step in C++ for this processor, in some seconds, and load it.
+
+    The file includes ``steps/step_scheme.hpp``, derives from ``StepScheme``, and ends with ``STEP_SCHEME(name, Type)``.
+    The compiled code is cached for other processes in the folder ``coadjoint`` of the user's cache. It is compiled
+    again, also within a process, when the file, a header that it includes, the compiler, or an option in ``CXX``
+    changes. Code is loaded from the cache only if no other user can have written it; otherwise a `RuntimeWarning`
+    gives the reason, and the file is compiled in a temporary folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    name : str, optional
+        Name of the step, required if the file has several.
+
+    Returns
+    -------
+    CompiledStep
+        The value of `compiled_step` for a scheme that derives from `CompiledStepMethod`. It refers to the file as it
+        was at the time of this call.
+
+    Raises
+    ------
+    ValueError
+        There is no such file, it has no such step, or it does not compile; the message quotes the compiler.
+    RuntimeError
+        There is no compiler, or it does not work; the environment variable ``CXX`` selects another one.
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{source}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    names = re.findall(r"^\s*STEP_SCHEME\(\s*(\w+)\s*,", text, re.MULTILINE)
+    if not names:
+        raise ValueError(f"{source}: has no STEP_SCHEME(name, Type), by which a step is found")
+    if name is None and len(names) > 1:
+        raise ValueError(f"{source}: has the steps {', '.join(names)}; select one by name=")
+    if name is not None and name not in names:
+        raise ValueError(f"{source}: has no step {short(name)}; it has {', '.join(names)}")
+    place = str(source.resolve())
+    step = CompiledStep(name or names[0], place, _digest_of_library(place))
+    if not hasattr(_LIBRARIES[place, step.digest], f"{step.name}_step"):
+        raise ValueError(f"{source}: has no step {step.name} after preprocessing")
+    return step
+
+
+def _digest_of_library(place: str) -> str:
+    """Load the library of a file, compiled if necessary, and return its digest."""
+    kernels()  # raises first if the kernels are missing
+    # Compiled for the level in use, so that the bits are the same.
+    settings = level_in_use(), dict(os.environ)
+    last = _LAST.get(place)
+    if last is not None and last.settings == settings and stamps_of(last.stamps) == last.stamps:
+        return last.digest
+    compiler = _compiler()
+    executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
+    command = [*compiler, *options(tuning(settings[0])), "-DCOADJOINT_APART"]
+    version = _run([*compiler, "--version"], place).stdout.decode(errors="replace")
+    found = _run([*command, "-E", "-v", place], place)
+    if found.returncode != 0:
+        raise _refusal(compiler, place, found)
+    source = PreprocessedSource.read(found.stdout, found.stderr)
+    watched = source.watched()
+    stamps = stamps_of([*watched, executable])
+    identity = [command, version, os.fsdecode(executable), (stamps[executable] or ())[2:4]]
+    key = hashlib.sha256(json.dumps(identity).encode() + source.text).hexdigest()
+    if key not in _LOADED:
+        _LOADED[key] = _load(f"{Path(place).stem[:40]}-{key[:32]}", place, partial(_build, command, source.text))
+    digest = source.digest([word for word in compiler if word.startswith("-")])
+    _LIBRARIES[place, digest] = _LOADED[key]
+    if watched and settled(stamps):
+        _LAST[place] = _Compiled(settings, stamps, digest)
+    return digest
+
+
+def _load(name: str, place: str, build: Callable[[str, Path], None]) -> ctypes.CDLL:
+    try:
+        library = cached_library(name, partial(build, place))
+    except OSError as reason:
+        raise ValueError(f"{place}: the compiled step cannot be loaded ({reason})") from None
+    lending = kernels().lent_to_others
+    lending.restype = ctypes.c_void_p
+    library.borrow(ctypes.c_void_p(lending()))
+    return library
+
+
+def _build(command: Sequence[str], text: bytes, place: str, made: Path) -> None:
+    """Compile the preprocessed text, not the file, which may have changed since."""
+    done = _run([*command, "-shared", "-o", str(made), "-x", "c++-cpp-output", "-"], place, text)
+    if done.returncode != 0:
+        raise _refusal(command, place, done)
+    if not made.is_file():
+        raise RuntimeError(f"{place}: the compiler {command[0]} has written nothing; name another one by CXX=")
+
+
+def _run(command: Sequence[str], place: str, text: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    """Run a compiler with messages in English."""
+    language = {**os.environ, "LC_ALL": "C"}
+    try:
+        return subprocess.run(command, input=text, capture_output=True, timeout=SECONDS, check=False, env=language)
+    except OSError as reason:
+        raise RuntimeError(
+            f"{place}: the compiler {command[0]} cannot be run ({reason.strerror}); name another one by CXX="
+        ) from None
+    except subprocess.TimeoutExpired:
+        raise RuntimeError(
+            f"{place}: the compiler {command[0]} did not end within {SECONDS:.0f} s; name another one by CXX="
+        ) from None
+
+
+def _refusal(command: Sequence[str], place: str, done: subprocess.CompletedProcess[bytes]) -> Exception:
+    lines = done.stderr.decode(errors="replace").splitlines()
+    shown = [line for line in lines if re.search(r"\berror: ", line)][:3] or lines[-3:]
+    if done.returncode < 0 or not shown:
+        return RuntimeError(
+            f"{place}: the compiler {command[0]} failed (exit status {done.returncode}); name another one by CXX="
+        )
+    return ValueError(f"{place}: the compiler {command[0]} refuses it: {' | '.join(shown)[:600]}")
+
+
+def _compiler() -> list[str]:
+    given = os.environ.get("CXX", "")
+    try:
+        words = shlex.split(given)
+    except ValueError as reason:
+        raise RuntimeError(f"CXX is {short(given)}, which cannot be read as a command ({reason})") from None
+    if words:
+        return words
+    found = next((name for name in COMPILERS if shutil.which(name)), None)
+    if found is None:
+        raise RuntimeError("no C++ compiler is installed (c++, g++ or clang++); install one, or name it by CXX=")
+    return [found]

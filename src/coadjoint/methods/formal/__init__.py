@@ -1,0 +1,1 @@
+"""Evaluation of schemes in formal power series."""

@@ -1,0 +1,192 @@
+"""Truncated power series in the step with exact polynomials in the state as coefficients."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from numbers import Rational
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.long_operations import at
+
+NODE = "c"
+"""Name of the symbol for the node of a stage: the equations of a collocation method are the same at each node."""
+
+
+class FormalNumber:
+    """A truncated power series in the step with coefficients in a ring of polynomials; `formal_numbers` makes its
+    class.
+
+    It supports the arithmetic of numbers, so that formulas of steps can be evaluated as they are. Floats are converted
+    exactly. Each result records the power up to which it is known. There is no order: steps that branch or iterate to a
+    tolerance cannot be evaluated. ``terms`` are the known coefficients.
+    """
+
+    __slots__ = ("terms",)
+
+    ring: ClassVar[ExactPolynomials]
+    count: ClassVar[int]
+    """Number of coefficients kept."""
+    exact: ClassVar[bool] = True
+
+    terms: tuple[Exact, ...]
+
+    def __init__(self, value: Any = 0) -> None:
+        found = self._operand(value)
+        if found is None:
+            raise TypeError(f"a {type(value).__name__} is not a rational number; formal series need rational numbers")
+        self.terms = found.terms
+
+    @classmethod
+    def of(cls, terms: Any) -> FormalNumber:
+        """Return the series with these coefficients; higher ones are unknown."""
+        result = cls.__new__(cls)
+        result.terms = tuple(terms)[: cls.count]
+        return result
+
+    @classmethod
+    def constant(cls, polynomial: Exact) -> FormalNumber:
+        """Return a polynomial that does not depend on the step."""
+        return cls.of([polynomial, *[cls.ring.zero] * (cls.count - 1)])
+
+    @classmethod
+    def step(cls) -> FormalNumber:
+        """Return the step itself."""
+        zero = cls.ring.zero
+        return cls.of([zero, zero + 1, *[zero] * (cls.count - 2)])
+
+    @classmethod
+    def _operand(cls, value: Any) -> FormalNumber | None:
+        if isinstance(value, FormalNumber):
+            return value
+        if isinstance(value, np.generic):
+            value = value.item()
+        if isinstance(value, Rational | float):
+            return cls.constant(cls.ring.zero + rational(value if isinstance(value, float) else Fraction(value)))
+        return None
+
+    def cut(self, count: int) -> FormalNumber:
+        """Return the series truncated to this number of coefficients."""
+        return self.of(self.terms[:count])
+
+    @property
+    def valuation(self) -> int:
+        """The first power with a nonzero coefficient; the number of coefficients if all vanish."""
+        return next((k for k, term in enumerate(self.terms) if term != 0), len(self.terms))
+
+    def __add__(self, other: Any) -> FormalNumber:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        return self.of(a + b for a, b in zip(self.terms, right.terms, strict=False))
+
+    def __neg__(self) -> FormalNumber:
+        return self.of(-a for a in self.terms)
+
+    def __pos__(self) -> FormalNumber:
+        return self
+
+    def __sub__(self, other: Any) -> FormalNumber:
+        right = self._operand(other)
+        return NotImplemented if right is None else self + -right
+
+    def __rsub__(self, other: Any) -> FormalNumber:
+        return -self + other
+
+    def __mul__(self, other: Any) -> FormalNumber:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        at("products of series in exact polynomials")
+        a, b = self.terms, right.terms
+        known = min(len(a) + right.valuation, len(b) + self.valuation, self.count)
+        total = [self.ring.zero] * known
+        for i, left in enumerate(a):
+            if left == 0:
+                continue
+            for j, factor in enumerate(b[: max(known - i, 0)]):
+                if factor != 0:
+                    total[i + j] += left * factor
+        return self.of(total)
+
+    def __truediv__(self, other: Any) -> FormalNumber:
+        """Return the quotient by a series whose constant term is a nonzero number."""
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        lead = right.terms[0] if right.terms else self.ring.zero
+        if lead == 0 or not lead.is_constant():
+            raise ZeroDivisionError("a formal series is divided by one whose constant term is zero or not a number")
+        inverse = 1 / lead.leading_coefficient()
+        found: list[Exact] = []
+        for k in range(min(len(self.terms), len(right.terms))):
+            rest = self.terms[k]
+            for j in range(1, k + 1):
+                rest = rest - right.terms[j] * found[k - j]
+            found.append(rest * inverse)
+        return self.of(found)
+
+    def __rtruediv__(self, other: Any) -> FormalNumber:
+        left = self._operand(other)
+        return NotImplemented if left is None else left / self
+
+    def __pow__(self, exponent: Any) -> FormalNumber:
+        if isinstance(exponent, bool) or int(exponent) != exponent or exponent < 0:
+            raise TypeError(f"a formal series has no power {exponent!r}; whole numbers from 0 up are its powers")
+        result = type(self)(1)
+        for _ in range(int(exponent)):
+            result = result * self
+        return result
+
+    def __abs__(self) -> Any:
+        """Return the size of the constant term if it is a number, for pivoting in elimination."""
+        lead = self.terms[0]
+        if not lead.is_constant():
+            raise TypeError("a formal series has no absolute value: its constant term is no number")
+        return abs(Fraction(str(lead.leading_coefficient())) if lead != 0 else Fraction(0))
+
+    def __eq__(self, other: object) -> bool:
+        right = self._operand(other)
+        if right is None:
+            return NotImplemented
+        return all(a == b for a, b in zip(self.terms, right.terms, strict=False))
+
+    __hash__ = None  # type: ignore[assignment]
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def formal_numbers(ring: ExactPolynomials, count: int) -> type[FormalNumber]:
+    """Return the class of formal numbers over a ring that keeps the coefficients of h^0, ..., h^(count - 1).
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> ring = ExactPolynomials(catalogue.so(3))
+    >>> Number = formal_numbers(ring, 3)
+    >>> x, h = Number.constant(ring.coordinates[0]), Number.step()
+    >>> (x / (1 - h * x)).terms
+    (x1, x1^2, x1^3)
+    """
+    return type("FormalNumberHere", (FormalNumber,), {"__slots__": (), "ring": ring, "count": count})
+
+
+def vector(entries: Any) -> NDArray[Any]:
+    """Return formal numbers as an array of objects."""
+    listed = list(entries)
+    result = np.empty(len(listed), dtype=object)
+    result[:] = listed
+    return result
+
+
+def is_short(value: Any) -> bool:
+    """Return whether a number is a fraction with a short denominator, such as 0.375 or 1/3 but not 0.1, and hence
+    exact.
+    """
+    return Fraction(value).denominator <= SHORT
+
+
+SHORT = 2**20

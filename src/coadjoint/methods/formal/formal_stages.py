@@ -1,0 +1,175 @@
+"""Stages of a Runge-Kutta step as formal power series: for a tableau, and for collocation at irrational nodes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, is_short, vector
+from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.system_checks import System
+
+
+class FormalStages(ABC):
+    """Interface of stages for the solvers of stage equations: the points X for slopes L, and the end of the step."""
+
+    x: NDArray[Any]
+    h: FormalNumber
+
+    @abstractmethod
+    def start(self) -> NDArray[Any]:
+        """Return X = x for every stage."""
+
+    @abstractmethod
+    def each(self, function: Callable[..., NDArray[Any]], *points: NDArray[Any]) -> NDArray[Any]:
+        """Return a function of points for every stage."""
+
+    @abstractmethod
+    def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        """Return X = x + h A L."""
+
+    @abstractmethod
+    def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        """Return x + h b . L."""
+
+
+class StagesOfTableau(FormalStages):
+    """Separate stages, with the numbers of a tableau."""
+
+    def __init__(self, coefficients: Coefficients, x: NDArray[Any], h: FormalNumber) -> None:
+        self.coefficients, self.x, self.h = coefficients, x, h
+
+    def start(self) -> NDArray[Any]:
+        return np.stack([self.x] * len(self.coefficients.node))
+
+    def each(self, function: Callable[..., NDArray[Any]], *points: NDArray[Any]) -> NDArray[Any]:
+        number = type(self.h)
+        return np.stack([vector(map(number, function(*rows))) for rows in zip(*points, strict=True)])
+
+    def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        return self.x + self.coefficients.mix @ self._scaled(slopes)
+
+    def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        return self.x + self.coefficients.out @ self._scaled(slopes)
+
+    def _scaled(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        return self.coefficients.scale[:, None] * slopes * self.h
+
+
+class StagesOfCollocation(FormalStages):
+    """All stages at once: X(c) is a polynomial in the node c, modulo the polynomial whose roots are the nodes.
+
+    Expressions that are equal at all nodes are computed once, and are rational although the nodes are not. The slopes L
+    are the interpolation polynomial of the slopes at the nodes; the points are X(c) = x + h int_0^c L, the end x + h
+    int_0^1 L.
+    """
+
+    def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
+        self.x, self.h, ring = x, h, h.ring
+        self._place = ring.dim + ring.symbols.index(NODE)
+        node = ring.symbol[NODE]
+        self._modulus = ring.zero
+        for power, coefficient in enumerate(nodes):
+            self._modulus += rational(coefficient) * node**power
+
+    def start(self) -> NDArray[Any]:
+        return self.x[None]
+
+    def each(self, function: Callable[..., NDArray[Any]], *points: NDArray[Any]) -> NDArray[Any]:
+        values = vector(map(type(self.h), function(*(rows[0] for rows in points))))
+        return self._mapped(values, lambda term: divmod(term, self._modulus)[1])[None]
+
+    def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        integral = self._mapped(slopes[0], lambda term: divmod(term.integral(self._place), self._modulus)[1])
+        return (self.x + self.h * integral)[None]
+
+    def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        return self.x + self.h * self._mapped(slopes[0], lambda term: term.integral(self._place).subs({NODE: 1}))
+
+    @staticmethod
+    def _mapped(values: NDArray[Any], function: Callable[[Any], Any]) -> NDArray[Any]:
+        return vector(type(value).of(map(function, value.terms)) for value in values)
+
+
+def formal_end(stages: FormalStages, system: System, solver: str, iterations: int) -> NDArray[Any]:
+    """Return the end of a step whose slopes are computed by `solver`, one of those in ``solvers.py``.
+
+    Explicit and implicit stages are treated alike: each pass through the equations gains a power of h. `iterations` is
+    the number of passes before the output or the linear system, for solvers with a fixed number.
+    """
+
+    def product(momentum: NDArray[Any], slope: NDArray[Any]) -> NDArray[Any]:
+        return system.sign * (system.structure_matrix(momentum) @ slope)
+
+    field, gradient = system.vector_field, system.hamiltonian.gradient
+    if solver in ("explicit", "implicit"):
+        return stages.end(_settled(stages, lambda X: stages.each(field, X)))
+    frozen = stages.start()
+    for _ in range(iterations):
+        frozen = stages.points(stages.each(field, frozen))
+    if solver == "iterated":
+        return stages.end(stages.each(field, frozen))
+    if solver == "structure":
+        return stages.end(_settled(stages, lambda X: stages.each(lambda Z, Y: product(Z, gradient(Y)), frozen, X)))
+    return stages.end(_settled(stages, lambda X: stages.each(lambda Z, Y: product(Y, gradient(Z)), frozen, X)))
+
+
+def _settled(stages: FormalStages, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
+    """Return the slopes at the points that solve X = x + h A L(X); each pass is exact in one more power of h."""
+    count = stages.h.count
+    points = vector(value.cut(1) for value in stages.start().ravel()).reshape(stages.start().shape)
+    slopes = slopes_at(points)
+    for _ in range(count):
+        points = stages.points(slopes)
+        slopes = slopes_at(points)
+    return slopes
+
+
+DIGITS = 50
+
+
+def rational_tableau(coefficients: Callable[..., Coefficients]) -> tuple[Coefficients, float]:
+    """Return a tableau in fractions, and their relative error: 0 if the tableau is rational.
+
+    Examples
+    --------
+    >>> from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
+    >>> rational_tableau(ExplicitRungeKutta("rk4").coefficients)[1]
+    0.0
+    """
+    from mpmath import mp, workdps
+
+    with workdps(DIGITS):
+        for number in (Fraction, mp.mpf):
+            try:
+                found = Coefficients(*coefficients(number))
+            except (TypeError, ValueError, ArithmeticError):
+                continue
+            break
+        else:
+            found = Coefficients(*coefficients())
+        entries = [Fraction(fraction_of(value)) for part in found for value in np.ravel(part)]
+        parts = Coefficients(*(_filled(np.shape(part), fraction_of, np.ravel(part)) for part in found))
+    if all(map(is_short, entries)):
+        return parts, 0.0
+    digits = all(isinstance(value, mp.mpf | Fraction | int) for part in found for value in np.ravel(part))
+    return parts, 10.0 ** (2 - DIGITS) if digits else UNIT_ROUNDOFF
+
+
+def fraction_of(value: Any) -> Fraction:
+    """Return a number of Python, NumPy or mpmath exactly as a fraction."""
+    if hasattr(value, "_mpf_"):
+        sign, mantissa, exponent, _ = value._mpf_
+        return (-1 if sign else 1) * Fraction(int(mantissa)) * Fraction(2) ** exponent
+    return Fraction(value.item() if isinstance(value, np.generic) else value)
+
+
+def _filled(shape: tuple[int, ...], kind: Callable[[Any], Any], values: Any) -> NDArray[Any]:
+    return vector(map(kind, values)).reshape(shape)

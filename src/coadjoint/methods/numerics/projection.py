@@ -1,0 +1,136 @@
+"""Projection to the level set of invariants in NumPy, for any number type: y = z + G(z)^T lambda with C(y) = C(x)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.numerics.stages import linear_solve
+from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.system_checks import System
+
+
+class OnLevelSet(NamedTuple):
+    """A projected state y = z + directions^T multipliers, and the invariants used."""
+
+    y: NDArray[Any]
+    invariants: list[HamiltonianLike]
+    directions: NDArray[Any]
+    multipliers: NDArray[Any]
+
+
+def polynomial_casimirs(system: System) -> dict[str, Any]:
+    """Return the Casimirs of a system that are polynomials, which a projection restores."""
+    return {name: C for name, C in system.casimirs.items() if isinstance(C, Polynomial | Quadratic)}
+
+
+def casimirs_restored(system: System) -> str:
+    """Return which Casimirs a projection keeps, as the value of `Properties.casimirs`."""
+    kept = len(polynomial_casimirs(system))
+    if not kept:
+        return "none"
+    return "all" if kept == len(system.casimirs) else "polynomial"
+
+
+def restored_invariants(system: System) -> list[HamiltonianLike]:
+    """Return the restored invariants, with the energy last, to which most of the others are coupled."""
+    casimirs = [as_hamiltonian(C, system.dim) for C in polynomial_casimirs(system).values()]
+    return [*reversed(casimirs), system.hamiltonian]
+
+
+def project_with_tangent(
+    system: System, x: NDArray[Any], z: NDArray[Any], dz: NDArray[Any], time: float
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the projected state y and dy/dx, for a state z with dz/dx; the values of the invariants are those at x.
+
+    With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and ``G(y) dy
+    = G(x) dx``.
+    """
+    found = project(restored_invariants(system), x, z, float, time)
+    bent = dz + sum(
+        multiplier * (C.hessian(z) @ dz) for C, multiplier in zip(found.invariants, found.multipliers, strict=True)
+    )
+    before, after = (np.array([C.gradient(point) for C in found.invariants]) for point in (x, found.y))
+    spread = linear_solve(after @ found.directions.T, before - after @ bent)
+    return found.y, bent + found.directions.T @ spread
+
+
+def project(
+    invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
+) -> OnLevelSet:
+    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages.
+
+    An invariant whose gradient depends on those before it adds no direction: restoring the others restores it. Raise
+    TypeError for fractions, IntegrationError if Newton's iteration, with the Gram matrix of the gradients at z, does
+    not converge.
+    """
+    from coadjoint.kernels.interface import limit
+
+    exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
+    unit = roundoff(number)
+    if unit == 0:
+        raise TypeError("a projection iterates, which does not terminate in exact fractions; take projected=False")
+    wanted = [C.value(x) for C in invariants]
+    sizes = [max(_terms_of(C, y) for y in (x, z)) for C in invariants]
+    # Constant gradients are fractions, from which mpmath before 1.4 cannot subtract.
+    gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
+    free = independent(gradients)
+    directions = gradients[free]
+    multipliers = directions @ z * 0
+    y, residual = z, float("inf")
+    for _ in range(limit("PROJECTION_CORRECTIONS") + 1):
+        before = residual
+        defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
+        residual = float(max(abs(defects)))
+        allowed = exact * (stagnant if residual >= 0.5 * before else 1)
+        if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
+            return OnLevelSet(y, [invariants[a] for a in free], directions, multipliers)
+        if not residual - residual == 0:
+            break
+        change = linear_solve(directions @ directions.T, defects[free][:, None])[:, 0]
+        multipliers = multipliers + change
+        y = z + directions.T @ multipliers
+    raise IntegrationError(
+        f"the projection of a step does not converge (defect {residual:.3g}); take a smaller step",
+        step=1,
+        time=time,
+        residual=residual,
+    )
+
+
+def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
+    """Return the sum of the magnitudes of the terms of y . dC/dy, without cancellation within a derivative."""
+    if not isinstance(C, PolynomialHamiltonian):
+        return sum(abs(y * C.gradient(y)))
+    monomials = C.polynomial.monomials
+    terms = Polynomial({powers: abs(float(value)) for powers, value in monomials.items()}, C.polynomial.dim)
+    return sum(abs(y) * terms.gradient(abs(y)))
+
+
+def independent(gradients: NDArray[Any]) -> list[int]:
+    """Return the rows of gradients (k, n) that are not, up to rounding, combinations of those before them.
+
+    Examples
+    --------
+    >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
+    [0, 2]
+    """
+    from coadjoint.kernels.interface import limit
+
+    least = 2.0 ** -limit("DEPENDENT_BITS")
+    found: list[int] = []
+    for row, gradient in enumerate(gradients):
+        rest = gradient
+        if found:
+            others = gradients[found]
+            rest = gradient - linear_solve(others @ others.T, (others @ gradient)[:, None])[:, 0] @ others
+        if rest @ rest > least * (gradient @ gradient):
+            found.append(row)
+    return found

@@ -1,0 +1,133 @@
+"""Cost model of steps by Taylor series, which counts vectors of rows in the layout of the kernels."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.protocol.cost_model import Operations
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
+from coadjoint.systems.system_checks import System
+
+LANES = 8
+# Sums of up to WRITTEN_OUT vectors of rows are unrolled, if there are no products behind the coordinates. Others are
+# slower by the factor BY_TABLES per vector, and have a longer chain of dependent operations for each coefficient, and
+# for each vector of rows.
+WRITTEN_OUT = 3
+BY_TABLES, WAITING_BY_TABLES, WAITING_FOR_A_BLOCK = 3.5, 6.5, 2.0
+# Dependent operations per product in the sum of a coefficient.
+WAITING_FOR_A_PRODUCT = 1.4
+# Up to FEW_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
+FEW_INVARIANTS, NOT_IN_REGISTERS = 4, 1.5
+
+
+def series_operations(system: System, order: int, invariants: Iterable[HamiltonianLike]) -> Operations:
+    """Return the operations of a step: products of series, operations that depend on the previous coefficient, and
+    projection.
+
+    Examples
+    --------
+    A rigid body has one product per row, and four rows fill half a vector:
+
+    >>> import coadjoint as co
+    >>> series_operations(co.systems.rigid_body(inertia=(1, 2, 3)), 8, []).vectors
+    16.0
+    """
+    lanes = 4 if system.dim <= 4 else LANES
+    blocks = -(-system.dim // lanes)
+    products, behind = vectors_of_products(system, lanes) * lanes / LANES, Behind(system.hamiltonian).blocks
+    if behind or blocks > WRITTEN_OUT:
+        vectors = BY_TABLES * (products + behind)
+        waiting = WAITING_BY_TABLES + WAITING_FOR_A_BLOCK * blocks + products + behind
+    else:
+        vectors, waiting = products, 1.0 + WAITING_FOR_A_PRODUCT * products
+    rows = [Rows(C, system.dim, lanes).vectors for C in invariants]
+    looks = len(rows) + sum(rows) / LANES
+    if len(rows) > FEW_INVARIANTS or blocks > 2:
+        looks *= NOT_IN_REGISTERS
+    return Operations(float(0.5 * order**2 * vectors), float(order * waiting), float(looks))
+
+
+def vectors_of_products(system: System, lanes: int) -> float:
+    """Return the number of vectors of rows that multiply series, in the layout of ``series_field.hpp``."""
+    assert system.algebra is not None
+    i, j, k, _ = system.algebra.triples
+    row, moved, other = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
+    terms = system.hamiltonian.terms()
+    form = terms[0].form if len(terms) == 1 else None
+    if form is not None and np.all(form.rows == form.indices):
+        # Products are unrolled, each once; those with a coordinate that is not in H are omitted.
+        there = np.isin(other, form.indices)
+        pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
+        row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
+    return _longest_of_blocks(np.bincount(row, minlength=-(-system.dim // lanes) * lanes), lanes)
+
+
+class Behind:
+    """Number of vectors of products, stored behind the coordinates, for the gradient of a Hamiltonian."""
+
+    def __init__(self, H: HamiltonianLike) -> None:
+        self._products: set[tuple[int, ...]] = set()
+        for term in H.terms():
+            term.given_to(self)
+
+    @property
+    def blocks(self) -> int:
+        """Number of vectors; products with equal numbers of factors share vectors."""
+        return sum(-(-count // LANES) for count in Counter(map(len, self._products)).values())
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        """Do nothing: the gradient is linear."""
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        """Count the products in the derivatives of a polynomial."""
+        for exponents in term.polynomial.monomials:
+            factors = [i for i, exponent in enumerate(exponents) for _ in range(exponent)]
+            for i in set(factors):
+                rest = list(factors)
+                rest.remove(i)
+                self._products.update(tuple(rest[:count]) for count in range(2, len(rest) + 1))
+
+    def function(self, term: FunctionTerm) -> None:
+        """Do nothing: functions are not supported by series."""
+
+
+class Rows:
+    """Number of vectors of rows of the gradient of an invariant, per factor, as in ``product_rows.hpp``."""
+
+    def __init__(self, C: HamiltonianLike, dim: int, lanes: int) -> None:
+        self._lanes, self._size = lanes, -(-dim // lanes) * lanes
+        self._counts: dict[int, NDArray[np.int64]] = {}
+        for term in C.terms():
+            term.given_to(self)
+
+    @property
+    def vectors(self) -> float:
+        """Number of vectors."""
+        found = (factors * _longest_of_blocks(counts, self._lanes) for factors, counts in self._counts.items())
+        return sum(found, 0.0)
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        """Count entries of M."""
+        self._add(1, term.rows)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        """Count the products in the derivatives of a polynomial."""
+        for exponents in term.polynomial.monomials:
+            self._add(max(1, sum(exponents) - 1), np.flatnonzero(exponents))
+
+    def function(self, term: FunctionTerm) -> None:
+        """Do nothing: functions are not restored."""
+
+    def _add(self, factors: int, rows: NDArray[np.int64]) -> None:
+        counts = self._counts.setdefault(factors, np.zeros(self._size, dtype=np.int64))
+        counts += np.bincount(rows, minlength=self._size)
+
+
+def _longest_of_blocks(counts: NDArray[np.int64], lanes: int) -> float:
+    """Return the number of vectors for rows with these counts of entries: each block is as long as its longest row."""
+    return float(np.max(counts.reshape(-1, lanes), axis=1).sum())

@@ -1,0 +1,102 @@
+"""Short orbits with their tangent maps, which carry local errors to the end of an orbit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.protocol.method import Method
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.system_checks import System
+
+Floats = NDArray[np.float64]
+
+# STEPS is the number of steps of an orbit, PART their length in units of the time in which the motion rotates by one
+# radian or grows by a factor e.
+STEPS = 128
+PART = 0.25
+FEWEST = 8
+
+
+class ShortOrbit(NamedTuple):
+    """States (k + 1, n) at evenly spaced times, and the derivatives (k, n, n) of each with respect to the previous one;
+    `spacing` is negative for backward.
+    """
+
+    points: Floats
+    tangents: Floats
+    spacing: float
+
+    @property
+    def square(self) -> float:
+        """The square of the largest momentum; 1 if all are zero."""
+        return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
+
+    def carried(self, fields: Floats) -> Floats:
+        """Return the first-order errors (k + 1, n, m) of m perturbations of the vector field, given at the points in
+        the same shape, by the trapezoidal rule.
+        """
+        half = 0.5 * self.spacing
+        found = np.zeros_like(fields)
+        for k, tangent in enumerate(self.tangents):
+            found[k + 1] = _product(tangent, found[k] + half * fields[k]) + half * fields[k + 1]
+        return found
+
+
+def _product(matrix: Floats, columns: Floats) -> Floats:
+    """Return a matrix times columns, summed in order: automatic choices must not depend on the BLAS."""
+    total = matrix[:, :1] * columns[:1]
+    for j in range(1, len(columns)):
+        total = total + matrix[:, j : j + 1] * columns[j]
+    return total
+
+
+@QUIET
+def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
+    """Return the orbit from a state over some dozens of radians, with tangents, by a scheme of order at least two in
+    Python.
+
+    It is shorter if the motion leaves the range of float64; raise ValueError if this happens within a few steps.
+    """
+    spacing = PART / rate_at(system, x0, t)
+    points, tangents = [x0], []
+    for k in range(steps):
+        try:
+            after, tangent = method.tangent(system, points[-1], t + k * spacing, spacing)
+        except IntegrationError:
+            break
+        if not (np.all(np.isfinite(after)) and np.all(np.isfinite(tangent))):
+            break
+        points.append(after)
+        tangents.append(tangent)
+    if len(tangents) < FEWEST:
+        raise cannot_follow(x0, spacing)
+    return ShortOrbit(np.array(points), np.array(tangents), spacing)
+
+
+def cannot_follow(x0: Floats, spacing: float) -> ValueError:
+    """Return the error for a motion that leaves the range of float64 within a few steps."""
+    return ValueError(
+        f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
+        f"{spacing:g}; take another state"
+    )
+
+
+@QUIET
+def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
+    """Return the rate at which the motion rotates or grows at a state, per unit of time; ValueError if the field
+    overflows.
+
+    The larger of |f|/|x| and |(Df)^2|^(1/2), f the vector field; 1 at an equilibrium with (Df)^2 = 0.
+    """
+    size, near = float(np.linalg.norm(x0)), system.jacobian(x0, t)
+    turning = float(np.linalg.norm(near @ near)) ** 0.5
+    speed = float(np.linalg.norm(system.vector_field(x0, t))) / size if size > 0.0 else 0.0
+    rate = max(turning, speed) or 1.0
+    if not np.isfinite(rate):
+        raise ValueError(f"the motion from x0 = {short(x0.tolist())} cannot be followed: its field overflows")
+    return rate

@@ -1,0 +1,1 @@
+"""The protocol of schemes, and base classes for each kind."""

@@ -1,0 +1,53 @@
+"""Validation of the group element that a scheme integrates with the momentum of a system."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.representation import intertwiner, invariant_form
+from coadjoint.memory import check_room
+from coadjoint.methods.protocol.method import Method, declared_by
+from coadjoint.systems.system_checks import System
+
+
+def check_attitude(method: Method, system: System, representation: Any) -> None:
+    """Raise ValueError if the scheme cannot keep the group element in this representation, "coadjoint" or (n, d, d).
+
+    Gauss methods keep quadratic invariants. They keep the group if it is that of a bilinear form, rho_i^T P + P rho_i =
+    0, and the spatial momentum if it is bilinear in g and x, which requires a T of full rank with T rho_i = D_(e_i) T
+    (then K T = T g, K the coadjoint matrix). This holds for the rotation matrices of so(3), not for those of so(n), n
+    >= 4, where the spatial momentum g X g^T is quadratic in g.
+    """
+    kind = declared_by(method, system).attitude
+    scheme = type(method).__name__
+    if system.algebra is None:
+        raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
+    if kind == "none":
+        raise ValueError(
+            f"{scheme} carries no group element; take Splitting, or GaussLegendre for the coadjoint matrix"
+        )
+    if kind != "coadjoint" or isinstance(representation, str):
+        return
+    rho = np.asarray(representation, dtype=np.float64)
+    actions = coadjoint_matrices(system)
+    if np.array_equal(rho, actions):
+        return
+    if invariant_form(rho) is None:
+        raise ValueError(
+            f"{scheme} would leave the group of this representation of {system.name}, which is not that of a "
+            'bilinear form; take attitude="coadjoint", or Splitting'
+        )
+    if intertwiner(rho, actions) is None:
+        raise ValueError(
+            f"{scheme} would not keep the spatial momentum of {system.name}, which is not bilinear in this "
+            'representation and the state; take attitude="coadjoint", or Splitting'
+        )
+
+
+def coadjoint_matrices(system: Any) -> NDArray[np.float64]:
+    """Return the matrices D_(e_i), shape (n, n, n)."""
+    check_room(16 * system.dim**3, f"the coadjoint matrices of {system.name}, of dimension {system.dim},")
+    return np.stack([system.algebra.coadjoint(unit) for unit in np.eye(system.dim)])

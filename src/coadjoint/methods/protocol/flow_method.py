@@ -1,0 +1,194 @@
+"""Flow methods: schemes that consist of exact flows of parts of the Hamiltonian, compiled to a table of rows."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.formal.formal_numbers import is_short
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.program.numbers import Number
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import CALLED, check_inputs_of_called
+from coadjoint.program.parts.split import NotSplit
+from coadjoint.program.sweeps import Sweep
+from coadjoint.systems.hamiltonians.linear_term import with_all_present
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.program.interpreter import Reading
+    from coadjoint.program.table import Program
+
+TABULATED = 1e-38  # relative error of published coefficients, which have at least 40 digits
+MOST_OFF = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
+
+
+class FlowMethod(Method):
+    """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
+
+    @property
+    def parts(self) -> Any:
+        """How the Hamiltonian is split: "auto", "coordinates", or sets of coordinates."""
+        return "auto"
+
+    @property
+    def compensated(self) -> bool | None:
+        """Whether the momentum is summed with compensation; None means no."""
+        return None
+
+    @property
+    def rotation(self) -> str:
+        """Rotations by the angle itself ("exact"), or with tan(angle/2) replaced by half the angle ("rational")."""
+        return "exact"
+
+    @abstractmethod
+    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of one step, first to last, with coefficients in the given number type."""
+
+    def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K; none by default."""
+        return ()
+
+    @property
+    def compensates(self) -> bool:  # type: ignore[override]
+        """As `compensated`, with None as False."""
+        return bool(self.compensated)
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the flows of all substeps as one table, in which adjacent flows of the same part are merged."""
+        from coadjoint.methods.protocol.composed import ComposedFlows
+
+        return ComposedFlows(self, tuple(coefficients))
+
+    def symmetrized(self) -> Method:
+        """Return the sweeps of this scheme, followed by their mirror images."""
+        from coadjoint.methods.symmetrized import PairOfFlows
+
+        return PairOfFlows(self)
+
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
+        from coadjoint.program.table import build_program
+
+        self.properties(system)
+        if not isinstance(system, LiePoissonSystem):
+            raise ValueError(
+                f"{type(self).__name__} is made of flows on a Lie algebra, which {system.name} does not have; "
+                "take GaussLegendre"
+            )
+        covered = [sweep.coefficient for sweep in self.sweeps()]
+        if not abs(sum(covered) - 1.0) <= MOST_OFF * sum(map(abs, covered)):
+            raise ValueError(f"the sweeps of {self} cover {sum(covered)!r} of the step; their coefficients add up to 1")
+        return build_program(system, self, group=group, number=number)
+
+    def swept(self) -> FlowMethod:
+        """Return the scheme itself."""
+        return self
+
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the scheme with the automatic parts of this system fixed; requires a field `parts`."""
+        from coadjoint.program.parts.decompose import decompose
+
+        if isinstance(self.parts, str) and self.parts in CALLED:
+            check_inputs_of_called(system, self.parts, coordinates)
+        automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
+        if not automatic or not isinstance(system, LiePoissonSystem):
+            return self
+        if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
+            raise TypeError(
+                f"{self} has no field for its parts, which it chooses for each Hamiltonian anew; give it one"
+            )
+        self.properties(system)
+        try:
+            choice = decompose(with_all_present(system, coordinates), self.parts).choice
+        except NotSplit:
+            return self  # the loop raises the error for a Hamiltonian that does not split
+        return replace(self, parts=replace(choice, linear=tuple(coordinates)))
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop over the rows of the table."""
+        return self._loop_over(self.program(system, group=representation), h)
+
+    def _loop_over(self, program: Program, h: float) -> CompiledLoop:
+        from coadjoint.kernels.flow import FLOW_LOOP
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.tables import flow_tables
+
+        found = flow_tables(program, h, bool(self.compensated))
+        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift, parts=program.parts)
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
+        """Return the loop over the rows of the table, with tangent vectors."""
+        from coadjoint.kernels.tangents import check_differentiable, with_tangents
+
+        check_differentiable(system)
+        program = self.program(system)
+        return with_tangents(self._loop_over(program, h), system, program.functions, frame)
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
+        point = np.asarray(x)
+        number: Number = float if point.dtype != object else type(point[0])
+        return _reading(self, system, number).steps(point, number(h), 1, t0=number(t))
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        from coadjoint.methods.formal.formal_flows import FormalReading
+
+        return FormalReading(self.program(system, number=Fraction)).steps(x, h, 1, t0=0 * h)
+
+    @property
+    def known_to(self) -> float:
+        """Zero if all coefficients are short fractions, else the rounding error of the published coefficients."""
+        sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
+        return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else TABULATED
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        return self._carrying(system, x, t, h, np.eye(len(x)))
+
+    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        return self._carrying(system, x, t, h, vectors)[1]
+
+    def _carrying(
+        self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        point = np.asarray(x, dtype=np.float64)
+        try:
+            after, carried = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
+        except (OverflowError, ValueError) as error:  # sines of infinities
+            said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
+            raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
+        return after, carried
+
+    def work(self, system: System, group: Representation = None) -> Work:
+        """Return the work of the rows of a step, by the blocks that they rotate."""
+        from coadjoint.methods.protocol.cost_model import work_of_flows
+
+        return work_of_flows(self.program(system, group=group), bool(self.compensated))
+
+    def look_ahead(self, systems: Sequence[System]) -> None:
+        """Split the Hamiltonians of many systems together, which is faster."""
+        from coadjoint.program.parts.decompose import decompose_all
+
+        if self.parts == "auto":
+            # Hamiltonians that do not split raise later, with the name of the member.
+            with suppress(ValueError):
+                decompose_all([system for system in systems if isinstance(system, LiePoissonSystem)])
+
+
+@lru_cache(maxsize=8)
+def _reading(method: FlowMethod, system: System, number: Number) -> Reading:
+    from coadjoint.program.interpreter import Reading
+
+    return Reading(method.program(system, number=number))

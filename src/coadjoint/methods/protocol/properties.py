@@ -1,0 +1,62 @@
+"""Declaration of what a scheme keeps to round-off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from coadjoint.short_repr import short
+from coadjoint.validation import read_choice, read_flag, read_list
+
+KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
+KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "group", "integrated", "none")
+SELDOM = ("broken_by", "reversible")
+
+
+@dataclass(frozen=True)
+class Properties:
+    """What a scheme keeps to round-off on a given system.
+
+    Parameters
+    ----------
+    poisson : bool
+        Whether each step is a Poisson map.
+    energy : bool
+        Whether the energy is kept.
+    casimirs : str
+        ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
+    attitude : str
+        Group elements that are kept: ``"every representation"``; ``"coadjoint"``, and representations that are
+        orthogonal for a fixed form and contain the coadjoint one; ``"group"``, which keeps the group of every
+        representation, and the spatial momentum with the accuracy of the scheme; ``"integrated"``, as a differential
+        equation, which keeps nothing; or ``"none"``.
+    reversible : bool
+        Whether steps whose length varies with the state are undone by steps backward.
+    broken_by : tuple of str
+        Forces of the system that break what the scheme keeps of the Hamiltonian part, as "energy: LinearDamping".
+
+    Raises
+    ------
+    TypeError, ValueError
+        A value is not one of these.
+    """
+
+    poisson: bool
+    energy: bool
+    casimirs: str
+    attitude: str
+    broken_by: tuple[str, ...] = ()
+    reversible: bool = False
+
+    def __repr__(self) -> str:
+        told = (field.name for field in fields(self) if field.name not in SELDOM or getattr(self, field.name))
+        return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in told)})"
+
+    def __post_init__(self) -> None:
+        for name in ("poisson", "energy", "reversible"):
+            object.__setattr__(self, name, read_flag(getattr(self, name), name))
+        broken = read_list(self.broken_by, "broken_by", "give a tuple of str")
+        if not all(isinstance(one, str) for one in broken):
+            raise TypeError(f"broken_by is {short(self.broken_by)}; give a tuple of str")
+        object.__setattr__(self, "broken_by", broken)
+        read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
+        read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)

@@ -1,0 +1,227 @@
+"""Base class of Runge-Kutta methods: the step and its exact derivative in NumPy, for any number type."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.memory import check_room
+from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
+from coadjoint.methods.numerics.stages import Coefficients, Step, begin, checked
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.program.numbers import Number
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import read_choice
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.protocol.cost_model import Work
+
+
+class RungeKuttaMethod(SteppedMethod):
+    """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
+
+    tables_of_any_step = True
+
+    @property
+    @abstractmethod
+    def solver(self) -> str:
+        """Solver for the slopes in the compiled loop.
+
+        ``"explicit"``, ``"iterated"``, ``"implicit"``, or linear with ``"structure"`` or ``"gradient"`` frozen.
+        """
+
+    @property
+    def function_iterations(self) -> int:
+        """Number of function iterations before the output, or before the linear system.
+
+        For an explicit scheme s - 1, one from each stage to the next; 0 for implicit schemes, which iterate to
+        convergence.
+        """
+        return len(self.coefficients().node) - 1 if self.solver == "explicit" else 0
+
+    def forecast(self, ratio: float) -> NDArray[np.float64]:
+        """Return the matrix E of the initial guess X_i = x + sum_j E_ij L_j, L the slopes of the previous substep.
+
+        Parameters
+        ----------
+        ratio : float
+            Length of the substep relative to the previous one.
+
+        Returns
+        -------
+        (s, s) array
+            Zero, so that X_i = x, unless overridden; used by implicit schemes only.
+        """
+        return np.zeros_like(self.coefficients().mix)
+
+    @abstractmethod
+    def coefficients(self, number: Number = float) -> Coefficients:
+        """Return the tableau.
+
+        Parameters
+        ----------
+        number : callable
+            Number type.
+
+        Returns
+        -------
+        Coefficients
+        """
+
+    @property
+    def collocation(self) -> Sequence[Fraction] | None:
+        """For a collocation method, the rational polynomial whose roots are the nodes, lowest power first.
+
+        Power series of the step are then rational even if the nodes are not. If it is None, they use the numbers of the
+        tableau.
+        """
+        return None
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        from coadjoint.methods.formal.formal_stages import (
+            FormalStages,
+            StagesOfCollocation,
+            StagesOfTableau,
+            formal_end,
+        )
+
+        self.properties(system)
+        if not self._as_written:
+            return super().formal_step(system, x, h)
+        stages: FormalStages
+        if self.collocation is None:
+            stages = StagesOfTableau(self._rational[0], x, h)
+        else:
+            stages = StagesOfCollocation(self.collocation, x, h)
+        return formal_end(stages, system, read_choice(self.solver, "solver", SOLVERS), self.function_iterations)
+
+    @property
+    def known_to(self) -> float:
+        """Zero for rational coefficients, else their relative rounding error."""
+        return 0.0 if self.collocation is not None else self._rational[1]
+
+    @property
+    def _rational(self) -> tuple[Coefficients, float]:
+        """The tableau in fractions, and their relative error."""
+        from coadjoint.methods.formal.formal_stages import rational_tableau
+
+        return rational_tableau(self.coefficients)
+
+    def symmetrized(self) -> Method:
+        """Return the tableau of this scheme and its adjoint; not for solvers with a fixed number of iterations."""
+        from coadjoint.methods.symmetrized import PairOfTableaux
+
+        if self.solver not in ("explicit", "implicit") or not self._as_written:
+            return super().symmetrized()
+        return PairOfTableaux(self)
+
+    @property
+    def _as_written(self) -> bool:
+        """Whether `step` and `evaluate` are not overridden."""
+        return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
+
+    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
+        """Return the slopes of a step by `solver`, with their derivatives if `tangent`.
+
+        Parameters
+        ----------
+        step : Step
+            The step at its start.
+        tangent : bool
+            Whether to compute derivatives.
+
+        Returns
+        -------
+        Evaluation
+        """
+        return SOLVERS[read_choice(self.solver, "solver", SOLVERS)](step, self.function_iterations, tangent)
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over stages, for this tableau and solver."""
+        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.runge_kutta import RUNGE_KUTTA_LOOP
+        from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+
+        read_choice(self.solver, "solver", SOLVERS)
+        scheme = type(self).__name__
+        forecast = np.shape(self.forecast(1.0)), checked(self.coefficients(), self.solver, scheme).mix.shape
+        if forecast[0] != forecast[1]:
+            raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
+        found = runge_kutta_tables(system, self, representation, fractions)
+        return CompiledLoop(
+            RUNGE_KUTTA_LOOP,
+            found.tables,
+            found.keep,
+            memory=remembered(RUNGE_KUTTA_LOOP, found.tables),
+        )
+
+    def tangent_loop_of_substeps(
+        self, system: System, h: float, frame: Frame, fractions: Sequence[float]
+    ) -> CompiledLoop | None:
+        """Return the loop over stages and their derivatives."""
+        from coadjoint.kernels.tangents import check_differentiable, with_tangents
+        from coadjoint.program.term_table import TermTable
+
+        check_differentiable(system)
+        if self.solver not in ("explicit", "iterated"):
+            edge = len(self.coefficients().node) * system.dim
+            check_room(8 * 2 * edge**2, f"the derivative of the stages of {type(self).__name__}")
+        table = TermTable()
+        for term in system.hamiltonian.terms():
+            table.add(term)
+        loop = self.loop_of_substeps(system, h, None, fractions)
+        return with_tangents(loop, system, table.functions, frame)
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of the iterations of a step."""
+        from coadjoint.methods.protocol.cost_model import work_of_iterations
+
+        return work_of_iterations(system, group)
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether any implicit step of a member still starts with Newton's method, the first number in its
+        memory.
+        """
+        return bool(np.any(memory[:, :1] > 0.0))
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step, by the defining formulas, without compensation.
+
+        Raises
+        ------
+        IntegrationError
+            The iteration of an implicit scheme does not converge.
+        """
+        self.properties(system)
+        step = begin(self.coefficients, system, x, t, h)
+        return np.asarray(step.x + step.coefficients.out @ self.evaluate(step).slopes)
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return one step and its exact derivative.
+
+        Raises
+        ------
+        TypeError
+            A derivative is not known.
+        IntegrationError
+            The iteration of an implicit scheme does not converge.
+        """
+        self.properties(system)
+        step = begin(self.coefficients, system, np.asarray(x, dtype=np.float64), t, h)
+        slopes, derivatives = self.evaluate(step, tangent=True)
+        if derivatives is None:
+            raise TypeError(f"{self} gives no derivatives")
+        out = step.coefficients.out
+        return step.x + out @ slopes, np.eye(step.x.size) + np.einsum("j,jab->ab", out, derivatives)

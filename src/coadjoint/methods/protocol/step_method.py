@@ -1,0 +1,89 @@
+"""Base class of user-defined schemes whose step is one Python function."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.system_checks import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.protocol.cost_model import Work
+
+
+class StepMethod(SteppedMethod):
+    """A scheme of your own whose step is one Python function.
+
+    Derive a frozen dataclass from it, whose fields are the parameters of the scheme. Define `order`, `explicit`,
+    `symmetric`, `properties` and `step`. The scheme then works in every run, stepper, composition and choice. If Numba
+    is installed and can compile the step, it is compiled at the start of a run, in a second or two. In compiled code
+    the system has ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``jacobian(x,
+    t)``, and its ``hamiltonian`` has ``value``, ``gradient`` and ``hessian``. Otherwise the loop calls Python in each
+    step, and warns once. `tangent` may be defined as well; without it the derivative is computed by complex steps if
+    the step supports them, else by differences, with nine digits (see `Stepper.tangent_by`).
+
+    See Also
+    --------
+    CompiledStepMethod : a step in C++.
+
+    Examples
+    --------
+    Kahan's method, for quadratic fields:
+
+    >>> import dataclasses
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> @dataclasses.dataclass(frozen=True)
+    ... class Kahan(co.methods.StepMethod):
+    ...     order, explicit, symmetric = 2, False, True
+    ...     def properties(self, system):
+    ...         return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+    ...     def step(self, system, x, t, h):
+    ...         matrix = np.eye(len(x)) - h / 2 * system.jacobian(x, t)
+    ...         return x + np.linalg.solve(matrix, h * system.vector_field(x, t))
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> sol = co.integrate(body, (0.1, 1.0, 0.1), t_span=(0, 10), step=0.01, method=Kahan())
+    >>> bool(sol.drift()["energy"] < 1e-4)
+    True
+    """
+
+    failures: ClassVar[Mapping[str, str]] = {
+        "UNDEFINED": "the step failed, or did not return one finite number for each coordinate"
+    }
+    compensates: ClassVar[bool] = False
+    known_to = UNIT_ROUNDOFF
+
+    compiles: ClassVar[bool] = True
+    """Whether to compile the step by Numba; if not, each step is a Python call, without a warning."""
+
+    @abstractmethod
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps that are functions, for the momentum only."""
+        if representation is not None:
+            raise ValueError(
+                f"{type(self).__name__} is a StepMethod, whose steps carry no group element, but its properties have "
+                f'attitude="{self.properties(system).attitude}"; set it to "none"'
+            )
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.step_functions import StepFunction
+        from coadjoint.kernels.step_tables import function_tables
+        from coadjoint.kernels.stepping import STEP_LOOP
+
+        function = StepFunction(self, system)
+        found = function_tables(system, function.address, fractions)
+        return CompiledLoop(STEP_LOOP, found.tables, (*found.keep, function))
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the estimated work of a step: as many evaluations of the field as its order."""
+        from coadjoint.methods.protocol.cost_model import work_of_evaluations
+
+        return work_of_evaluations(system, substeps * self.order, self.explicit)

@@ -1,0 +1,108 @@
+"""Base class of schemes whose step is a function of the state and the time, which compositions repeat."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.systems.system_checks import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.protocol.cost_model import Work
+
+WHOLE = (1.0,)
+
+
+class SteppedMethod(Method):
+    """A scheme with a step from a state; its loop supports arbitrary substeps of a step."""
+
+    @abstractmethod
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the compiled loop.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        h : float
+            The step, negative for backward.
+        representation : ndarray of shape (n, d, d), "coadjoint", or None
+            Representation in which the group element is computed; None for no group element.
+        fractions : sequence of float
+            The lengths of the substeps of a step, in units of it.
+
+        Returns
+        -------
+        CompiledLoop
+        """
+
+    @abstractmethod
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of a step with this number of substeps; iterations and evaluations are those of all substeps.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        group : ndarray of shape (n, d, d), "coadjoint", or None
+            Representation in which the group element is computed; None for no group element.
+        substeps : int
+            Number of substeps.
+
+        Returns
+        -------
+        Work
+        """
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop without substeps."""
+        return self.loop_of_substeps(system, h, representation, WHOLE)
+
+    def tangent_loop_of_substeps(
+        self, system: System, h: float, frame: Frame, fractions: Sequence[float]
+    ) -> CompiledLoop | None:
+        """Return the loop that also carries tangent vectors, or None: see `tangent_loop` and `loop_of_substeps`."""
+        return None
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        """Return the loop without substeps, with tangent vectors."""
+        return self.tangent_loop_of_substeps(system, h, frame, WHOLE)
+
+    def work(self, system: System, group: Representation = None) -> Work:
+        return self.work_of_substeps(system, group, 1)
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        """Return `step` evaluated in formal series: it must consist of sums, products and quotients."""
+        from coadjoint.methods.formal.formal_numbers import vector
+
+        return vector(map(type(h), self.step(system, x, 0 * h, h)))
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its derivative, by complex steps or differences."""
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
+
+        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return found.value, found.derivative
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
+
+        if type(self).tangent is not SteppedMethod.tangent:
+            return "formula"
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the scheme whose step consists of these substeps."""
+        from coadjoint.methods.protocol.composed import Substeps
+
+        return Substeps(self, tuple(coefficients))

@@ -1,0 +1,285 @@
+"""Plot data of a run: members, names, and whether saved points are dense enough for lines."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.errors import IntegrationError
+from coadjoint.pictures.refinement_times import fastest_turn, few_times, times_between
+from coadjoint.pictures.register import CannotShow
+from coadjoint.pictures.style import coordinate
+from coadjoint.runs.solution import Solution
+from coadjoint.runs.summary import is_driven
+from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.gallery_entry import Telling
+from coadjoint.systems.registry import telling_of
+from coadjoint.systems.system_checks import shape_of
+from coadjoint.validation import read_choice, read_list, read_number, read_whole
+
+Floats = npt.NDArray[np.float64]
+
+MOST_MEMBERS = 20
+MOST_POINTS = 20_000  # of a curve; more than printed lines resolve
+SAMPLED = 64  # intervals examined
+NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least FEWEST_SAMPLED intervals
+FEWEST_SAMPLED = 4
+ROUNDS = 4  # of refinement, while the motion turns out to be faster
+# Largest distance of a motion from the chord, relative to its range: FLAT for curves over time (11 points per circle),
+# NARROW for closed curves, whose repeated chords would form a ribbon (24 points per circle).
+FLAT = 0.015
+NARROW = 0.003
+LARGEST_TURN = 0.26  # radians between points of the path of an axis: 24 points per circle
+
+
+class Drawn:
+    """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
+
+    `members` selects members by number. `family` is the system without its forces, `telling` its gallery metadata or
+    None, `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
+    """
+
+    def __init__(self, solution: Solution, members: Any = None) -> None:
+        self.solution = solution
+        chosen = None if members is None else _members(solution, members)
+        self.system: Any = solution.system
+        if isinstance(solution.system, Batch):
+            self.system = solution.system[0 if chosen is None else int(chosen[0])]
+        # A system with forces wraps the one that has a name and parameters.
+        self.family: Any = getattr(self.system, "system", self.system)
+        self.telling: Telling | None = telling_of(self.family.name)
+        self.single = solution.failed is None
+        # Complex matrices are drawn as interleaved real and imaginary parts.
+        states = np.ascontiguousarray(solution.x)
+        self._type = states.dtype
+        states = states.view(np.float64) if np.iscomplexobj(states) else states
+        self.n = int(np.prod(shape_of(self.system))) * (self._type.itemsize // states.dtype.itemsize)
+        states = states.reshape(len(solution.t), -1, self.n)
+        self.of_members = states.shape[1]
+        self._chosen = spread(self.of_members, MOST_MEMBERS) if chosen is None else chosen
+        self.t = solution.t
+        self.x = self._of_drawn(states)
+
+    def _of_drawn(self, states: Floats) -> Floats:
+        # A view if all members are drawn, since states may be large.
+        every = np.array_equal(self._chosen, np.arange(self.of_members))
+        return np.swapaxes(states if every else states[:, self._chosen], 0, 1)
+
+    @cached_property
+    def between(self) -> Drawn:
+        """The run refined by the states between saved points that smooth curves need, if available.
+
+        The states are those of `Solution.at`: partial steps of the same scheme. The run itself is returned for noise,
+        failed members, or too many states.
+        """
+        if not isinstance(self.solution, Solution) or self.random or len(self.t) < 2 or not np.isfinite(self.x).all():
+            return self
+        try:
+            few = few_times(self)
+            looked, found = self if few is None else self._at(few), self
+            for _ in range(ROUNDS):
+                times = times_between(self, looked)
+                if times is None or len(times) <= len(found.t):
+                    break
+                looked = found = self._at(times)
+        except (TypeError, ValueError, IntegrationError):
+            return self
+        return found
+
+    @cached_property
+    def random(self) -> bool:
+        """Whether a force is noise: then there is neither a field, nor a state between two steps."""
+        return any(force.random for force in getattr(self.system, "forces", ()))
+
+    def _at(self, times: Floats) -> Drawn:
+        """Return the same run at other times, which include the saved ones."""
+        found = self.solution.at(times)
+        filled = copy.copy(self)
+        for name in ("attitude", "rotation", "kept", "joined", "turned_little", "close", "between"):
+            filled.__dict__.pop(name, None)
+        states = np.ascontiguousarray(found.x)
+        states = states.view(np.float64) if np.iscomplexobj(states) else states
+        filled.t, filled.x = times, self._of_drawn(states.reshape(len(times), -1, self.n))
+        carried = self.solution.carried == "representation" and found.attitude is not None
+        filled.__dict__["attitude"] = self.of_each(found.attitude) if carried else None
+        filled.__dict__["between"] = filled
+        return filled
+
+    def of_each(self, series: npt.ArrayLike) -> Floats:
+        """Select the drawn members of a series (k, ...) or (k, members, ...); returns (members, k, ...)."""
+        values = np.asarray(series)
+        values = values[:, None] if self.single else values
+        return np.swapaxes(values[:, self._chosen], 0, 1)
+
+    @cached_property
+    def attitude(self) -> Floats | None:
+        """Group elements in the representation of the system, (members, k, d, d)."""
+        carried = self.solution.carried == "representation"
+        return self.of_each(self.solution.attitude) if carried and self.solution.attitude is not None else None
+
+    @cached_property
+    def rotation(self) -> Floats | None:
+        """Attitude as rotation matrices (members, k, 3, 3): the group element, or its first block; None if not a
+        rotation.
+        """
+        g = self.attitude
+        if g is None or g.shape[-1] not in (3, 4):
+            return None
+        A = g[..., :3, :3]
+        products = A[:, :1] @ np.swapaxes(A[:, :1], -1, -2)
+        turned = A[:, -1:] @ np.swapaxes(A[:, -1:], -1, -2)
+        return A if max(np.abs(products - np.eye(3)).max(), np.abs(turned - np.eye(3)).max()) < 1e-6 else None
+
+    @cached_property
+    def invariants(self) -> Mapping[str, Floats]:
+        """The energy and the Casimirs, {name: (members, k)}."""
+        series = {"energy": self.solution.energy, **self.solution.casimirs}
+        return {name: self.of_each(values) for name, values in series.items()}
+
+    @property
+    def driven(self) -> bool:
+        """Whether the Hamiltonian depends on time, so that the energy is not an invariant."""
+        return is_driven(self.system)
+
+    @cached_property
+    def left(self) -> Mapping[str, Floats] | None:
+        """The change of each invariant minus the work of the forces on it, which is an error; None without forces."""
+        work = getattr(self.solution, "work", None)
+        if not work:
+            return None
+        found = {}
+        for name, values in self.invariants.items():
+            done = [self.of_each(by[name]) for by in work.values() if name in by]
+            found[name] = values - values[:, :1] - sum(done)
+        return found
+
+    @property
+    def quantity(self) -> str:
+        """Physical quantity of the coordinates."""
+        return "momentum" if self.telling is None else self.telling.quantity
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates as plain text: those of the system, those of the basis, or x1, x2, ..."""
+        return coordinate_names(self.family, self.n)
+
+    def label(self, i: int) -> str:
+        """Return the name of a coordinate as mathematical text."""
+        return coordinate(self.names[i])
+
+    def place(self, chosen: Any) -> int:
+        """Return the index of a coordinate given by number or name; raise CannotShow, with the nearest name."""
+        try:
+            if isinstance(chosen, str):
+                return self.names.index(read_choice(chosen, "coordinate", self.names))
+            return read_whole(chosen, "a coordinate", 0, self.n - 1)
+        except ValueError as reason:
+            raise CannotShow(str(reason)) from None
+
+    @cached_property
+    def kept(self) -> npt.NDArray[np.int64]:
+        """Indices of the points of curves in space: all, or about 20 000 evenly spread, and the last."""
+        every = max(1, -(-len(self.t) // MOST_POINTS))
+        return np.unique(np.append(np.arange(0, len(self.t), every), len(self.t) - 1))
+
+    @cached_property
+    def joined(self) -> bool:
+        """Whether lines between the points of a curve represent the motion; otherwise points are drawn as dots."""
+        return self._flat(self.kept, NARROW)
+
+    @cached_property
+    def turned_little(self) -> bool:
+        """Whether lines between the points of the path of an axis represent the rotation of the attitude."""
+        steps = np.abs(np.diff(self.t[self.kept]))
+        return self.joined and (not steps.size or float(np.quantile(steps, 0.9)) * fastest_turn(self) <= LARGEST_TURN)
+
+    @cached_property
+    def close(self) -> bool:
+        """Whether lines between all saved points represent the motion over time."""
+        return self._flat(np.arange(len(self.t)), FLAT)
+
+    @QUIET
+    def _flat(self, kept: npt.NDArray[np.int64], part: float) -> bool:
+        """Test whether nine of ten intervals between points are nearly straight, for the first finite member.
+
+        The distance of the motion from the chord is about ``|f(x1) - f(x0)| dt / 8``, with its field f.
+        """
+        if self.random or len(kept) < 3:
+            return not self.random
+        finite = np.isfinite(self.x[:, kept]).all(axis=(1, 2))
+        m = int(np.argmax(finite))
+        x = self.x[m][kept]
+        size = float(np.linalg.norm(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0)))
+        if not size > 0.0:
+            return True
+        places = spread(len(kept) - 1, min(SAMPLED, max(FEWEST_SAMPLED, NUMBERS_SAMPLED // self.n)))
+        leaves = [self._bend(x, self.t[kept], int(p), m) for p in places]
+        return bool(np.quantile(leaves, 0.9) <= part * size)
+
+    def _bend(self, x: Floats, t: Floats, p: int, m: int) -> float:
+        dt = float(t[p + 1] - t[p])
+        before, after = (self.slope(x[q], float(t[q]), m) for q in (p, p + 1))
+        bend = float(np.linalg.norm(after - before)) * abs(dt) / 8.0
+        missed = float(np.linalg.norm(0.5 * dt * (before + after) - (x[p + 1] - x[p])))
+        found = max(bend, missed)
+        return found if np.isfinite(found) else 0.0
+
+    def at(self, part: Any) -> int:
+        """Return the index of the saved point nearest to a fraction of the span: 0 is the start, 1 the end."""
+        wanted = self.t[0] + min(max(read_number(part, "at"), 0.0), 1.0) * (self.t[-1] - self.t[0])
+        return int(np.argmin(np.abs(self.t - wanted)))
+
+    def state(self, k: int) -> npt.NDArray[Any]:
+        """Return a saved state of the first member, in its own shape."""
+        return self._shaped(self.x[0, k])
+
+    def of_state(self, function: Any, k: int) -> tuple[Floats, float]:
+        """Evaluate function(system, state) at saved point k; also return the largest value at start, end and k.
+
+        The latter is a common scale of pictures; `system` is without forces.
+        """
+        found = {j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}}
+        return found[k], max(float(np.nanmax(np.abs(values), initial=0.0)) for values in found.values()) or 1.0
+
+    def _shaped(self, x: Floats) -> npt.NDArray[Any]:
+        return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
+
+    def system_of(self, m: int) -> Any:
+        """Return the system of a drawn member; those of a batch differ."""
+        given = self.solution.system
+        return given[int(self._chosen[m])] if isinstance(given, Batch) else self.system
+
+    def slope(self, x: Floats, t: float, m: int = 0) -> Floats:
+        """Return the field of a member at a state, as real numbers."""
+        state = self._shaped(x)
+        found = np.ascontiguousarray(self.system_of(m).vector_field(state, t), dtype=self._type)
+        return found.view(np.float64).ravel()
+
+
+def _members(solution: Solution, given: Any) -> npt.NDArray[np.int64]:
+    """Validate the members selected."""
+    count = 1 if solution.failed is None else len(solution.failed)
+    listed = read_list(given, "members", "give numbers of members, such as [0, 3]")
+    chosen = [read_whole(m, "a member", 0, count - 1) for m in listed]
+    if not chosen or len(chosen) > MOST_MEMBERS or len(set(chosen)) < len(chosen):
+        raise ValueError(f"members are {short(given)}; give from 1 to {MOST_MEMBERS} different numbers of members")
+    return np.array(chosen, dtype=np.int64)
+
+
+def spread(count: int, most: int) -> npt.NDArray[np.int64]:
+    """Return at most `most` of 0 ... count - 1, evenly spread.
+
+    Examples
+    --------
+    >>> spread(9, 3).tolist(), spread(2, 3).tolist()
+    ([0, 4, 8], [0, 1])
+    """
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

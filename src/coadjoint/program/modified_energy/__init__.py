@@ -1,0 +1,1 @@
+"""Terms of the modified Hamiltonian of splittings and compositions."""

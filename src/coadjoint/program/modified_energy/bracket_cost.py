@@ -1,0 +1,101 @@
+"""Cost estimate of a modified Hamiltonian: number of products of monomials in its brackets, from sparsity alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.sparse_rows import SparseRows
+
+LARGEST = 1500
+"""Largest dimension for which products are counted. Larger systems are lattices, whose brackets are short."""
+LARGEST_CUBIC = 400
+"""Largest dimension for which nested brackets are counted, which takes n^3 bytes."""
+LOOKS = 6
+"""Number of points along the parts at which the brackets are counted."""
+
+
+def products_ahead(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
+    """Estimate a lower bound on the products of monomials in `sweep_logarithm`, from the sparsity pattern.
+
+    Part p acts on the series R of the parts after it. Products up to h^3 are counted, few compared with those of higher
+    powers up to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large
+    systems.
+    """
+    n = algebra.dim
+    if highest < 2 or parts.special or n > LARGEST:
+        return 0.0
+    i, j, k, _ = algebra.triples
+    acting = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k])
+    cubic = highest > 2 and n <= LARGEST_CUBIC
+    slopes = np.zeros((n, n), dtype=bool)  # slopes[i]: coordinates in dR_1/dx_i
+    second = np.zeros((n, n, n) if cubic else 0, dtype=bool)  # second[m]: pairs that multiply x_m in R_2
+    counts = np.zeros(n)  # counts[i]: monomials in dR_2/dx_i
+    every = max(1, len(parts) // LOOKS)
+    total = 0.0
+    angles = np.split(np.argsort(parts.part_of_angle, kind="stable"), np.cumsum(np.diff(parts.angle))[:-1])
+    for number, p in enumerate(reversed(range(len(parts)))):
+        length, again = slopes.sum(axis=1, dtype=float), np.zeros(n)
+        if cubic and number % every == 0:
+            counts = _beside(second)
+        for angle in angles[p].tolist():
+            weights = _mask(parts.weights, angle, n)
+            field, moved = _field(acting, _mask(parts.forms, angle, n), weights, parts.offset[angle] != 0, n)
+            total += float(field @ (length + counts))
+            if cubic and np.any(length):
+                pairs = _pairs(moved, slopes)
+                second[weights] |= pairs
+                again += np.where(weights, pairs.sum() / 2, 0.0) + pairs.sum(axis=1) * weights.sum()
+                total += float(field @ np.minimum(again, n * (n + 1) / 2))
+        for angle in angles[p].tolist():
+            form, weights = _mask(parts.forms, angle, n), _mask(parts.weights, angle, n)
+            slopes |= (form[:, None] & weights) | (weights[:, None] & form)
+    return total
+
+
+def _mask(rows: SparseRows, row: int, n: int) -> NDArray[np.bool_]:
+    found = np.zeros(n, dtype=bool)
+    found[rows.coordinate[rows.start[row] : rows.start[row + 1]]] = True
+    return found
+
+
+def _field(
+    acting: tuple[Integers, Integers, Integers],
+    form: NDArray[np.bool_],
+    weights: NDArray[np.bool_],
+    shifted: bool,
+    n: int,
+) -> tuple[NDArray[np.float64], Integers]:
+    """Count the monomials in each component of the field of (form.x) (weights.x).
+
+    The second result encodes as i n + k where component i of J(x) form contains x_k.
+    """
+    row, column, k = acting
+    there = form[column]
+    moved = np.unique(row[there] * n + k[there])
+    component, coordinate = np.divmod(moved, n)
+    length = np.bincount(component, minlength=n).astype(float)
+    both = np.bincount(component[weights[coordinate]], minlength=n)
+    return length * (int(weights.sum()) + shifted) - both * (both - 1) / 2, moved
+
+
+def _pairs(moved: Integers, slopes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the symmetric pattern of coordinate pairs in the products of the two linear factors of a bracket."""
+    n = len(slopes)
+    linear = np.zeros((n, n), dtype=np.float32)
+    linear[np.divmod(moved, n)] = 1.0
+    found = (linear.T @ slopes.astype(np.float32)) > 0.0
+    return np.asarray(found | found.T)
+
+
+def _beside(second: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Count for each coordinate the monomials that contain it, in a cubic polynomial given by pairs."""
+    n = len(second)
+    found = np.empty(n)
+    for i in range(n):
+        pairs = second[i] | second[:, i] | second[:, :, i]
+        found[i] = (np.count_nonzero(pairs | pairs.T) + np.count_nonzero(np.diagonal(pairs))) / 2
+    return found

@@ -1,0 +1,211 @@
+"""Logarithm of a composition of sweeps as a Lie series, the same for all systems.
+
+A forward sweep over the step h is exp(h Y1 + h^2 Y2 + ...) with free letters Y1, Y2, ...; a backward one is its
+adjoint, with (-1)^(k+1) Yk. A `turn` merges two adjacent rational rotations of one part into one. The merged rotation
+differs from the two separate ones, and the difference has letters of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.algebra.exact.free_algebra import (
+    Series,
+    Word,
+    exponential,
+    lie_coordinates,
+    logarithm,
+    lyndon_words,
+    one,
+    plus,
+    product,
+)
+from coadjoint.algebra.exact.numbers import rational as rational_number
+from coadjoint.program.sweeps import Sweep, Swept
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
+
+BITS = 320
+"""Precision (bits) of balls: 1.5 times that of the longest coefficients."""
+
+SHORT = 30
+"""Decimal texts with fewer digits are exact; longer ones were rounded, to half a unit in the last digit."""
+
+
+class Letter(NamedTuple):
+    """A letter h^weight Y: of a sweep, or of the first or last part where two sweeps meet."""
+
+    weight: int
+    place: str = "sweep"
+
+
+class Coordinates(NamedTuple):
+    """Lie series of a step: for each weight the coefficients of the brackets of Lyndon words.
+
+    `of_weight[w]` maps Lyndon words of `Letter` to nonzero `flint.fmpq` or `flint.arb`. `neglected` is the largest
+    coefficient set to zero, because an order condition holds only up to rounding of the scheme's coefficients; 0 if all
+    hold exactly. `exact` states whether all coefficients are rational.
+    """
+
+    of_weight: tuple[Mapping[Word, Any], ...]
+    neglected: float
+    exact: bool
+
+    @property
+    def leading(self) -> int | None:
+        """The smallest weight above 1 with a nonzero coefficient; None if there is none."""
+        return next((w for w, found in enumerate(self.of_weight) if w > 1 and found), None)
+
+
+def composition_logarithm(
+    sweeps: Sequence[Sweep],
+    after: Sequence[Sweep],
+    highest: int,
+    *,
+    order: int = 1,
+    parts: int = 2,
+    rational: bool = False,
+) -> Coordinates:
+    """Return the Lie series of one step P K P^-1 of a scheme, up to the power h^highest.
+
+    `sweeps` (of the kernel K) and `after` (of the processor P) are those of `swept_exactly`. Coefficients of the
+    conditions of the declared `order` that vanish up to rounding are set to zero. With a single part every sweep meets
+    the next one. With `rational` rotations, two flows of one part are not its flow over the total time.
+
+    Examples
+    --------
+    >>> from coadjoint.methods.splitting import Splitting
+    >>> found = composition_logarithm(*swept_exactly(Splitting(order=2)), 3, order=2)
+    >>> {tuple(letter.weight for letter in word): str(value) for word, value in found.of_weight[3].items()}
+    {(1, 2): '-1/8', (3,): '1/4'}
+    """
+    return _logarithm(tuple(sweeps), tuple(after), highest, order, parts == 1, rational)
+
+
+def _logarithm(
+    sweeps: tuple[Sweep, ...], after: tuple[Sweep, ...], highest: int, order: int, alone: bool, rational: bool
+) -> Coordinates:
+    from flint import ctx, fmpq
+
+    with ctx.workprec(BITS):
+        series = _product_of(sweeps, highest, alone, rational)
+        if after:
+            processor = _product_of(after, highest, alone, rational)
+            series = product(product(_inverse(processor), series), processor)
+        element = logarithm(series)
+        letters = {letter: letter.weight for some in element for word in some for letter in word}
+        count, scale = len(sweeps) + len(after), max([1.0, *(abs(float(s.coefficient)) for s in (*sweeps, *after))])
+        kept: list[Mapping[Word, Any]] = [{}, {(Letter(1),): 1}]
+        neglected, exact = 0.0, True
+        for weight in range(2, highest + 1):
+            # Rounding of the coefficients changes a condition by u times the sum of its terms.
+            least = UNIT_ROUNDOFF * 8 * count * scale**weight if weight <= order else 0.0
+            found, rest = lie_coordinates(element[weight], lyndon_words(letters, weight))
+            assert all(_size_if_zero(value, 0.0) is not None for value in rest.values()), "the series is no Lie series"
+            own = {}
+            for word, value in found.items():
+                size = _size_if_zero(value, least)
+                if size is None:
+                    own[word], exact = value, exact and isinstance(value, fmpq)
+                else:
+                    neglected = max(neglected, size)
+            kept.append(own)
+    return Coordinates(tuple(kept), neglected, exact)
+
+
+def _size_if_zero(value: Any, least: float) -> float | None:
+    """Return an upper bound of a number that counts as zero, and None for any other."""
+    from flint import arb
+
+    size = float(
+        abs(value).upper() if isinstance(value, arb) else abs(Fraction(int(value.numer()), int(value.denom())))
+    )
+    zero = size <= least or (isinstance(value, arb) and value.contains(0))
+    return size if zero else None
+
+
+def _product_of(sweeps: Sequence[Sweep], highest: int, alone: bool, rational: bool) -> Series:
+    result = one(highest)
+    met: Any = 0  # total time of the flow of the part at which the previous sweep ended
+    before: Sweep | None = None
+    for sweep in sweeps:
+        c = sweep.coefficient
+        meets = before is not None and sweep.turn and (alone or before.forward != sweep.forward)
+        if rational and meets and before is not None:
+            place = "last" if alone or before.forward else "first"
+            own = {k: (met + c) ** k - met**k - c**k for k in range(3, highest + 1, 2)}
+            result = product(result, exponential(_letters(own, place, highest)))
+        sign = 1 if sweep.forward else -1
+        result = product(
+            result, exponential(_letters({k: sign * (sign * c) ** k for k in range(1, highest + 1)}, "sweep", highest))
+        )
+        met, before = (met + c if meets and alone else c), sweep
+    return result
+
+
+def _letters(coefficients: Mapping[int, Any], place: str, highest: int) -> Series:
+    return [{(Letter(k, place),): coefficients[k]} if k in coefficients else {} for k in range(highest + 1)]
+
+
+def _inverse(series: Series) -> Series:
+    """Invert a series: 1/(1 + r) = 1 - r + r^2 - ..."""
+    rest: Series = [{}, *({word: -value for word, value in some.items()} for some in series[1:])]
+    result = power = one(len(series) - 1)
+    for _ in series[1:]:
+        power = product(power, rest)
+        result = plus(result, power)
+    return result
+
+
+def swept_exactly(method: Swept) -> tuple[list[Sweep], list[Sweep]]:
+    """Return the sweeps and the processor of a scheme, with rational coefficients, or balls if irrational (a cube
+    root).
+    """
+    from flint import ctx
+
+    with ctx.workprec(BITS):
+        try:
+            return _read(method, exact_or_ball)
+        except (TypeError, ValueError, ZeroDivisionError):
+            from flint import arb
+
+            return _read(method, lambda value: arb(exact_or_ball(value)))
+
+
+def _read(method: Swept, number: Callable[[Any], Any]) -> tuple[list[Sweep], list[Sweep]]:
+    both = []
+    for given in (method.sweeps(number), method.processor(number)):
+        both.append([sweep._replace(coefficient=exact_or_ball(sweep.coefficient), moment=0) for sweep in given])
+    return both[0], both[1]
+
+
+def exact_or_ball(value: Any) -> Any:
+    """Convert a coefficient to `flint.fmpq` if exact, else to a ball (`flint.arb`) that contains it.
+
+    Examples
+    --------
+    >>> exact_or_ball("0.25"), exact_or_ball(0.5), float(exact_or_ball("0." + 40 * "3").rad()) < 1e-40
+    (1/4, 1/2, True)
+    """
+    from flint import arb, ctx, fmpq
+
+    if isinstance(value, fmpq | arb):
+        return value
+    if isinstance(value, str):
+        found = re.fullmatch(r"\s*[+-]?(\d*)\.?(\d*)\s*", value)
+        if found and len((found[1] + found[2]).lstrip("0")) >= SHORT:
+            middle = Fraction(value)
+            half_a_unit = Fraction(1, 2 * 10 ** len(found[2]))
+            with ctx.workprec(BITS):
+                return arb(rational_number(middle)) + arb(0, arb(rational_number(half_a_unit)).upper())
+        return rational_number(Fraction(value))
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, int | float | Fraction):
+        return rational_number(value)
+    raise TypeError(f"the coefficient {short(value)} of a sweep is neither a rational number nor a float")

@@ -1,0 +1,159 @@
+"""Logarithm of one sweep through the parts: the product of their flows as one flow, with polynomial coefficients.
+
+A function H stands for the derivation F -> sign {F, H} along its motion. Under the flows of H_1, then H_2, ... a
+function F becomes exp(h H_1) exp(h H_2) ... F, with the first flow on the left. The commutator of the derivations of F
+and G is the derivation of [F, G] = sign {G, F}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from functools import cache
+from math import comb
+from operator import mul
+
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.long_operations import at
+from coadjoint.memory import check_room
+
+MOST_PRODUCTS = 10**8
+"""Largest number of products of monomials in all brackets: about 20 s, more with long numerators."""
+
+TELLING = MOST_PRODUCTS // 100
+"""Number of products above which the remaining ones are estimated."""
+
+SECONDS_PER_PRODUCT = 2e-7
+
+BYTES_PER_MONOMIAL = 40
+
+Flow = Mapping[int, Exact]
+"""Flow of sum_j h^j W_j with commuting W_j: j -> W_j. An exact flow has j = 1 alone."""
+
+
+class Commutators:
+    """The bracket [F, G] = sign {G, F} of polynomials; `sign` is that of x' = sign J(x) grad H(x)."""
+
+    def __init__(self, ring: ExactPolynomials, sign: int) -> None:
+        self.ring, self.sign = ring, sign
+        self.spent = 0
+
+    def __call__(self, F: Exact, G: Exact) -> Exact:
+        """Return [F, G]."""
+        return self.with_first(F)(G)
+
+    def with_first(self, F: Exact) -> WithFirst:
+        """Return the map G -> [F, G], for many G."""
+        return WithFirst(self, [self.sign * entry for entry in self.ring.field(F)])
+
+    def check_room(self, count: int) -> None:
+        """Count the products of monomials of a bracket; raise ValueError if the total or the memory is too large."""
+        self.spent += count
+        check_products(self.spent)
+        at("the brackets of a modified Hamiltonian")
+        size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
+        check_room(count * size, "a bracket in a modified Hamiltonian")
+
+    def check_ahead(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
+        """Raise ValueError if the brackets of further fields with a series, which grows with each, are too many.
+
+        `lengths` has the number of monomials in the components of each field.
+        """
+        slopes = [[len(term.derivative(i)) for i in range(self.ring.dim)] for term in series if term != 0]
+        ahead = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
+        check_products(self.spent + ahead)
+
+
+def check_products(count: float) -> None:
+    """Raise ValueError if brackets have too many products of monomials."""
+    if count > MOST_PRODUCTS:
+        raise ValueError(
+            f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, about "
+            f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MOST_PRODUCTS:.0e} are made; take a lower order, "
+            "a system of fewer coordinates, or a run, whose energy shows their sum"
+        )
+
+
+class WithFirst:
+    """The derivation G -> [F, G] = sign {G, F} along the field sign J(x) grad F."""
+
+    def __init__(self, commutators: Commutators, field: Sequence[Exact]) -> None:
+        self._commutators, self._ring = commutators, commutators.ring
+        self._moving = [(i, component) for i, component in enumerate(field) if component != 0]
+        self.lengths = [len(component) for component in field]
+
+    def __call__(self, G: Exact) -> Exact:
+        """Return the bracket; raise ValueError if it is too large."""
+        slopes = [G.derivative(i) for i, _ in self._moving]
+        count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
+        self._commutators.check_room(count)
+        total = self._ring.zero
+        for slope, (_, component) in zip(slopes, self._moving, strict=True):
+            if slope != 0:
+                total += component * slope
+        return self._ring.reduced(total)
+
+
+def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
+    """Return Y_1, ..., Y_highest: the given flows, the first one first, are the flow of h Y_1 + h^2 Y_2 + ...
+
+    With E(h) = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys Y' =
+    sum_k B_k/k! ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
+    """
+    ring = commutators.ring
+    R = [ring.zero] * highest
+    lengths: list[list[list[int]]] | None = None
+    for number, flow in enumerate(reversed(flows)):
+        if lengths is None and commutators.spent > TELLING:
+            lengths = [[commutators.with_first(W).lengths for W in one.values()] for one in reversed(flows)]
+        if lengths is not None:
+            commutators.check_ahead([one for later in lengths[number:] for one in later], R[:-1])
+        for j, W in flow.items():
+            R = _transported(commutators.with_first(W), j, R)
+        for j, W in flow.items():
+            if j <= highest:
+                R[j - 1] += j * W
+    found: list[Exact] = []
+    turned: list[list[Exact]] = []  # turned[k][q]: the h^q of ad_Y^k R
+    for n in range(1, highest + 1):
+        total = R[n - 1]
+        for k in range(1, n):
+            if len(turned) < k:
+                turned.append([ring.zero] * k)
+            before = R if k == 1 else turned[k - 2]
+            sum_of_brackets = ring.zero
+            for m in range(1, n - k + 1):
+                other = before[n - 1 - m]
+                if other != 0 and found[m - 1] != 0:
+                    sum_of_brackets += commutators(found[m - 1], other)
+            turned[k - 1].append(sum_of_brackets)
+            total += sum_of_brackets * rational(_bernoulli(k) / _factorial(k))
+        found.append(total / n)
+    return found
+
+
+def _transported(ad: WithFirst, j: int, series: list[Exact]) -> list[Exact]:
+    """Return exp(h^j ad) of a series in h."""
+    result, current = list(series), list(series)
+    for m in range(1, len(series) // j + 1):
+        current = [
+            ad(current[k - j]) / m if k >= j and current[k - j] != 0 else 0 * series[0] for k in range(len(series))
+        ]
+        result = [a + b for a, b in zip(result, current, strict=True)]
+    return result
+
+
+@cache
+def _bernoulli(k: int) -> Fraction:
+    """Return B_k, with B_1 = -1/2."""
+    if k == 0:
+        return Fraction(1)
+    return -sum((comb(k + 1, j) * _bernoulli(j) for j in range(k)), Fraction(0)) / (k + 1)
+
+
+def _factorial(k: int) -> int:
+    result = 1
+    for factor in range(2, k + 1):
+        result *= factor
+    return result

@@ -1,0 +1,1 @@
+"""Parts: decompositions of a Hamiltonian into pieces with exact flows."""

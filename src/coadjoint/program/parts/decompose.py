@@ -1,0 +1,219 @@
+"""Choice of a splitting: parts, their order, and multiples of quadratic Casimirs to subtract from H."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.long_operations import at
+from coadjoint.program.parts.bonds import bonds
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.free_bodies import free_bodies
+from coadjoint.program.parts.generator_cost import TooWide
+from coadjoint.program.parts.offsets_of_squares import with_offsets_of
+from coadjoint.program.parts.order_of_parts import CLEARLY, best_orders
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.split import NotSplit, check_splits, split
+from coadjoint.program.shifts.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shifts.shift_counts import numbers_of_parts
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_all_present
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+SEED = 1993
+SAMPLES = 16
+# Larger dimensions keep the natural order: comparing orders costs n^3 operations.
+LARGEST_COMPARED = 24
+# Number of systems compared at once, limited by the processor cache.
+MOST_TOGETHER = 256
+# Multiplications allowed for trying shifts; above about 100 fully coupled coordinates, only the first are tried.
+MOST_WORK = 1 << 26
+FEWEST_SHIFTS = 8
+WORK_PER_CONSTANT = 16
+CALLED = ("free_body", "bonds")
+"""Choices whose first parts rotate momenta by an attitude, not about fixed axes."""
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Parts in the order of a forward sweep, and the Casimirs subtracted from H, which leave the motion unchanged.
+
+    `shift` has quadratic Casimirs C and factors c with parts that add up to H - sum c C; None if too long to write.
+    Passing `choice` as `parts` reproduces the decomposition.
+    """
+
+    parts: Parts
+    shift: tuple[tuple[Polynomial, float], ...] | None
+    choice: ChosenParts
+
+
+def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
+    """Split the Hamiltonian of a system, deterministically, by the algebra and H alone.
+
+    ``"auto"`` minimises the number of parts: it joins commuting coordinates, subtracts quadratic Casimirs if that
+    removes a part or reduces the h^2 term, and orders the parts for the smallest h^2 term on a fixed sample.
+    ``"free_body"`` and ``"bonds"`` see `free_bodies` and `bonds`; other choices are used as given. Raises ValueError if
+    H does not split, or the choice does not fit the system.
+    """
+    if isinstance(choice, ChosenParts):
+        return _chosen(system, choice)
+    if isinstance(choice, str) and choice in CALLED:
+        known = _CALLED[choice]
+        if system not in known:
+            parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
+            known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
+        return known[system]
+    if not isinstance(choice, str) or choice != "auto":
+        parts = split(system, choice)
+        return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
+    if system not in _FOUND:
+        decompose_all([system])
+    return _FOUND[system]
+
+
+def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
+    """Cache the automatic decompositions of many systems of one dimension at once, which is faster."""
+    missing = [system for system in systems if system not in _FOUND]
+    for k in range(0, len(missing), MOST_TOGETHER):
+        some = missing[k : k + MOST_TOGETHER]
+        for system, found in zip(some, best_decompositions(some, _sample(some[0].dim)), strict=True):
+            _FOUND[system] = found
+
+
+# Systems are immutable, so decompositions are cached for the lifetime of the system.
+_FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+_CALLED: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition]] = {
+    choice: WeakKeyDictionary() for choice in CALLED
+}
+_CHECKED: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
+
+
+class Candidate(NamedTuple):
+    """Casimirs subtracted, and the parts of the shifted Hamiltonian."""
+
+    shift: Shift
+    parts: Parts
+
+
+def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
+    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n)."""
+    return best_decompositions([system], points, t)[0]
+
+
+def best_decompositions(
+    systems: Sequence[LiePoissonSystem], points: NDArray[np.float64], t: float = 0.0
+) -> list[Decomposition]:
+    """Return `best_decomposition` of several systems of one dimension, with all comparisons batched."""
+    found = [candidates(system, len(points) > 0) for system in systems]
+    pairs = [(system, one.parts) for system, own in zip(systems, found, strict=True) for one in own]
+    orders = iter(best_orders(pairs, points, t))
+    result = []
+    for system, own in zip(systems, found, strict=True):
+        best, (order, least) = own[0], next(orders)
+        for candidate in own[1:]:
+            other, size = next(orders)
+            if size < least * CLEARLY:
+                best, order, least = candidate, other, size
+        result.append(_decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift)))
+    return result
+
+
+def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
+    """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
+    terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
+    found = [Candidate((), split(system, "auto", terms))]
+    fewest = len(found[0].parts)
+    shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
+    # For many shifts of a large system the parts are counted without being built.
+    counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
+    work, spent = _work(system, found[0].parts), 0
+    for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
+        if count >= fewest:
+            continue
+        at(f"the parts after shift {number + 1} of {len(shifts)} by Casimirs", number / len(shifts))
+        spent += work
+        if spent > max(MOST_WORK, FEWEST_SHIFTS * work) and not comparing:
+            break
+        parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
+        if len(parts) < fewest:
+            found, fewest = [], len(parts)
+        if not found or (comparing and len(parts) == fewest):
+            found.append(Candidate(shift, parts))
+    return found
+
+
+def _work(system: LiePoissonSystem, parts: Parts) -> int:
+    """Estimate the multiplications to build parts: elimination of each square, and commutators of the algebra."""
+    return int(np.sum(np.diff(parts.forms.start) ** 2)) + WORK_PER_CONSTANT * len(system.algebra.triples.c)
+
+
+def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
+    """Raise ValueError, naming the scheme, if a system does not split or the chosen parts do not fit it.
+
+    The automatic parts are not computed here, which may be slow. Results are cached.
+    """
+    key = choice if isinstance(choice, str | tuple | ChosenParts) else None
+    if key is not None and key in _CHECKED.get(system, ()):
+        return
+    try:
+        if isinstance(choice, str) and choice not in CALLED:
+            check_splits(system)
+        else:
+            decompose(system, choice)
+    except (NotSplit, TooWide) as reason:
+        raise ValueError(f"{scheme} cannot be used for {system.name}: {reason}") from None
+    if key is not None:
+        _CHECKED.setdefault(system, set()).add(key)
+
+
+def check_inputs_of_called(system: Any, choice: str, coordinates: Sequence[int]) -> None:
+    """Raise ValueError for inputs that change the axis of a part: on the coordinates of free bodies and bonds."""
+    if isinstance(system, LiePoissonSystem):
+        check_parts(system, choice, "Splitting")
+        bodies = decompose(system, choice).parts.bodies.values()
+        every = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}
+        inside = sorted(every.intersection(coordinates))
+        if inside:
+            raise ValueError(
+                f'parts="{choice}" takes no inputs for {system.algebra.basis[inside[0]]} (coordinate {inside[0]}) of '
+                f'{system.name}, which is turned about an axis that they would move; take parts="auto"'
+            )
+
+
+def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
+    casimirs, whole = quadratic_casimirs(system), system
+    if choice.linear:
+        if max(choice.linear) >= system.dim:
+            raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
+        whole = with_all_present(system, choice.linear)
+    parts = split(whole, "auto", shifted_terms(whole.hamiltonian.terms(), casimirs, choice.shift))
+    if whole is not system:
+        parts = with_offsets_of(parts, linear_of(system.hamiltonian, system.dim))
+    if len(parts) != len(choice.order):
+        raise ValueError(
+            f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "
+            "choose again with Splitting.tuned"
+        )
+    return _decomposition(parts, casimirs, choice)
+
+
+def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choice: ChosenParts) -> Decomposition:
+    taken = tuple((casimirs[name].polynomial, factor) for name, factor in choice.shift)
+    return Decomposition(parts.take(np.array(choice.order, dtype=np.int64)), taken, choice)
+
+
+@lru_cache(maxsize=32)
+def _sample(size: int) -> NDArray[np.float64]:
+    """Return fixed points of unit length, shape (samples, n): the choice must not depend on a state."""
+    if size > LARGEST_COMPARED:
+        return np.zeros((0, size))
+    points = np.random.default_rng(SEED).standard_normal((SAMPLES, size))
+    points /= np.sqrt(np.sum(points**2, axis=1, keepdims=True))
+    points.flags.writeable = False
+    return points

@@ -1,0 +1,200 @@
+"""Parts: commuting linear forms, and the piece of the Hamiltonian that depends on them alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.sparse_sums import Integers, expand
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.sparse_rows import SparseRows, fresh, joined_starts, starts_of
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+
+
+@dataclass(frozen=True)
+class PolynomialShare:
+    """Angles that are the derivatives of a polynomial with respect to the given coordinates."""
+
+    coordinates: tuple[int, ...]
+    polynomial: Polynomial
+
+
+@dataclass(frozen=True)
+class FunctionShare:
+    """Angles that are the gradient of a user function of the term's coordinates."""
+
+    term: FunctionTerm
+
+
+@dataclass(frozen=True)
+class BodyShare:
+    """Flow of a free rigid body, or of a bond: its forms do not commute, and its angles vary during the flow.
+
+    The energy is x.M.x/2 (`matrix`) on the triple `coordinates`. A bond has a second triple `other` of the same scale,
+    and M, with three equal moments, acts on the sum of both. `scale` times the basis elements have the brackets [1, 2]
+    = 3, [2, 3] = 1, [3, 1] = 2. The rows of the share are linear and give the energy: coordinates 3, 1, 2, 3, the first
+    without weights, in the order of the rotations of the compiled flow. The forms of a bond are sums of two
+    coordinates, one of each triple.
+    """
+
+    coordinates: tuple[int, int, int]
+    matrix: tuple[tuple[float, ...], ...]
+    scale: tuple[float, float, float]
+    other: tuple[int, int, int] | None = None
+
+
+SpecialShare = PolynomialShare | FunctionShare | BodyShare
+
+
+@dataclass(frozen=True)
+class Part:
+    """The commuting forms l_a of one exact flow, as sparse (coordinates, values), for display."""
+
+    forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
+
+
+class Parts(Sequence[Part]):
+    """Parts stored by columns, since there may be very many; items (`Part`) are built lazily.
+
+    Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and each angle one row of
+    `forms`. The angle of a linear share is offset + weights.x; rows of `weights` are empty in other shares. `special`
+    maps the other shares to their rules; a part has only shares of free bodies, or none. `timed` marks time-dependent
+    parts. `pivots`, shape (angles, 3), are those of `Squares` for completed squares with forms in floats, -1 for other
+    angles.
+    """
+
+    pivots: NDArray[np.int64] | None = None
+
+    def __init__(
+        self,
+        forms: SparseRows,
+        offset: NDArray[Any],
+        weights: SparseRows,
+        row: Integers,
+        special: Mapping[int, SpecialShare],
+        share: Integers,
+        timed: NDArray[np.bool_],
+    ) -> None:
+        self.forms, self.offset, self.weights = forms, offset, weights
+        self.row, self.special, self.share, self.timed = row, special, share, timed
+
+    @classmethod
+    def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: SparseRows, row: Integers) -> Parts:
+        """Construct parts with one linear share each, of the angles row[p] to row[p + 1]."""
+        count = len(row) - 1
+        return cls(forms, offset, weights, row, {}, np.arange(count + 1), np.zeros(count, dtype=bool))
+
+    @classmethod
+    def single(cls, share: PolynomialShare | FunctionShare, coordinates: Sequence[int], timed: bool = False) -> Parts:
+        """Construct one part of one nonlinear share."""
+        size, ends = len(coordinates), np.array([0, 1])
+        forms = SparseRows.units(np.array(coordinates, dtype=np.int64))
+        return cls(forms, np.zeros(size), SparseRows.empty(size), size * ends, {0: share}, ends, np.array([timed]))
+
+    @classmethod
+    def concatenate(cls, pieces: Sequence[Parts]) -> Parts:
+        """Concatenate parts."""
+        if len(pieces) == 1:
+            return pieces[0]
+        if not pieces:
+            return cls.linear(SparseRows.empty(0), np.zeros(0), SparseRows.empty(0), np.zeros(1, dtype=np.int64))
+        shares = np.cumsum([0] + [len(piece.row) - 1 for piece in pieces]).tolist()
+        whole = cls(
+            SparseRows.concatenate([piece.forms for piece in pieces]),
+            np.concatenate([piece.offset for piece in pieces]),
+            SparseRows.concatenate([piece.weights for piece in pieces]),
+            joined_starts([piece.row for piece in pieces]),
+            {
+                first + s: share
+                for first, piece in zip(shares, pieces, strict=False)
+                for s, share in piece.special.items()
+            },
+            joined_starts([piece.share for piece in pieces]),
+            np.concatenate([piece.timed for piece in pieces]),
+        )
+        if any(piece.pivots is not None for piece in pieces):
+            none = [np.full((len(piece.offset), 3), -1) for piece in pieces]
+            own = [one if piece.pivots is None else piece.pivots for one, piece in zip(none, pieces, strict=True)]
+            whole.pivots = np.concatenate(own)
+        return whole
+
+    @property
+    def bodies(self) -> dict[int, BodyShare]:
+        """The shares that are free bodies."""
+        return {s: share for s, share in self.special.items() if isinstance(share, BodyShare)}
+
+    def with_rules(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
+        """Return the same forms with other angles."""
+        return Parts(self.forms, offset, weights, self.row, self.special, self.share, self.timed)
+
+    def __len__(self) -> int:
+        return len(self.timed)
+
+    @property
+    def angle(self) -> Integers:
+        """First angle of each part, shape (parts + 1,)."""
+        return self.row[self.share]
+
+    @property
+    def part_of_angle(self) -> Integers:
+        """The part of each angle."""
+        return np.repeat(np.arange(len(self)), np.diff(self.angle))
+
+    @property
+    def first_coordinate(self) -> NDArray[np.uint32]:
+        """The smallest coordinate in the forms of each part; requires a form in every part."""
+        return np.minimum.reduceat(self.forms.coordinate, self.forms.start[self.angle[:-1]])
+
+    def take(self, chosen: NDArray[Any]) -> Parts:
+        """Select parts, each at most once, in the order given."""
+        if np.array_equal(chosen, np.arange(len(self))):
+            return self
+        first, last = self.share[chosen], self.share[chosen + 1]
+        _, shares = expand(first, last)
+        begin, end = self.row[shares], self.row[shares + 1]
+        _, angles = expand(begin, end)
+        place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.special else {}
+        taken = Parts(
+            self.forms.take(angles),
+            self.offset[angles],
+            self.weights.take(angles),
+            starts_of(end - begin),
+            {place[s]: share for s, share in self.special.items() if s in place},
+            starts_of(last - first),
+            self.timed[chosen],
+        )
+        taken.pivots = None if self.pivots is None else self.pivots[angles]
+        return taken
+
+    def joined(self, label: NDArray[Any]) -> Parts:
+        """Join (commuting) parts with equal labels into one part each, in the order of their first members."""
+        first = np.full(int(label.max(initial=-1)) + 1, len(self))
+        np.minimum.at(first, label, np.arange(len(self)))
+        order = np.argsort(first[label], kind="stable")
+        moved, group = self.take(order), first[label][order]
+        begins = np.flatnonzero(fresh(group))
+        timed = np.logical_or.reduceat(moved.timed, begins) if len(begins) else moved.timed
+        share = np.append(moved.share[begins], moved.share[-1])
+        joined = Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+        joined.pivots = moved.pivots
+        return joined
+
+    @overload
+    def __getitem__(self, index: int) -> Part: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Part]: ...
+
+    def __getitem__(self, index: int | slice) -> Part | Sequence[Part]:
+        if isinstance(index, slice):
+            return tuple(self[p] for p in range(len(self))[index])
+        p = range(len(self))[index]
+        first, last = self.row[self.share[p : p + 2]]
+        edges = pairwise(self.forms.start[first : last + 1].tolist())
+        coordinate, value = self.forms.coordinate, self.forms.value
+        return Part(tuple((tuple(coordinate[a:b].tolist()), tuple(value[a:b].tolist())) for a, b in edges))

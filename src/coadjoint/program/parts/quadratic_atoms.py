@@ -1,0 +1,133 @@
+"""Smallest parts of a quadratic Hamiltonian: sets of coupled commuting coordinates, and completed squares."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.components import connected
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.program.commutation import Commutation
+from coadjoint.program.parts.generator_cost import check_products
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
+from coadjoint.program.parts.squares import LARGEST_RATIONAL
+from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm
+
+# Number of entries above which the width of squares is checked.
+LEAST_JUDGED = 1 << 14
+
+
+def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) -> Parts:
+    """Split a quadratic term into parts of one share each, by the first coordinate of each connected set.
+
+    With `apart` the squares of coupled coordinates are completed even if these commute.
+    """
+    label, members, squared = _sets(term, commutation, apart)
+    plain = members[~squared[label[members]]]
+    found = [_coupled(term, plain, label[plain])]
+    owner = [label[plain][fresh(label[plain])]]
+    if np.any(squared):
+        squares, cluster = _square_atoms(term, members[squared[label[members]]], label)
+        found, owner = [*found, squares], [*owner, cluster]
+    return Parts.concatenate(found).take(np.argsort(np.concatenate(owner), kind="stable"))
+
+
+def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
+    """Return `quadratic_atoms` if all coupled coordinates commute, else None.
+
+    The parts then depend only on the sparsity pattern, and each angle belongs to one coordinate.
+    """
+    label, members, squared = _sets(term, commutation, apart=False)
+    return None if np.any(squared) else _coupled(term, members, label[members])
+
+
+def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
+    """Raise TooWide, with an estimate, if completed squares of many coupled coordinates have too many entries.
+
+    Each of m squares eliminates one coordinate from the later forms, which have m/2 entries on average. Sparse
+    couplings are not checked, since their forms may stay short.
+    """
+    if len(term.values) < LEAST_JUDGED:
+        return
+    label, members, squared = _sets(term, commutation, apart=False)
+    label = label[members]
+    size, entries = np.bincount(label), np.bincount(label, weights=np.diff(term.indptr)[members])
+    full = squared & (entries >= DENSE_ROW * size)
+    products = np.bincount(label, weights=commutation.products[members]) / 2
+    check_products(np.repeat(products[full].astype(np.int64), size[full]), "the Hamiltonian")
+
+
+def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+    """Label the connected sets of coupled coordinates, -1 if a coordinate is unused.
+
+    Also returns the used coordinates, set by set, and for each label whether squares are to be completed.
+    """
+    rows = term.rows
+    above = rows < term.indices
+    label = connected(len(term.linear), rows[above], term.indices[above])
+    used = term.linear != 0
+    used[rows] = True
+    label[~used] = -1
+    members = np.flatnonzero(used)
+    members = members[order_by(label[members])]
+    size = np.bincount(label[members], minlength=1)
+    squared = size > 1
+    if not apart:
+        squared = squared & commutation.clashing(label)[: len(size)]
+    return label, members, squared
+
+
+def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
+    """Build one part per set of coordinates, with the rows of M as angles."""
+    row = np.append(np.flatnonzero(fresh(label)), len(members))
+    matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values)
+    weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
+    return Parts.linear(SparseRows.units(members), term.linear[members], weights, row)
+
+
+def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
+    """Build one part per completed square; also return the label of its set."""
+    ends = np.append(np.flatnonzero(fresh(label[members])), len(members))
+    place = np.zeros(len(term.linear), dtype=np.int64)
+    place[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
+    matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(members)
+    local, linear = place[matrix.coordinate], term.linear[members]
+    known: dict[Any, SparseSquares] = {}
+    squares: list[SparseSquares] = []
+    for first, last in pairwise(ends.tolist()):
+        start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
+        own = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
+        # Sets that repeat, as in a lattice, have equal squares, which are computed once.
+        key = tuple(column.tobytes() for column in (*own, linear[first:last]))
+        if key not in known:
+            known[key] = _without_rounding(sparse_squares(own, linear[first:last]), own.value)
+        squares.append(known[key])
+    counts = np.array([len(found.weights) for found in squares])
+    forms = SparseRows.concatenate([found.forms for found in squares])
+    shift = np.repeat(ends[:-1], [len(found.forms.value) for found in squares])
+    forms = forms._replace(coordinate=members[forms.coordinate + shift].astype(np.uint32))
+    factor = np.concatenate([found.weights for found in squares])
+    used = factor != 0
+    rule = forms.take(np.flatnonzero(used))
+    lengths = np.where(used, np.diff(forms.start), 0)
+    weights = SparseRows(starts_of(lengths), rule.coordinate, np.repeat(factor[used], np.diff(rule.start)) * rule.value)
+    offset = np.concatenate([found.linear for found in squares])
+    parts = Parts.linear(forms, offset, weights, np.arange(len(factor) + 1))
+    if np.diff(ends).max() > LARGEST_RATIONAL:
+        parts.pivots = np.concatenate([found.pivots for found in squares])
+        parts.pivots[:, 1:] = members[parts.pivots[:, 1:] + np.repeat(ends[:-1], counts)[:, None]]
+    return parts, np.repeat(label[members[ends[:-1]]], counts)
+
+
+def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
+    """Drop squares below the rounding of the entries, which vanish after a Casimir shift."""
+    floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
+    largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
+    kept = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
+    return SparseSquares(squares.forms.take(kept), squares.weights[kept], squares.linear[kept], squares.pivots[kept])

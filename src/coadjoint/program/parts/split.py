@@ -1,0 +1,227 @@
+"""Splitting of a Hamiltonian into parts: pieces of commuting forms, each with an exact flow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.exact.components import connected
+from coadjoint.algebra.exact.sparse_sums import distinct
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.commutation import Commutation
+from coadjoint.program.parts.few_parts import few_parts
+from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
+from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+Choice = str | Sequence[Sequence[int]]
+
+
+def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Term] | None = None) -> Parts:
+    """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised).
+
+    ``"auto"`` joins commuting coordinates; ``"coordinates"`` gives each coordinate (or completed square) a part of its
+    own, as in the paper; sets of coordinates are used as given. The parts are in the order of a forward sweep. Raises
+    ValueError if the Hamiltonian is not a sum of functions of commuting forms, or the sets do not fit it.
+    """
+    commutation = Commutation(system.algebra)
+    terms = terms or system.hamiltonian.terms()
+    if isinstance(choice, str) and choice == "auto" and system.dim <= LARGEST_PATTERN:
+        known = _parts_by_pattern(terms, commutation)
+        if known is not None:
+            return known
+    atoms = _sorted(_atoms(system, terms, commutation, apart=choice == "coordinates"))
+    if choice == "coordinates":
+        return atoms
+    if isinstance(choice, str):
+        return few_parts(atoms, commutation)
+    return _as_given(system, choice, atoms, commutation)
+
+
+def atoms_of(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation) -> Parts:
+    """Return the smallest parts of some terms, before any are joined."""
+    return _sorted(_atoms(system, terms, commutation, apart=False))
+
+
+def _sorted(atoms: Parts) -> Parts:
+    return atoms.take(np.argsort(atoms.first_coordinate, kind="stable")) if len(atoms) else atoms
+
+
+def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts | None:
+    """Return the automatic parts of a single quadratic term without completed squares, else None."""
+    term = terms[0].form
+    if len(terms) > 1 or term is None or term.piece is not None:
+        return None
+    where = (term.indptr, term.indices, term.linear != 0)
+    model = _parts_of_pattern(Pattern((term, commutation), *where, *commutation.pattern))
+    if model is None:
+        return None
+    places = model.weights
+    return model.with_rules(term.linear[model.forms.coordinate], places._replace(value=term.values[places.value]))
+
+
+@lru_cache(maxsize=1024)
+def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
+    """Return the parts, and the index of each weight among the values of the term."""
+    term, commutation = pattern.given
+    places: Any = np.arange(len(term.values))
+    atoms = coupled_atoms(replace(term, values=places), commutation)
+    return None if atoms is None else few_parts(_sorted(atoms), commutation)
+
+
+class _Atoms:
+    """Visitor that collects the parts of terms, before they are joined."""
+
+    def __init__(self, system: LiePoissonSystem, commutation: Commutation, apart: bool) -> None:
+        self.found: list[Parts] = []
+        self._system, self._commutation, self._apart = system, commutation, apart
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        self.found.append(quadratic_atoms(term, self._commutation, self._apart))
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        self.found.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._apart))
+
+    def function(self, term: FunctionTerm) -> None:
+        self.found.append(_function_atom(self._system, term, self._commutation))
+
+
+def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, apart: bool) -> Parts:
+    found: list[Parts] = []
+    pieces: dict[int, list[Parts]] = {}
+    for term in terms:
+        keep = term.piece
+        atoms = _Atoms(system, commutation, apart and keep is None)
+        term.given_to(atoms)
+        parts = atoms.found[0] if len(atoms.found) == 1 else Parts.concatenate(atoms.found)
+        if keep is None:
+            found.append(parts)
+        else:
+            pieces.setdefault(keep, []).append(parts)
+    for own in pieces.values():
+        piece = Parts.concatenate(own)
+        found.append(piece.joined(np.zeros(len(piece), dtype=np.int64)))
+    return Parts.concatenate(found)
+
+
+def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, commutation: Commutation, apart: bool) -> Parts:
+    size = polynomial.dim
+    variables = {e: [k for k, power in enumerate(e) if power] for e in polynomial.monomials if sum(e)}
+    used = np.zeros(size, dtype=bool)
+    used[[k for present in variables.values() for k in present]] = True
+    links = [(present[0], other) for present in variables.values() for other in present[1:]]
+    label = connected(size, *np.array(links, dtype=np.int64).reshape(-1, 2).T)
+    monomials: dict[int, dict[tuple[int, ...], Any]] = {int(k): {} for k in distinct(label[used])}
+    for e, present in variables.items():
+        monomials[int(label[present[0]])][e] = polynomial.monomials[e]
+    members = {k: np.flatnonzero(used & (label == k)).tolist() for k in monomials}
+    found = []
+    for k, cluster in members.items():
+        own = monomials[k]
+        if commutation.first_clash(cluster) is None and not (apart and len(cluster) > 1):
+            found.append(Parts.single(PolynomialShare(tuple(cluster), Polynomial(own)), cluster))
+            continue
+        low = {e: c for e, c in own.items() if sum(e) <= 2}
+        if low:
+            (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
+            assert form is not None
+            found.append(quadratic_atoms(form, commutation, apart))
+        for exponents in (e for e in own if sum(e) > 2):
+            monomial, coordinates = Polynomial({exponents: own[exponents]}), variables[exponents]
+            clash = commutation.first_clash(coordinates)
+            if clash is not None:
+                raise _not_split(system, f"its monomial {short(monomial)}", clash)
+            found.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
+    return Parts.concatenate(found)
+
+
+def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> Parts:
+    coordinates = term.coordinates.tolist()
+    clash = commutation.first_clash(coordinates)
+    if clash is not None:
+        raise _not_split(system, "a function in it", clash)
+    return Parts.single(FunctionShare(term), coordinates, term.timed)
+
+
+class _Clashes:
+    """Visitor that raises if a term does not split; for quadratic terms it checks the width of completed squares."""
+
+    def __init__(self, system: LiePoissonSystem, commutation: Commutation) -> None:
+        self._system, self._commutation = system, commutation
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        check_width(term, self._commutation)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        for exponents, coefficient in term.polynomial.monomials.items():
+            if sum(exponents) > 2:
+                clash = self._commutation.first_clash([k for k, power in enumerate(exponents) if power])
+                if clash is not None:
+                    raise _not_split(self._system, f"its monomial {short(Polynomial({exponents: coefficient}))}", clash)
+
+    def function(self, term: FunctionTerm) -> None:
+        _function_atom(self._system, term, self._commutation)
+
+
+def check_splits(system: LiePoissonSystem) -> None:
+    """Raise NotSplit if the Hamiltonian is not a sum of functions of commuting forms, without splitting it.
+
+    Raises TooWide if there are too many long squares.
+    """
+    terms = system.hamiltonian.terms()
+    clashes = _Clashes(system, Commutation(system.algebra))
+    for term in terms:
+        term.given_to(clashes)
+
+
+class NotSplit(ValueError):
+    """The Hamiltonian is not a sum of functions with known flows; the message names the piece and the reason."""
+
+
+def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> NotSplit:
+    first, second = (system.algebra.basis[k] for k in clash)
+    return NotSplit(
+        f"{what} couples {first} and {second}, which do not commute; "
+        "give H as a sum of functions of commuting coordinates (SplitHamiltonian), or use GaussLegendre"
+    )
+
+
+def _as_given(
+    system: LiePoissonSystem, choice: Sequence[Sequence[int]], atoms: Parts, commutation: Commutation
+) -> Parts:
+    basis, home = system.algebra.basis, np.full(system.dim, len(choice))
+    for number, group in enumerate(choice):
+        coordinates = np.array(sorted({int(i) for i in group}), dtype=np.int64)
+        outside = coordinates[(coordinates < 0) | (coordinates >= system.dim)]
+        if len(outside):
+            raise ValueError(f"parts name coordinate {outside[0]}, but coordinates run from 0 to {system.dim - 1}")
+        clash = commutation.first_clash(coordinates.tolist())
+        if clash is not None:
+            raise ValueError(f"parts put {basis[clash[0]]} and {basis[clash[1]]} together, which do not commute")
+        home[coordinates] = np.minimum(home[coordinates], number)
+    if not len(atoms):
+        return atoms
+    begins = atoms.forms.start[atoms.angle[:-1]]
+    homes = home[atoms.forms.coordinate]
+    first, last = np.minimum.reduceat(homes, begins), np.maximum.reduceat(homes, begins)
+    wrong = np.flatnonzero((first < last) | (last == len(choice)))
+    if len(wrong):
+        entries = slice(*atoms.forms.start[atoms.angle[[wrong[0], wrong[0] + 1]]])
+        coordinates = distinct(atoms.forms.coordinate[entries])
+        left = coordinates[home[coordinates] == len(choice)]
+        if len(left):
+            raise ValueError(
+                f"parts leave out {basis[left[0]]} (coordinate {left[0]}), which the Hamiltonian depends on"
+            )
+        names = ", ".join(basis[i] for i in coordinates)
+        raise ValueError(f"parts must hold {names} in one set, since the Hamiltonian couples them")
+    groups = atoms.joined(first)
+    return groups.take(np.argsort(first[np.sort(np.unique(first, return_index=True)[1])], kind="stable"))

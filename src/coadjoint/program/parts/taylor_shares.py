@@ -1,0 +1,150 @@
+"""Parts given by Python functions, as Taylor polynomials at a point."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare, SpecialShare
+from coadjoint.program.term_table import derivative_of
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+
+MOST_EVALUATIONS = 2**15
+"""Largest number of evaluations on one circle, or product of circles, around a point."""
+
+RADII = tuple(2.0**-k for k in range(8))
+"""Radii of the circles, relative to the size of the point; the two with the best agreement are used."""
+
+WORST = 1e-6
+"""Relative disagreement above which a function counts as not analytic."""
+
+
+def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
+    """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,).
+
+    Raises TypeError if a function has too few derivatives and rejects complex numbers, ValueError if it is not analytic
+    near the point, or has too many coordinates.
+    """
+    special: dict[int, SpecialShare] = {}
+    for s, share in parts.special.items():
+        if isinstance(share, FunctionShare):
+            where = share.term.coordinates
+            local = taylor_polynomial(share.term, x[where], degree)
+            share = PolynomialShare(tuple(where.tolist()), _placed(local, x, where.tolist()))
+        special[s] = share
+    return Parts(parts.forms, parts.offset, parts.weights, parts.row, special, parts.share, parts.timed)
+
+
+def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: Sequence[int]) -> Polynomial:
+    """Return sum c (x - x0)^e as an exact polynomial in all coordinates."""
+    n = len(x)
+    distance = [Polynomial.variable(i, n) - Fraction(float(x[i])) for i in where]
+    total = Polynomial({}, dim=n)
+    for exponents, value in local.items():
+        term = Polynomial({(0,) * n: Fraction(value)})
+        for factor, power in zip(distance, exponents, strict=True):
+            term = term * factor**power
+        total = total + term
+    return total
+
+
+def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
+    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1.
+
+    Up to degree two the given derivatives are used. Above, the gradient is evaluated on circles in the complex plane
+    around the point, with radii about the size of the point; the derivatives are its Fourier coefficients, to about
+    1e-10 of the largest if the function is analytic on the circles.
+    """
+    slope = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
+    m = len(y)
+    found = {_exponents(m, i): float(slope[i]) for i in range(m)}
+    if degree < 2:
+        return found
+    bent = np.asarray(derivative_of(term, 2, y, 0.0), dtype=np.float64) if term.hessian is not None else None
+    if degree > 2 or bent is None:
+        found |= _by_circles(term, y, degree, slope, bent)
+    else:
+        for i, j in product(range(m), repeat=2):
+            if i <= j:
+                found[_exponents(m, i, j)] = float(bent[i, j]) / (1 + (i == j))
+    return found
+
+
+def _exponents(m: int, *factors: int) -> tuple[int, ...]:
+    return tuple(factors.count(i) for i in range(m))
+
+
+def _by_circles(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, slope: NDArray[np.float64], bent: Any
+) -> dict[tuple[int, ...], float]:
+    m = len(y)
+    nodes = 2 ** int(np.ceil(np.log2(2 * degree + 2)))
+    if nodes**m > MOST_EVALUATIONS:
+        raise ValueError(
+            f"a function of {m} coordinates would be evaluated at {nodes**m} points for derivatives of order {degree}; "
+            "take a lower order, or give the Hamiltonian as a Polynomial"
+        )
+    size = max(1.0, float(np.max(np.abs(y))))
+    tries = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
+    keys = [e for e in tries[0] if sum(e) > 1]
+    # Coefficients of degree d are weighted by size^d.
+    weighted = np.array([[own[e] * size ** sum(e) for e in keys] for own in tries])
+    scale = float(np.max(np.abs(slope), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
+    apart = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
+    best = int(np.argmin(np.where(np.isfinite(apart), apart, np.inf)))
+    found = tries[best + 1]
+    wrong = [apart[best], *(abs(found[_exponents(m, i)] - slope[i]) * size for i in range(m))]
+    if bent is not None:
+        wrong += [
+            abs(found[_exponents(m, i, j)] * (1 + (i == j)) - bent[i, j]) * size**2
+            for i, j in product(range(m), repeat=2)
+        ]
+    if not max(wrong) <= WORST * scale:
+        raise ValueError(
+            f"derivatives of order {degree} of a function of the Hamiltonian cannot be computed near "
+            f"{y.tolist()}: it is not analytic on circles in the complex plane; take a lower order"
+        )
+    return {e: found[e] for e in keys}
+
+
+def _coefficients(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, nodes: int, radius: float
+) -> dict[tuple[int, ...], float]:
+    """Return the Taylor coefficients up to a degree, from gradients on a product of circles."""
+    m = len(y)
+    circle = radius * np.exp(2j * np.pi * np.arange(nodes) / nodes)
+    values = np.empty((m,) + (nodes,) * m, dtype=np.complex128)
+    for place in np.ndindex(*values.shape[1:]):
+        values[:, *place] = _complex_slope(term, y + circle[list(place)])
+    spectrum = np.fft.fftn(values, axes=tuple(range(1, m + 1))) / nodes**m
+    found = {}
+    for exponents in product(range(degree + 1), repeat=m):
+        if 0 < sum(exponents) <= degree:
+            # Component i of the gradient has e_i times the coefficient at one power less of x_i; averaged over i.
+            own = []
+            for i, e in enumerate(exponents):
+                if e:
+                    less = (*exponents[:i], e - 1, *exponents[i + 1 :])
+                    own.append(spectrum[(i, *less)].real / radius ** sum(less) / e)
+            found[exponents] = float(np.mean(own))
+    return found
+
+
+def _complex_slope(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error")
+            return derivative_of(term, 1, y, 0.0)
+    except Exception as reason:
+        raise TypeError(
+            "higher derivatives of a function of the Hamiltonian are needed than were given, and its "
+            f"gradient rejects complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
+            "or take a lower order"
+        ) from reason

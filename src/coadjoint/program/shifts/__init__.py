@@ -1,0 +1,1 @@
+"""Casimir shifts: H - c C, and the motion of the group element that they subtract."""

@@ -1,0 +1,289 @@
+"""Action on the group element of Casimirs subtracted from a Hamiltonian, in components with known closed forms.
+
+A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)), linear in x0. The algebra, the Casimirs and
+the representation alone determine its pattern and the closed form of each component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.components import connected, parts
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.generators import BasisMatrices, Generators
+from coadjoint.program.graph_layers import layers
+from coadjoint.program.shifts.shift import quadratic_entries
+from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+Taken = tuple[Polynomial, float]
+Entries = tuple[Integers, Integers, NDArray[np.float64]]
+
+SEED = 1993
+SAMPLES = 3
+# Smallest ratio of pivots for which an invariant form counts as definite.
+WORST_PIVOT = 2.0**-20
+# Largest representation (number of entries) for which tables are cached.
+LARGEST_KEPT = 4096
+
+
+class Turn(IntEnum):
+    """Closed form of exp(t X) - 1 on a component.
+
+    NILPOTENT: a finite sum. PLANE: one coordinate, or any 2 x 2. CUBIC: X^3 = lam X, two terms (Rodrigues' formula in
+    any basis), lam of either sign. PAIR: a skew 4 x 4, two commuting rotations. SKEW: any other component that
+    preserves a definite form, by its invariant planes. GENERAL: scaling and squaring of the truncated Taylor series.
+    """
+
+    NILPOTENT = 0
+    PLANE = 1
+    CUBIC = 2
+    PAIR = 3
+    SKEW = 4
+    GENERAL = 5
+
+
+class UnshiftTables(NamedTuple):
+    """X, of `size` rows, by components, as a function of a momentum of `dim` numbers.
+
+    Component b has the coordinates begin[b] to begin[b + 1] of `coordinate`, and the entries form[b] to form[b + 1].
+    Entry f is at cell[f] (column-major), with the value sum of weight * x[column] over entry[f] to entry[f + 1].
+    `order` is the last power of a NILPOTENT component, and the number of nonzero eigenvalues of a CUBIC one. A
+    `leaning` component changes x by rounding alone, which is subtracted. metric[b], if not negative, is the position in
+    `metrics` of L^T and its inverse, for the form L L^T that a SKEW component preserves.
+    """
+
+    size: int
+    dim: int
+    components: int
+    kind: NDArray[np.uint8]
+    leaning: NDArray[np.uint8]
+    order: NDArray[np.uint32]
+    begin: NDArray[np.uint32]
+    coordinate: NDArray[np.uint32]
+    form: NDArray[np.uint32]
+    cell: NDArray[np.uint32]
+    entry: NDArray[np.uint32]
+    column: NDArray[np.uint32]
+    weight: NDArray[np.float64]
+    metric: NDArray[np.int64]
+    metrics: NDArray[np.float64]
+
+
+class _Component(NamedTuple):
+    """Connected set of coordinates with its entries of X in local numbers, sorted by cell and momentum."""
+
+    coordinates: Integers
+    row: Integers
+    column: Integers
+    momentum: Integers
+    weight: NDArray[np.float64]
+
+    @property
+    def width(self) -> int:
+        return len(self.coordinates)
+
+    @property
+    def cell(self) -> Integers:
+        return self.column * self.width + self.row
+
+    @property
+    def skew(self) -> bool:
+        """Whether X^T = -X exactly, for every momentum."""
+        order = order_by(self.row, self.column, self.momentum)
+        return (
+            np.array_equal(self.row[order], self.column)
+            and np.array_equal(self.column[order], self.row)
+            and np.array_equal(self.momentum[order], self.momentum)
+            and np.array_equal(self.weight[order], -self.weight)
+        )
+
+    def at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the component for a momentum."""
+        flat = np.bincount(self.cell, weights=self.weight * x[self.momentum], minlength=self.width**2)
+        return np.asarray(flat.reshape(self.width, self.width).T)
+
+
+class _Kind(NamedTuple):
+    turn: Turn
+    order: int = 0
+    metric: NDArray[np.float64] | None = None
+
+
+def unshift_tables(
+    algebra: LieAlgebra,
+    representation: NDArray[np.float64] | None,
+    sign: int,
+    shift: Sequence[Taken],
+) -> UnshiftTables:
+    """Return the tables of X = -sign sum c rho(grad C(x)), for pairs (C, c) of homogeneous quadratic Casimirs.
+
+    `representation` rho is (n, d, d); None: the coadjoint one. Results for small representations are cached.
+    """
+    taken = tuple(shift)
+    if (algebra.dim**2 if representation is None else representation.size) > LARGEST_KEPT:
+        return _tables(algebra, representation, sign, taken)
+    if representation is None:
+        return _remembered(algebra, None, (), sign, taken)
+    return _remembered(algebra, representation.tobytes(), representation.shape, sign, taken)
+
+
+@lru_cache(maxsize=64)
+def _remembered(
+    algebra: LieAlgebra, numbers: bytes | None, shape: tuple[int, ...], sign: int, shift: tuple[Any, ...]
+) -> UnshiftTables:
+    return _tables(algebra, None if numbers is None else np.frombuffer(numbers).reshape(shape), sign, shift)
+
+
+def _tables(
+    algebra: LieAlgebra,
+    representation: NDArray[np.float64] | None,
+    sign: int,
+    shift: Sequence[Taken],
+) -> UnshiftTables:
+    matrices = BasisMatrices.on_group(algebra, representation)
+    entries = [_scaled(casimir, factor) for casimir, factor in shift]
+    generators = _generators(matrices, algebra.dim, sign, entries)
+    samples = np.random.default_rng(SEED).integers(-8, 9, (SAMPLES, algebra.dim)).astype(np.float64) + 0.5
+    components = list(_components(matrices.size, generators))
+    kinds = [_kind_of(component, samples, entries if representation is None else []) for component in components]
+    cells = [fresh(component.cell) for component in components]
+    metrics = [kind.metric.ravel() for kind in kinds if kind.metric is not None]
+    place = starts_of([0 if kind.metric is None else kind.metric.size for kind in kinds])
+
+    def joined(pieces: Sequence[NDArray[Any]], kind: type = np.uint32) -> NDArray[Any]:
+        return np.concatenate([np.zeros(0, dtype=kind), *pieces]).astype(kind)
+
+    first = joined(cells, bool)
+    return UnshiftTables(
+        size=matrices.size,
+        dim=algebra.dim,
+        components=len(components),
+        kind=np.array([kind.turn for kind in kinds], dtype=np.uint8),
+        leaning=np.array([representation is None and not component.skew for component in components], dtype=np.uint8),
+        order=np.array([kind.order for kind in kinds], dtype=np.uint32),
+        begin=starts_of([component.width for component in components]).astype(np.uint32),
+        coordinate=joined([component.coordinates for component in components]),
+        form=starts_of([int(np.count_nonzero(own)) for own in cells]).astype(np.uint32),
+        cell=joined([component.cell for component in components])[first],
+        entry=np.append(np.flatnonzero(first), len(first)).astype(np.uint32),
+        column=joined([component.momentum for component in components]),
+        weight=joined([component.weight for component in components], np.float64),
+        metric=np.array([-1 if kind.metric is None else int(place[b]) for b, kind in enumerate(kinds)], dtype=np.int64),
+        metrics=joined(metrics, np.float64),
+    )
+
+
+def _scaled(casimir: Polynomial, factor: float) -> Entries:
+    found = quadratic_entries(casimir)
+    assert found is not None
+    return found[0], found[1], factor * found[2]
+
+
+def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[Entries]) -> Generators:
+    """Return X for each unit momentum, as its `angle`."""
+    i, j, value = (np.concatenate([entry[side] for entry in entries]) for side in range(3))
+    order = order_by(j, i)
+    j, i, value = j[order], i[order], value[order]
+    forms = SparseRows(np.searchsorted(j, np.arange(dim + 1)), i.astype(np.uint32), value)
+    found = list(matrices.combinations(forms, float))
+    momentum, column, row, weight = (np.concatenate([own[side] for own in found]) for side in range(4))
+    # rho acts on the rows of a group element as -rho^T.
+    return Generators(momentum, row, column, sign * weight)
+
+
+def _components(size: int, generators: Generators) -> Any:
+    """Yield the connected sets of coordinates, sorted by their first ones."""
+    momentum, row, column, weight = generators
+    label = connected(size, row, column)
+    order = order_by(label[row], column, row, momentum)
+    owner = label[row][order]
+    local = np.zeros(size, dtype=np.int64)
+    for members in parts(label):
+        first, last = np.searchsorted(owner, [members[0], members[0] + 1])
+        if first == last:
+            continue
+        own = np.arange(len(row))[order][first:last]
+        local[members] = np.arange(len(members))
+        yield _Component(members, local[row[own]], local[column[own]], momentum[own], weight[own])
+
+
+def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
+    """Classify a component for all momenta by the properties it has at a few generic ones."""
+    m = component.width
+    layer = layers(m, component.column[fresh(component.cell)], component.row[fresh(component.cell)])
+    if layer.min() >= 0:
+        return _Kind(Turn.NILPOTENT, int(layer.max()))
+    if m <= 2:
+        return _Kind(Turn.PLANE)
+    if component.skew and m > 4:
+        return _Kind(Turn.SKEW)
+    found = [component.at(x) for x in samples]
+    powers = [(D, D @ D, D @ D @ D) for D in found]
+    bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in found]
+    for order in (1, 2):
+        if all(_vanishes(p[order], 8 * m * (order + 1) * b[order]) for p, b in zip(powers, bounds, strict=True)):
+            return _Kind(Turn.NILPOTENT, order)
+    ranks = [_rank_of_cubic(p, b) for p, b in zip(powers, bounds, strict=True)]
+    if ranks[0] and ranks.count(ranks[0]) == len(ranks):
+        return _Kind(Turn.CUBIC, ranks[0])
+    if component.skew:
+        return _Kind(Turn.PAIR if m == 4 else Turn.SKEW)
+    metrics = (_metric(component, entry) for entry in casimirs)
+    metric = next((one for one in metrics if one is not None), None)
+    return _Kind(Turn.GENERAL) if metric is None else _Kind(Turn.SKEW, 0, metric)
+
+
+def _vanishes(matrix: NDArray[np.float64], bound: NDArray[np.float64]) -> bool:
+    return bool(np.all(abs(matrix) <= UNIT_ROUNDOFF * bound))
+
+
+def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArray[np.float64]]) -> int:
+    """Return the rank of D if D^3 = lam D, lam = trace(D^2) / rank; else 0."""
+    D, square, cube = powers
+    m, largest = len(D), int(np.argmax(abs(D)))
+    lam = cube.flat[largest] / D.flat[largest]
+    if lam == 0.0 or not _vanishes(cube - lam * D, 8 * m * 3 * (bounds[2] + abs(lam) * bounds[0])):
+        return 0
+    return max(0, round(float(np.trace(square)) / lam))
+
+
+def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | None:
+    """Return L^T and its inverse, column-major, for the form L L^T of a definite Casimir, which X preserves."""
+    rows, columns, values = casimir
+    m, place = component.width, np.full(max(int(rows.max()), int(component.coordinates[-1])) + 1, -1)
+    place[component.coordinates] = np.arange(m)
+    own = (place[rows] >= 0) & (place[columns] >= 0)
+    form = np.zeros((m, m))
+    form[place[rows[own]], place[columns[own]]] = values[own]
+    lower = _cholesky(form if form[0, 0] > 0.0 else -form)
+    return None if lower is None else np.stack([lower, _inverse(lower)])
+
+
+def _cholesky(form: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return L with L L^T = form, or None if it is not definite."""
+    m, lower = len(form), np.zeros(form.shape)
+    rest = form.copy()
+    for k in range(m):
+        if not rest[k, k] > WORST_PIVOT * form.max():
+            return None
+        lower[k:, k] = rest[k:, k] / np.sqrt(rest[k, k])
+        rest -= np.outer(lower[:, k], lower[:, k])
+    return lower
+
+
+def _inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Invert a lower triangular matrix, with sums in order."""
+    m, found = len(lower), np.eye(len(lower))
+    for k in range(m):
+        found[k] /= lower[k, k]
+        found[k + 1 :] -= np.outer(lower[k + 1 :, k], found[k])
+    return found

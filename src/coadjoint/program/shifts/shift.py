@@ -1,0 +1,175 @@
+"""Casimir shifts: H - c C generates the same motion as H, and may have fewer parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.sparse_sums import distinct
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.pattern_cache import LARGEST_PATTERN
+from coadjoint.program.shifts.pencil import singular_factors
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.hamiltonians.quadratic import factors_of
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+Shift = tuple[tuple[str, float], ...]
+
+LARGEST_SINGULAR = 8
+LARGEST_DENSE = 32  # coordinates; up to this size adding all n^2 entries is faster than sorting the nonzero ones
+# An entry after a shift counts as zero below this multiple of the sum of its absolute terms.
+ROUNDING = 4 * UNIT_ROUNDOFF
+
+
+class QuadraticCasimir(NamedTuple):
+    """Casimir homogeneous of degree two, C = x.A x/2, with the entries of A."""
+
+    polynomial: Polynomial
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    @property
+    def diagonal(self) -> bool:
+        """Whether A is diagonal."""
+        return bool(np.array_equal(self.rows, self.columns))
+
+
+def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
+    """Return the known Casimirs that are polynomials homogeneous of degree two, by name."""
+    found = {}
+    for name, casimir in system.casimirs.items():
+        if isinstance(casimir, Polynomial):
+            entries = quadratic_entries(casimir)
+            if entries is not None:
+                found[name] = QuadraticCasimir(casimir, *entries)
+    return found
+
+
+Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+
+
+def quadratic_entries(casimir: Polynomial) -> Entries | None:
+    """Return rows, columns and values of A in C = x.A x/2; None if C is not homogeneous of degree two.
+
+    Examples
+    --------
+    >>> quadratic_entries(Polynomial({(2, 0): 3, (1, 1): 1}))
+    (array([0, 0, 1]), array([0, 1, 0]), array([6., 1., 1.]))
+    """
+    return (_remembered_entries if casimir.dim <= LARGEST_PATTERN else _entries)(casimir)
+
+
+def _entries(casimir: Polynomial) -> Entries | None:
+    monomials = casimir.monomials
+    pairs = [factors_of(exponents) for exponents in monomials]
+    if not pairs or any(len(pair) != 2 for pair in pairs):
+        return None
+    i, j = np.array(pairs, dtype=np.int64).T
+    values = np.array([float(c) for c in monomials.values()])
+    apart = i != j
+    rows, columns = np.concatenate([i, j[apart]]), np.concatenate([j, i[apart]])
+    return rows, columns, np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
+
+
+# Cached, since scans over constants subtract the same Casimir repeatedly.
+_remembered_entries = lru_cache(maxsize=256)(_entries)
+
+
+def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
+    """Subtract multiples of quadratic Casimirs from the quadratic term of a Hamiltonian.
+
+    Entries that cancel up to rounding are dropped. Raises ValueError for an unknown name, or without a quadratic term
+    outside the pieces of a SplitHamiltonian.
+    """
+    if not shift:
+        return tuple(terms)
+    unknown = [name for name, _ in shift if name not in casimirs]
+    if unknown:
+        raise ValueError(f"the shift names {unknown[0]!r}; the quadratic Casimirs are {', '.join(map(repr, casimirs))}")
+    own = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+    if own is None:
+        raise ValueError("a shift needs a quadratic term in the Hamiltonian, outside the pieces of a SplitHamiltonian")
+    term = terms[own].form
+    assert term is not None
+    entries = [(term.rows, term.indices, term.values)]
+    for name, factor in shift:
+        casimir = casimirs[name]
+        entries.append((casimir.rows, casimir.columns, -factor * casimir.values))
+    rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
+    values = np.concatenate([entry[2] for entry in entries])
+    n = len(term.linear)
+    flat, cells = rows * n + columns, np.arange(n * n) if n <= LARGEST_DENSE else None
+    if cells is None:
+        cells, flat = np.unique(flat, return_inverse=True)
+    total: NDArray[Any] = np.bincount(flat, weights=values, minlength=len(cells))
+    kept = np.abs(total) > ROUNDING * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
+    rows, columns = np.divmod(cells[kept], n)
+    indptr = np.searchsorted(rows, np.arange(n + 1))
+    changed = QuadraticTerm(indptr, columns, total[kept], term.linear, term.constant)
+    return (*terms[:own], changed, *terms[own + 1 :])
+
+
+def candidate_shifts(
+    system: LiePoissonSystem, parts: Parts, casimirs: Mapping[str, QuadraticCasimir]
+) -> Iterable[Shift]:
+    """Yield shifts, each once, for which a coordinate, a part, or a completed square may vanish.
+
+    `parts` are those without a shift.
+    """
+    forms = (term.form for term in system.hamiltonian.terms() if term.piece is None)
+    quadratic = [form for form in forms if form is not None]
+    if not quadratic or not casimirs:
+        return
+    own = quadratic[0].rows == quadratic[0].indices
+    diagonal = dict(zip(quadratic[0].indices[own].tolist(), quadratic[0].values[own].tolist(), strict=True))
+    holders = _holders(casimirs)
+    seen: set[Shift] = {()}
+    edges = parts.forms.start[parts.angle]
+    for first, last in pairwise(edges.tolist()):
+        coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
+        # All coordinates of a part at once, each by the first Casimir with its square (a lattice has one per spin).
+        factors: dict[str, float] = {}
+        for coordinate in coordinates:
+            for name, entry in holders.get(coordinate, [])[:1]:
+                factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
+        together = tuple((name, factor) for name, factor in sorted(factors.items()) if factor)
+        if together not in seen:
+            seen.add(together)
+            yield together
+        for coordinate in coordinates if len(casimirs) <= 4 else []:
+            for name, entry in holders.get(coordinate, []):
+                alone: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
+                if alone[0][1] and alone not in seen:
+                    seen.add(alone)
+                    yield alone
+    if len(casimirs) == 1 and system.dim <= LARGEST_SINGULAR:
+        ((name, casimir),) = casimirs.items()
+        term = quadratic[0]
+        matrices = (term.rows, term.indices, term.values), casimir[1:]
+        for factor in singular_factors(*(_dense(system.dim, *entries) for entries in matrices)):
+            if ((name, factor),) not in seen:
+                yield ((name, factor),)
+
+
+def _holders(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:
+    """Return for each coordinate the Casimirs with its square, and their diagonal entries."""
+    found: dict[int, list[tuple[str, float]]] = {}
+    for name, casimir in casimirs.items():
+        own = casimir.rows == casimir.columns
+        for coordinate, value in zip(casimir.rows[own].tolist(), casimir.values[own].tolist(), strict=True):
+            found.setdefault(coordinate, []).append((name, value))
+    return found
+
+
+def _dense(n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = np.zeros((n, n))
+    matrix[rows, columns] = values
+    return matrix

@@ -1,0 +1,174 @@
+"""States of a run at arbitrary times, reached from the preceding step by a partial step of the same scheme."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.runs.batch_execution import name_of_status
+from coadjoint.runs.memory_estimate import check_room_of_run
+from coadjoint.runs.partial_steps import PartsOfSteps, check_no_noise
+from coadjoint.runs.times import Times
+from coadjoint.validation import are_finite, read_numbers
+
+if TYPE_CHECKING:
+    from coadjoint.runs.events import Ending
+    from coadjoint.runs.run import Run
+
+Floats = NDArray[np.float64]
+
+ROUNDINGS = 4
+"""A time within this many units in the last place (of the larger end of the span) of a step is that step."""
+ROWS = 2**16
+"""States processed at once."""
+
+
+class Moments(NamedTuple):
+    """Output times: the number of the step at or before each, and the remaining time `length` beyond that step."""
+
+    t: Floats
+    number: NDArray[np.int64]
+    length: Floats
+
+    @property
+    def marks(self) -> NDArray[np.int64]:
+        """Numbers of the steps from which the output times are reached, and 0."""
+        return np.union1d(self.number, 0)
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """For each output time, the number of the step, whole or partial, that ends there."""
+        return self.number + (self.length != 0.0)
+
+
+def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
+    """Validate `t_eval`, (k,), sorted in the direction of the run and within its span, and locate it among the steps.
+
+    Repeated times are allowed; `save_every` must be 1, since the two exclude each other.
+
+    Examples
+    --------
+    >>> found = moments_of([0.0, 0.3, 0.5], Times(0.0, 0.25, 4, 1))
+    >>> found.number.tolist(), found.length.round(3).tolist()
+    ([0, 1, 2], [0.0, 0.05, 0.0])
+    """
+    if save_every != 1:
+        raise ValueError("the run was given save_every and t_eval; give only one of them")
+    given = read_numbers(t_eval, "t_eval")
+    if given.ndim != 1 or not len(given):
+        raise ValueError(f"t_eval has the shape {given.shape}; it must be a row of times, at least one")
+    if not are_finite(given):
+        raise ValueError("t_eval contains NaN or infinity; every time must be finite")
+    t = np.array(given, dtype=np.float64)
+    forward = times.h > 0.0
+    wrong = np.flatnonzero(t[1:] < t[:-1] if forward else t[1:] > t[:-1])
+    if len(wrong):
+        k = int(wrong[0]) + 1
+        raise ValueError(
+            f"t_eval[{k}] is {t[k]:g} and comes after {t[k - 1]:g}; times must be sorted in the direction of t_span"
+        )
+    near = ROUNDINGS * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+    low, high = (times.t0, times.end) if forward else (times.end, times.t0)
+    outside = np.flatnonzero((t < low - near) | (t > high + near))
+    if len(outside):
+        k = int(outside[0])
+        raise ValueError(f"t_eval[{k}] is {t[k]:g}; it must lie within t_span, from {times.t0:g} to {times.end:g}")
+    steps = np.clip((t - times.t0) / times.h, 0, times.steps)
+    nearest = np.rint(steps).astype(np.int64)
+    at_step = np.abs(t - times.at(nearest)) <= near
+    before = np.minimum(np.floor(steps).astype(np.int64), max(times.steps - 1, 0))
+    # Division may round up to a whole number from just below.
+    early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0
+    number = np.where(at_step, nearest, before - early)
+    return Moments(t, number, np.where(at_step, 0.0, t - times.at(number)))
+
+
+def check_parts(system: Any, moments: Moments) -> None:
+    """Reject output times between steps for systems without partial steps (noise)."""
+    if np.any(moments.length):
+        check_no_noise(system)
+
+
+def look(run: Run, moments: Moments) -> None:
+    """Replace the saved points of a finished run, the steps in `moments.marks`, by its states at `moments`.
+
+    After a terminal event in a single-member run, only the times before it and the event itself are kept; in an
+    ensemble, later states are NaN. A member whose partial step fails is marked as failed. ValueError: noise, or too
+    little memory.
+    """
+    marked, members = run.saved, len(run.start.momenta)
+    way, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
+    if run.ending is not None:
+        before = way * moments.t < way * run.ending.t
+        moments = Moments(moments.t[before], moments.number[before], moments.length[before])
+    # Exactly n h at a step, whatever its time is rounded to.
+    elapsed = moments.number * run.times.h + moments.length
+    times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
+    if run.ending is not None:
+        times = _with_ending(times, run.ending)
+        run.ending = run.ending._replace(points=times.points)
+    layout = Layout(run.plan.layout.extent._replace(points=times.points))
+    check_room_of_run(layout, times, members)
+    saved, place = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
+    names = ("x", "group", "values")
+    source, target = ([arrays[name] for name in names] for arrays in (marked, saved))
+    for to, given in zip(target, source, strict=True):
+        to[: len(place)] = given[place]
+    if run.ending is not None:
+        saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
+    inside = np.flatnonzero(moments.length)
+    if len(inside):
+        parts = PartsOfSteps(run.moved, run.method, run.loops, run.workers)
+        # A failed member has no partial step within the step that failed.
+        last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
+        chunk = max(1, ROWS // members)
+        for first in range(0, len(inside), chunk):
+            some = inside[first : first + chunk]
+            _fill(parts, run, moments, some, (last, way * ends), target)
+        late = (moments.ends[:, None] >= last) & (run.state["status"] != 0)
+        for array in target:
+            array[: len(late)][late] = np.nan
+    run.initial, run.saved, run.times = marked["values"][0], saved, times
+
+
+def _with_ending(times: Times, ending: Ending) -> Times:
+    """Append the time of the terminal event to the output times."""
+    assert times.marks is not None and times.between is not None and times.elapsed is not None
+    return times._replace(
+        marks=np.append(times.marks, ending.steps),
+        between=np.append(times.between, ending.t),
+        elapsed=np.append(times.elapsed, ending.t - times.t0),
+    )
+
+
+def _fill(
+    parts: PartsOfSteps, run: Run, moments: Moments, some: NDArray[np.int64], lasting: Any, target: list[Floats]
+) -> None:
+    """Compute the states at the chosen output times by partial steps, for members that neither failed nor ended."""
+    x, group, values = target
+    k, owners = (axis.ravel() for axis in np.meshgrid(some, np.arange(x.shape[1]), indexing="ij"))
+    failing, ending = lasting
+    gone = (1.0 if run.times.h > 0.0 else -1.0) * moments.t[k] > ending[owners]
+    going = (moments.ends[k] < failing[owners]) & ~gone
+    for array in target:
+        array[k[~going], owners[~going]] = np.nan
+    k, owners = k[going], owners[going]
+    if not len(k):
+        return
+    starts = run.times.at(moments.number[k])
+    found = parts.taken(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
+    x[k, owners], group[k, owners] = found.momenta, found.groups
+    for row in np.flatnonzero(found.status).tolist():
+        m, step = int(owners[row]), int(moments.ends[k[row]])
+        if step < failing[m]:
+            failing[m] = step
+            run.fail(m, step, name_of_status(found.status[row]), float(found.residual[row]))
+    measured = run.loops.measured_at(found.momenta, moments.t[k])
+    if measured is None:
+        # Multivalued invariants were followed along the run, and are continued from there by whole periods.
+        turns = values[k, owners] - found.before
+        measured = np.where(turns == 0.0, found.values, found.values + turns)
+    values[k, owners] = measured

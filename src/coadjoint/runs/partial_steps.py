@@ -1,0 +1,182 @@
+"""Partial steps: states between two steps by a shorter step of the same scheme, for many states at once."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
+from coadjoint.kernels.blas_threads import threads_of_blas
+from coadjoint.kernels.interface import codes
+from coadjoint.kernels.recording_tables import schedule_of_parts
+from coadjoint.kernels.structures import pointed
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.batch_execution import at_work, name_of_status, what_failed
+from coadjoint.runs.batch_rows import rows_of_pieces
+from coadjoint.runs.loops import Loops
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+
+Floats = NDArray[np.float64]
+
+MOST_NUMBERS = 2**20
+"""Array entries processed at a time."""
+FEW_ROWS = 256
+"""Up to this many rows one thread is faster than starting others."""
+
+
+def check_no_noise(system: Any) -> None:
+    """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
+    moved = system[0] if isinstance(system, Batch) else system
+    if isinstance(moved, ForcedSystem):
+        noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]
+        if noises:
+            raise ValueError(
+                f"{noises[0]} of {moved.name} is a noise, drawn once for a step: there is no state between two steps; "
+                "give times that are whole numbers of steps from the start"
+            )
+
+
+class Taken(NamedTuple):
+    """Result of one step for each row: momenta, group elements, and the invariants after and before it.
+
+    In rows that failed these are NaN, and `status` is not zero.
+    """
+
+    momenta: Floats
+    groups: Floats
+    values: Floats
+    before: Floats
+    status: NDArray[np.int64]
+    residual: Floats
+
+
+class PartsOfSteps:
+    """Steps of arbitrary lengths by the scheme of a run, one for each of many states.
+
+    A step of length theta h has the properties of the scheme: its order, its invariants, the group element. It starts
+    without history: compensated sums are zero, and iterations have no previous values. Each row's bits depend on that
+    row only. `loops` are those of one direction; a system with noise raises ValueError.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> body, method = co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4)
+    >>> parts = PartsOfSteps(body, method, co.prepare(body, method, 0.1).loops(0.1))
+    >>> x, none = np.array([[1.0, 0.2, 0.1]] * 2), np.empty((2, 0))
+    >>> some, _ = parts.take(x, none, np.zeros(2), np.array([0.1, 0.05]))
+    >>> bool((some[0] == co.integrate(body, x[0], (0, 0.1), 0.1, method).x[-1]).all())
+    True
+    """
+
+    def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
+        from coadjoint.kernels.tables import invariants_table
+
+        check_no_noise(system)
+        self.method, self.loops, self.workers = method, loops, workers
+        self._nothing = pointed(invariants_table([], system.dim).tables)
+
+    def take(
+        self,
+        momenta: Floats,
+        groups: Floats,
+        times: Floats,
+        lengths: Floats,
+        owners: NDArray[np.int64] | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Return the momenta and group elements after one step for each row.
+
+        Parameters
+        ----------
+        momenta : ndarray, shape (m, size)
+            States as a run saves them, with the accounts of forces behind the coordinates. Rows that are not finite
+            are returned as NaN.
+        groups : ndarray, shape (m, d*d) or (m, 0)
+            Group elements as the loops store them: transposed, and without the shift of the Hamiltonian.
+        times, lengths : ndarray, shape (m,)
+            Start and length of the step of each row; a negative length is backward.
+        owners : ndarray of int, shape (m,), optional
+            Member of each row, if tables differ between members; by default row i belongs to member i.
+
+        Raises
+        ------
+        IntegrationError
+            A partial step failed where the whole step did not.
+        """
+        found = self.taken(momenta, groups, times, lengths, owners)
+        failed = np.flatnonzero(found.status)
+        if len(failed):
+            row = int(failed[0])
+            owner = row if owners is None else int(owners[row])
+            raise self._failure(found, row, owner, float(times[row]), float(lengths[row]))
+        return found[:2]
+
+    def taken(
+        self,
+        momenta: Floats,
+        groups: Floats,
+        times: Floats,
+        lengths: Floats,
+        owners: NDArray[np.int64] | None = None,
+        watched: bool = False,
+    ) -> Taken:
+        """Like `take`, but return failures instead of raising, and the tracked invariants if `watched`."""
+        count, m = self.loops.followed if watched else 0, len(momenta)
+        x, group, after, before = (
+            np.full((m, width), np.nan) for width in (momenta.shape[1], groups.shape[1], count, count)
+        )
+        found = Taken(x, group, after, before, np.zeros(m, dtype=np.int64), np.zeros(m))
+        owners = np.arange(len(momenta)) if owners is None else owners
+        sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
+        numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * count + 8
+        chunk = max(1, MOST_NUMBERS // numbers)
+        workers = self.workers if len(sound) > FEW_ROWS else 1
+        for first in range(0, len(sound), chunk):
+            some = sound[first : first + chunk]
+            given = momenta[some], groups[some], times[some], lengths[some], owners[some]
+            for every, own in zip(found, self._take(*given, watched, workers), strict=True):
+                every[some] = own
+        return found
+
+    def _take(
+        self,
+        momenta: Floats,
+        groups: Floats,
+        times: Floats,
+        lengths: Floats,
+        owners: NDArray[np.int64],
+        watched: bool,
+        workers: int,
+    ) -> list[NDArray[Any]]:
+        loops = self.loops
+        pieces = loops.pieces(None if watched else self._nothing)
+        rows, own, crews = rows_of_pieces(pieces, owners, workers, loops.block)
+        count = loops.followed if watched else 0
+        layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
+        saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
+        state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
+        starts, steps = times[rows].astype(np.float64), np.where(own, lengths[rows], 0.0)
+        schedule = schedule_of_parts(starts, steps)
+        with threads_of_blas(loops.rows, workers):
+            at_work(crews, (layout, schedule, saved, state, 0, 1), loops, workers)
+        place = np.empty(len(momenta), dtype=np.int64)
+        place[rows[own]] = np.flatnonzero(own)
+        arrays = (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])
+        status = state["status"][place]
+        moved = [np.where(status[:, None] == codes("Status")["DONE"], array[place], np.nan) for array in arrays]
+        return [*moved, status, state["residual"][place]]
+
+    def _failure(self, found: Taken, row: int, owner: int, start: float, length: float) -> IntegrationError:
+        residual = float(found.residual[row])
+        what = what_failed(name_of_status(found.status[row]), self.method, self.loops, residual)
+        return IntegrationError(
+            f"in a part of a step, of length {length:g} from t = {start:g}, {what} for member {owner}; "
+            "take a smaller step",
+            step=0,
+            time=start,
+            residual=residual,
+        )

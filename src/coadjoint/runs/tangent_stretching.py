@@ -1,0 +1,158 @@
+"""Stretching of tangent vectors along a run, in the compiled loop or step by step by `Method.tangent`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.tangents import Frame, stretches_in
+from coadjoint.long_operations import at
+from coadjoint.memory import check_room
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.run import Run
+from coadjoint.runs.start import Start
+from coadjoint.runs.tangent_loops import each_its_own
+from coadjoint.runs.times import Times
+from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.system_checks import System
+
+NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits are lost
+_said: set[type] = set()
+
+
+class Stretching(NamedTuple):
+    """Result of `stretching`.
+
+    `logarithms` (points, members, k) holds the logarithm of the stretching factor of each vector from the start; NaN
+    after a failure. `by` is "compiled", or "formula", "complex step" or "differences" for tangents in Python. `run` has
+    the failures.
+    """
+
+    logarithms: NDArray[np.float64]
+    by: str
+    run: Run
+
+
+def stretching(
+    system: System | Batch, method: Method, times: Times, start: Start, frame: Frame, workers: int
+) -> Stretching:
+    """Carry the orthonormal tangent vectors of `frame` along a run of every member.
+
+    `times` has the saved steps as marks; `start` has no group element. ValueError or TypeError: the scheme cannot be
+    used for the system, or a derivative is unknown.
+    """
+    systems = list(system) if isinstance(system, Batch) else [system]
+    prepared = []
+    for m, one in enumerate(systems):
+        try:
+            method.properties(one)
+            prepared.append(method.tangent_loop(one, times.h, frame))
+        except (TypeError, ValueError) as error:
+            if not isinstance(system, Batch):
+                raise
+            raise type(error)(f"member {m} of the batch: {error}") from error
+    if None in prepared:
+        return _step_by_step(system, systems, method, times, start, frame)
+    loops = each_its_own(systems, method, times.h, prepared)
+    run = Run(system, method, loops, times, start, False, workers)
+    logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
+    for point, number in enumerate(times.saved.tolist()):
+        if number == 0:
+            logarithms[point] = 0.0
+            continue
+        run.advance(until=number)
+        at(f"step {number} of {times.steps}", number / times.steps)
+        going = run.state["status"] == 0
+        logarithms[point, going] = stretches_in(run.state["memory"][going], len(frame.vectors))
+    return Stretching(logarithms, "compiled", run)
+
+
+def _step_by_step(
+    system: System | Batch, systems: Sequence[System], method: Method, times: Times, start: Start, frame: Frame
+) -> Stretching:
+    """Take the steps in the loop of the scheme, then evaluate their tangents in Python."""
+    numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
+    check_room(8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,")
+    _say_once(type(method))
+    every_step = times.marking(np.arange(times.steps + 1))
+    loops = each_its_own(systems, method, times.h, [None] * len(systems))
+    run = Run(system, method, loops, every_step, start, False)
+    run.advance()
+    ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
+    logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
+    for m in range(len(start.momenta)):
+        own = systems[m if len(systems) > 1 else 0]
+        states = run.saved["x"][: int(ends[m]) + 1, m]
+        failed = _follow(own, method, times, states, frame, logarithms[:, m])
+        if failed:
+            run.fail(m, failed, "PARALLEL")
+    by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
+    return Stretching(logarithms, by, run)
+
+
+def _follow(
+    system: System, method: Method, times: Times, states: NDArray[Any], frame: Frame, found: NDArray[np.float64]
+) -> int:
+    """Fill in the logarithms of one member; return the step after which vectors are dependent, or 0."""
+    total, owed = np.zeros(len(frame.vectors)), np.zeros(len(frame.vectors))
+    vectors = frame.vectors.T.copy()
+    saved = {number: point for point, number in enumerate(times.saved.tolist())}
+    for k in range(len(states)):
+        at(f"step {k} of {len(states)}", k / len(states))
+        if k:
+            before = float(times.t0 + (k - 1) * times.h)
+            vectors = method.tangent(system, states[k - 1], before, times.h)[1] @ vectors
+        if k and k % frame.every == 0:
+            lengths = make_orthonormal(vectors)
+            if lengths is None:
+                return k
+            more = np.log(lengths) + owed
+            owed = more - ((total + more) - total)
+            total = total + more
+        if k in saved:
+            lengths = make_orthonormal(vectors.copy())
+            found[saved[k]] = np.nan if lengths is None else total + (owed + np.log(lengths))
+    return 0
+
+
+def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Orthonormalize the columns of (n, k) in place by modified Gram-Schmidt.
+
+    Return the length of each column after the projections, (k,); None if a column depends on those before it or is not
+    finite.
+
+    Examples
+    --------
+    >>> vectors = np.array([[3.0, 5.0], [0.0, 2.0]])
+    >>> make_orthonormal(vectors).tolist(), vectors.tolist()
+    ([3.0, 2.0], [[1.0, 0.0], [0.0, 1.0]])
+    """
+    # cumsum adds in the order of the indices on every machine.
+    lengths = np.sqrt(np.cumsum(vectors**2, axis=0)[-1])
+    for r in range(vectors.shape[1]):
+        own = vectors[:, r]
+        length = np.sqrt(np.cumsum(own**2)[-1])
+        if not (length > NEARLY_DEPENDENT * lengths[r] and np.isfinite(length)):
+            return None
+        lengths[r] = length
+        own /= length
+        others = vectors[:, r + 1 :]
+        others -= own[:, None] * np.cumsum(own[:, None] * others, axis=0)[-1]
+    return np.asarray(lengths)
+
+
+def _say_once(scheme: type) -> None:
+    if scheme in _said:
+        return
+    _said.add(scheme)
+    warnings.warn(
+        f"the tangents of {scheme.__name__} are computed in Python, about a hundred times slower than those of flow "
+        "and Runge-Kutta methods, which are compiled",
+        RuntimeWarning,
+        stacklevel=2,
+    )

@@ -1,0 +1,1 @@
+"""Ready-made systems: rigid bodies, tops, satellites, pendulums."""

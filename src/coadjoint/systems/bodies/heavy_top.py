@@ -1,0 +1,120 @@
+"""The heavy top: a rigid body with a fixed point, under gravity."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.systems.bodies.inertia import axis_of_symmetry, inverse_inertia, momentum_along, read_vector
+from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.closed_forms.kovalevskaya_integral import kovalevskaya_integral
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+
+Floats = npt.NDArray[np.float64]
+
+
+@ready_made(
+    telling=Telling(
+        x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
+        t_span=(0.0, 40.0),
+        step=0.02,
+        says="A top without symmetry, with its center of mass off every axis: the path of its third axis has no "
+        "repeating pattern. Middle, the axis in space; right, the vertical, seen from the body.",
+        pictures=(
+            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
+            Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+)
+def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> LiePoissonSystem:
+    """Return a heavy top, ``m' = m cross Omega + gamma cross lever``, ``gamma' = gamma cross Omega``.
+
+    The first three coordinates are the angular momentum m about the fixed point, in the body frame, with
+    ``Omega = I^-1 m``; the last three are gamma, the upward vertical in that frame, of length 1. The algebra is e(3)
+    with the body sign, -1, and ``H = m . I^-1 m / 2 + lever . gamma``.
+
+    The group element g is a matrix of SE(3), ``g' = g rho(Omega, lever)``. Its block ``A = g[:3, :3]`` is the attitude,
+    from the body to space, so that ``A gamma`` is constant. Its column ``r = g[:3, 3]`` is not a position: the fixed
+    point does not move. It is the integral of ``A lever`` over time, so ``r cross A gamma`` is minus the angular
+    impulse of gravity, and ``A m + r cross A gamma`` is constant.
+
+    Parameters
+    ----------
+    inertia : (3,) or (3, 3)
+        Principal moments about the fixed point, or the symmetric positive definite tensor (mass times length squared).
+    lever : (3,)
+        Weight times the position of the center of mass from the fixed point, in the body frame (an energy).
+
+    Returns
+    -------
+    LiePoissonSystem
+        Casimirs: ``"|p|^2"``, the squared length of gamma, and ``"m.p"``, the vertical angular momentum m . gamma.
+        Integrals for the parameters of Lagrange's top about any axis (the momentum along it, such as ``"m3"``), or of
+        Kovalevskaya's top in any order of the axes (``"K"``).
+
+    Raises
+    ------
+    ValueError
+        `inertia` has another shape, or is not finite, symmetric and positive; `lever` is not three finite numbers.
+
+    Warns
+    -----
+    UserWarning
+        A principal moment exceeds the sum of the other two, which is impossible for a body.
+
+    Notes
+    -----
+    If gravity is weak, ``Splitting(parts="free_body")`` has the free body as one part and gravity as the other: its
+    error is proportional to gravity. At equal cost it is more accurate up to potential energies comparable to the
+    rotational energy.
+
+    Marsden and Ratiu, "Introduction to Mechanics and Symmetry" (1999), section 15.10; Audin, "Spinning Tops" (1996).
+
+    Examples
+    --------
+    >>> top = heavy_top(inertia=(1.0, 2.0, 2.5), lever=(0.0, 0.0, 1.0))
+    >>> top.vector_field([1.0, 2.0, 5.0, 2.0, 3.0, 1.0])
+    array([ 2.,  1., -1.,  5., -3., -1.])
+    >>> heavy_top(inertia=(2.0, 1.0, 1.0), lever=(3.0, 0.0, 0.0)).integrals
+    {'m1': x1}
+    """
+    M, kept = inverse_inertia(inertia)
+    warn_of_no_body(kept, "e(3)")
+    w = read_vector(lever, "lever")
+    return top_under_gravity(M, w, "heavy_top", {"inertia": kept, "lever": tuple(w.tolist())})
+
+
+def top_under_gravity(M: Floats, lever: Floats, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
+    """Return the top on e(3) with inverse inertia M, (3,) or (3, 3), and coefficients `lever` of gamma, with integrals.
+
+    Examples
+    --------
+    >>> top_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]), "top", {}).integrals.keys()
+    dict_keys(['K'])
+    """
+    whole = np.zeros((6, 6))
+    whole[:3, :3] = M if M.ndim == 2 else np.diag(M)
+    H = Quadratic(whole, linear=np.concatenate([np.zeros(3), lever]))
+    integrals = momentum_along(axis_of_symmetry(M, lever), "m", 6)
+    K = kovalevskaya_integral(M, lever)
+    if K is not None:
+        integrals["K"] = K
+    return LiePoissonSystem(rigid_motions(), H, sign=-1, name=name, parameters=parameters, integrals=integrals)
+
+
+@cache
+def rigid_motions() -> LieAlgebra:
+    """Return e(3), cached: one object for all tops and bodies in fluids."""
+    return catalogue.e(3)

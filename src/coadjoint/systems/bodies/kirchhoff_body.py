@@ -1,0 +1,118 @@
+"""Kirchhoff's equations: a rigid body moving in an ideal fluid."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.heavy_top import rigid_motions
+from coadjoint.systems.bodies.inertia import inverse_inertia, inverse_of, plain, principal
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_finite
+
+Floats = npt.NDArray[np.float64]
+
+
+@ready_made(
+    telling=Telling(
+        x0=(0.5, 1.5, 1.0, 0.8, 0.1, 0.1),
+        t_span=(0.0, 40.0),
+        step=0.02,
+        says="A body pushed through a fluid along its light axis turns broadside on: it flutters and tumbles about "
+        "the direction of its impulse. Middle, its path, with its first axis; right, that axis in space, the "
+        "impulse upward.",
+        pictures=(
+            Picture("path in space", axis=0),
+            Picture("body axis", axis=0, up=(3, 4, 5), vertical="impulse"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular impulse"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "p1", "p2", "p3"),
+        quantity="impulses",
+    )
+)
+def kirchhoff_body(
+    inertia: npt.ArrayLike = (1.0, 2.0, 3.0),
+    mass: npt.ArrayLike = (1.5, 2.5, 2.0),
+    coupling: npt.ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+) -> LiePoissonSystem:
+    """Return a body in a fluid at rest at infinity, ``m' = m cross Omega + p cross v``, ``p' = p cross Omega``.
+
+    The first three coordinates are the angular impulse m of body and fluid together, the last three the linear impulse
+    p, both in the body frame. They are related to the velocities Omega (angular) and v (linear) by
+    ``m = inertia Omega + coupling v`` and ``p = coupling^T Omega + mass v``. The algebra is e(3) with the body sign,
+    -1, and ``H = (m . Omega + p . v) / 2``. A full 6 x 6 matrix K of inertia is given by its blocks:
+    ``inertia=K[:3, :3]``, ``coupling=K[:3, 3:]``, ``mass=K[3:, 3:]``.
+
+    The group element g is a matrix of SE(3), ``g' = g rho(Omega, v)``. Its block ``A = g[:3, :3]`` is the attitude,
+    from the body to space. Its column ``r = g[:3, 3]`` is the position of the origin of the body, ``r' = A v``. The
+    impulses ``A p`` and ``A m + r cross A p`` are constant.
+
+    Parameters
+    ----------
+    inertia : (3,) or (3, 3)
+        Moments of inertia including added inertia of the fluid, a diagonal or a symmetric matrix (mass times length
+        squared). One may exceed the sum of the other two, as for a long thin plate.
+    mass : (3,) or (3, 3)
+        Mass including added mass of the fluid, which depends on the direction: a diagonal or a symmetric matrix.
+    coupling : (3, 3), optional
+        Coupling of rotation and translation (mass times length); zero for a body with three planes of symmetry.
+
+    Returns
+    -------
+    LiePoissonSystem
+        Casimirs ``"|p|^2"`` and ``"m.p"``. A body of revolution about a coordinate axis, without coupling, also keeps
+        the angular impulse along the axis, such as ``"m3"``.
+
+    Raises
+    ------
+    ValueError
+        A block has the wrong shape or is not finite, `inertia` or `mass` is not symmetric, or the full matrix is not
+        positive definite.
+
+    Notes
+    -----
+    Kirchhoff, Crelle 71 (1870); Lamb, "Hydrodynamics" (1932), chapter VI; Leonard, Automatica 33, 331 (1997).
+
+    Examples
+    --------
+    >>> body = kirchhoff_body(inertia=(1.0, 2.0, 4.0), mass=(1.0, 2.0, 4.0))
+    >>> body.vector_field([1.0, 2.0, 4.0, 2.0, 4.0, 8.0])
+    array([-10.,  15.,  -5.,  -4.,   6.,  -2.])
+    >>> kirchhoff_body(inertia=(1, 1, 2), mass=(2, 2, 1)).integrals
+    {'m3': x3}
+    """
+    A, kept = inverse_inertia(inertia)
+    C, masses = inverse_inertia(mass, "mass")
+    B = read_finite(coupling, "coupling")
+    if B.shape != (3, 3):
+        raise ValueError(f"coupling has shape {B.shape}; give a finite (3, 3)")
+    whole = np.zeros((6, 6))
+    if B.any():
+        for block, given in ((slice(0, 3), kept), (slice(3, 6), masses)):
+            whole[block, block] = np.diag(given) if np.ndim(given) == 1 else given
+        whole[:3, 3:], whole[3:, :3] = B, B.T
+        whole = inverse_of(whole, "the matrix of inertia, coupling and mass")
+    else:
+        whole[:3, :3], whole[3:, 3:] = (np.diag(M) if M.ndim == 1 else M for M in (A, C))
+    return LiePoissonSystem(
+        rigid_motions(),
+        Quadratic(whole),
+        sign=-1,
+        name="kirchhoff_body",
+        parameters={"inertia": kept, "mass": masses, "coupling": plain(B)},
+        integrals={} if B.any() else _of_revolution(A, C),
+    )
+
+
+def _of_revolution(A: Floats, C: Floats) -> dict[str, Polynomial]:
+    """Return the angular impulse along each coordinate axis that is an axis of revolution."""
+    a, c = principal(A), principal(C)
+    if a is None or c is None:
+        return {}
+    pairs = ((k, (k + 1) % 3, (k + 2) % 3) for k in range(3))
+    return {f"m{k + 1}": Polynomial.variable(k, 6) for k, i, j in pairs if a[i] == a[j] and c[i] == c[j]}

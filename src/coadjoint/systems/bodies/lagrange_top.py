@@ -1,0 +1,79 @@
+"""Lagrange's top: symmetric, with the center of mass on its axis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coadjoint.systems.bodies.heavy_top import top_under_gravity
+from coadjoint.systems.bodies.inertia import moments_of
+from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_number
+
+
+@ready_made(
+    telling=Telling(
+        x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
+        t_span=(0.0, 24.0),
+        step=0.02,
+        says="Released with its axis at rest, inclined by 60 degrees: the axis falls, turns sideways and comes "
+        "back to rest in a cusp, over and over, while it precesses about the vertical.",
+        pictures=(
+            Picture("nutation", axis=2, up=(3, 4, 5)),
+            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+)
+def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
+    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the center of mass on the third axis.
+
+    State, sign -1, Casimirs and group element are those of `heavy_top`. The momentum along the axis, m3, is an
+    integral, so the motion is integrable. The upright position is stable (a sleeping top) if
+    ``m3^2 > 4 equatorial lever``. For other axes use `heavy_top`.
+
+    Parameters
+    ----------
+    equatorial, axial : float
+        Moments of inertia about the fixed point (mass times length squared): across the axis and about it. Positive.
+    lever : float
+        Weight times the distance of the center of mass along the axis (an energy); negative if the center of mass is
+        below the fixed point when the axis points up.
+
+    Returns
+    -------
+    LiePoissonSystem
+        With the integral ``"m3"``.
+
+    Raises
+    ------
+    ValueError
+        A moment is not positive, or a number not finite.
+
+    Warns
+    -----
+    UserWarning
+        The axial moment exceeds twice the equatorial one, which is impossible for a body.
+
+    Notes
+    -----
+    Lagrange, "Mechanique analitique" (1788); Audin, "Spinning Tops" (1996), chapter II.
+
+    Examples
+    --------
+    >>> top = lagrange_top(equatorial=1.0, axial=0.5, lever=2.0)
+    >>> top.energy([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    3.5
+    >>> top.integrals
+    {'m3': x3}
+    """
+    (across, one), (about, other) = moments_of(equatorial, "equatorial"), moments_of(axial, "axial")
+    M, height = np.concatenate([across, across, about]), read_number(lever, "lever")
+    warn_of_no_body((one, one, other), "e(3)", "axial")
+    parameters = {"equatorial": one, "axial": other, "lever": height}
+    return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)

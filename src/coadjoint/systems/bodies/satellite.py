@@ -1,0 +1,219 @@
+"""A rigid satellite on an orbit about a centre of gravity, with the gravity-gradient torque."""
+
+from __future__ import annotations
+
+from functools import cache, lru_cache, partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.families.heisenberg import heisenberg
+from coadjoint.algebra.families.orthogonal import so
+from coadjoint.algebra.families.products import semidirect
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.closed_forms.kepler import kepler
+from coadjoint.systems.closed_forms.spin_precession import turned
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.systems.unit_range import read_in_range
+from coadjoint.validation import read_finite
+
+Floats = npt.NDArray[np.float64]
+
+
+def _librating() -> npt.NDArray[np.float64]:
+    """Return a circular orbit of radius 5, the body rotated from the radius by 40 degrees and slightly out of plane."""
+    radius, mass, turned = 5.0, 100.0, np.radians(40.0)
+    rate = radius**-1.5
+    c, s = np.cos(turned), np.sin(turned)
+    return np.array(
+        [0.005, 0.0, 2.5 * rate, *(mass * radius * rate * np.array([s, c, 0.0])), c * radius, -s * radius, 0.0, 1.0]
+    )
+
+
+def _pitch(x: Any) -> Any:
+    """Return the angle of the radius from the first axis, in the plane of the first two."""
+    return np.degrees(np.arctan2(x[..., 7], x[..., 6]))
+
+
+@ready_made(
+    telling=Telling(
+        x0=_librating,
+        t_span=(0.0, 300.0),
+        step=0.1,
+        says="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
+        "center, and the axis swings to and fro about this direction. Right, the directions of the radius and of the "
+        "orbital momentum, seen from the body.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"radius": (6, 7, 8), "momentum": (3, 4, 5)},
+                title="as the body sees them",
+                view=(55.0, 25.0),
+            ),
+        ),
+        components=Picture("components", functions={"pitch": _pitch}, quantity="angle of the radius [degrees]"),
+        quantity="state",
+    )
+)
+def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> LiePoissonSystem:
+    """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient that couples them.
+
+    All vectors are in the body frame, which rotates by ``Omega = I^-1 L``: ``L' = L cross Omega + r cross dV/dr``,
+    ``r' = r cross Omega + p / mass``, ``p' = p cross Omega - dV/dr``. Sign -1, ``H = L . I^-1 L / 2 +
+    |p|^2 / (2 mass) + V(r)``, ``V = -gravity (mass/|r| + (tr I - 3 u . I u) / (2 |r|^3))``, u = r/|r|: the expansion of
+    the potential to the second moments of the body.
+
+    Parameters
+    ----------
+    inertia : (3,)
+        Principal moments of inertia, positive (mass length^2). The body frame is that of the principal axes.
+    mass : float
+        Mass of the satellite, positive.
+    gravity : float
+        Gravitational constant times the mass of the centre, positive (length^3/time^2).
+
+    Returns
+    -------
+    LiePoissonSystem
+        State: ``(L, p, r, 1)``, ten numbers: angular momentum about the centre of mass, momentum, and position relative
+        to the centre of gravity, all in components along the body axes. The 1 is the central coordinate of a Heisenberg
+        algebra. Casimirs: ``"z"``, which is 1, and ``"|total L|^2"``, where total L = L + r cross p. Integrals: the
+        spin about an axis of symmetry. ``exact(x0, t)`` for equal moments: a Kepler orbit. The block ``[1:4, 1:4]`` of
+        the group element, 5 x 5, is the attitude A, from the body to space: A r is the position in space, and
+        A (L + r cross p) is constant. Its other entries are not a position.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not three positive moments, or `mass` or `gravity` is not positive.
+
+    Warns
+    -----
+    UserWarning
+        A moment exceeds the sum of the other two, which is impossible for a body.
+
+    Notes
+    -----
+    Wang, Krishnaprasad and Maddocks, Celest. Mech. Dyn. Astron. 50, 349 (1991). The algebra is so(3) acting on
+    heisenberg(3). A splitting has at most five parts: three rotations, a drift, and a kick.
+
+    Examples
+    --------
+    >>> system = satellite(inertia=(1.0, 1.0, 1.0), mass=2.0)
+    >>> system.vector_field([0, 0, 0, 0, 2.0, 0, 1.0, 0, 0, 1]) + 0.0  # a circular Kepler orbit
+    array([ 0.,  0.,  0., -2.,  0.,  0.,  0.,  1.,  0.,  0.])
+    """
+    moments = read_finite(inertia, "inertia")
+    if moments.shape != (3,):
+        raise ValueError(f"inertia has shape {moments.shape}; give three principal moments")
+    read = (
+        *((f"inertia[{i}]", value) for i, value in enumerate(moments.tolist())),
+        ("mass", mass),
+        ("gravity", gravity),
+    )
+    first, second, third, mass, gravity = (read_in_range(value, what) for what, value in read)
+    principal = (first, second, third)
+    warn_of_no_body(principal, None)
+    turning = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
+    H = SplitHamiltonian(
+        [*turning, ((3, 4, 5), Quadratic(1 / mass)), ((6, 7, 8), _potential(principal, mass, gravity))]
+    )
+    return LiePoissonSystem(
+        _algebra(),
+        H,
+        sign=-1,
+        casimirs={"z": Polynomial.variable(9, 10), "|total L|^2": _total()},
+        name="satellite",
+        parameters={"inertia": principal, "mass": mass, "gravity": gravity},
+        exact=partial(_ball, first, mass, gravity) if first == second == third else None,
+        integrals={
+            f"L{k + 1}": Polynomial.variable(k, 10) for k in range(3) if principal[k - 1] == principal[(k + 1) % 3]
+        },
+    )
+
+
+@cache
+def _algebra() -> LieAlgebra:
+    """Return so(3) acting on (p, r, z); with the body sign, z = [p, r] makes r' = dH/dp."""
+    turns = so(3).representation
+    flat = heisenberg(3).representation
+    assert turns is not None and flat is not None
+    acting = np.zeros((3, 7, 7))
+    acting[:, :3, :3] = acting[:, 3:6, 3:6] = turns
+    g = semidirect(so(3), acting, heisenberg(3))
+    matrices = np.zeros((10, 5, 5))
+    matrices[:3, 1:4, 1:4], matrices[3:] = turns, flat
+    basis = ("L1", "L2", "L3", "p1", "p2", "p3", "r1", "r2", "r3", "z")
+    return LieAlgebra(
+        np.column_stack([*g.triples]), dim=10, basis=basis, name="so(3) ⋉ heisenberg(3)", representation=matrices
+    )
+
+
+def _total() -> Polynomial:
+    """Return |z L + r cross p|^2."""
+    L1, L2, L3, p1, p2, p3, r1, r2, r3, z = (Polynomial.variable(k, 10) for k in range(10))
+    total = z * L1 + r2 * p3 - r3 * p2, z * L2 + r3 * p1 - r1 * p3, z * L3 + r1 * p2 - r2 * p1
+    return total[0] ** 2 + total[1] ** 2 + total[2] ** 2
+
+
+@lru_cache(maxsize=64)
+def _potential(moments: tuple[float, float, float], mass: float, gravity: float) -> Hamiltonian:
+    """Return V as a function of r, cached, so that it is compiled once for equal parameters."""
+    a, b, c = moments
+    trace = a + b + c
+
+    def value(r: Any) -> Any:
+        square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
+        return -gravity * (mass + (trace - 3 * along) / (2 * square)) / np.sqrt(square)
+
+    def gradient(r: Any) -> Any:
+        square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
+        common = mass + (3 * trace - 15 * along) / (2 * square)
+        strength = gravity / (square * np.sqrt(square))
+        slope = 0 * r
+        slope[0] = strength * (common + 3 * a / square) * r[0]
+        slope[1] = strength * (common + 3 * b / square) * r[1]
+        slope[2] = strength * (common + 3 * c / square) * r[2]
+        return slope
+
+    def hessian(r: Any) -> Any:
+        own = np.array([a, b, c])
+        square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
+        common = mass + (3 * trace - 15 * along) / (2 * square)
+        strength = gravity / (square * np.sqrt(square))
+        bent = -3 * mass + (105 * along - 15 * trace) / (2 * square)
+        result = np.outer(r, r)
+        for i in range(3):
+            for j in range(3):
+                result[i, j] *= strength / square * (bent - 15 * (own[i] + own[j]) / square)
+            result[i, i] += strength * (common + 3 * own[i] / square)
+        return result
+
+    return Hamiltonian(value, gradient, hessian)
+
+
+def _ball(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the torque-free motion for equal moments: a Kepler orbit in a uniformly rotating body frame.
+
+    At a value z of the central coordinate the orbit evolves in the time z t.
+    """
+    states_alone(attitude, "satellite")
+    start, times = start_and_times(x0, t, 10)
+    L, p, r, z = start[:3], start[3:6], start[6:9], start[9]
+    with np.errstate(over="ignore", invalid="ignore"):
+        place, velocity = kepler(r, p / mass, gravity, np.atleast_1d(z * times))
+        seen = [turned(v.reshape(*times.shape, 3), L / inertia, times) for v in (mass * velocity, place)]
+    spin, one = np.broadcast_to(L, (*times.shape, 3)), np.broadcast_to(z, (*times.shape, 1))
+    return all_finite(np.concatenate([spin, *seen, one], axis=-1), start, times)

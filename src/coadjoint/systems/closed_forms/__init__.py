@@ -1,0 +1,1 @@
+"""Closed-form solutions, and functions that they need."""

@@ -1,0 +1,120 @@
+"""Validation of the parameters, layout and closed form of a system, and helpers for closed-form solutions."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite, read_list, read_whole
+
+Floats = npt.NDArray[np.float64]
+
+
+def checked_parameters(parameters: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Validate the parameters of a system and return a copy."""
+    if not isinstance(parameters, Mapping | None):
+        raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
+    return None if parameters is None else dict(parameters)
+
+
+def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Validate the layout (lattice and shape of sites) and return a copy."""
+    if layout is None:
+        return {}
+    rule = 'give a mapping such as {"lattice": "square", "shape": (10, 10)}, or None'
+    if not isinstance(layout, Mapping) or not layout.keys() <= {"lattice", "shape"}:
+        raise TypeError(f"layout is {short(layout)}; {rule}")
+    found = dict(layout)
+    if not isinstance(found.get("lattice"), str):
+        raise TypeError(f"the lattice of layout is {short(found.get('lattice'))}; {rule}")
+    if found.get("shape") is not None:
+        shape = found["shape"]
+        cells = (shape,) if isinstance(shape, numbers.Integral) else read_list(shape, "the shape of layout", rule)
+        found["shape"] = tuple(read_whole(count, "the shape of layout") for count in cells)
+    return found
+
+
+def checked_exact(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:
+    """Validate the closed form of a system: a function of (x0, t, attitude), or None."""
+    if exact is not None and not callable(exact):
+        raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
+    return exact
+
+
+def solution_of(exact: Callable[..., Any] | None, name: str) -> Callable[..., Any]:
+    """Return the closed form of a system; raise TypeError if there is none."""
+    if exact is None:
+        raise TypeError(f"no closed form is known for {name}; integrate it")
+    return exact
+
+
+def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
+    """Validate the arguments of a closed form: the state at time zero, shape (n,), and the times, shape () or (k,).
+
+    Examples
+    --------
+    >>> start_and_times((1, 2), 3, 2)
+    (array([1., 2.]), array(3.))
+    """
+    start, times = read_finite(x0, "x0"), read_finite(t, "t")
+    if start.shape != (n,):
+        raise ValueError(f"x0 has shape {start.shape}; give {n} finite numbers")
+    if times.ndim > 1:
+        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
+    return start, times
+
+
+def states_alone(attitude: Any, name: str) -> None:
+    """Raise TypeError if an attitude is requested from a closed form that has none.
+
+    Examples
+    --------
+    >>> states_alone(True, "toda")
+    Traceback (most recent call last):
+    TypeError: toda has a closed form of the state alone; leave attitude out, or integrate
+    """
+    if not isinstance(attitude, bool | np.bool_) or attitude:
+        raise TypeError(f"{name} has a closed form of the state alone; leave attitude out, or integrate")
+
+
+def first_element(attitude: Any, size: int) -> Floats:
+    """Return the group element at time zero: the identity, or the array given as `attitude`.
+
+    Examples
+    --------
+    >>> first_element(True, 2)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    if isinstance(attitude, bool | np.bool_):
+        return np.eye(size)
+    first = read_finite(attitude, "attitude")
+    if first.shape != (size, size):
+        raise ValueError(f"attitude has shape {first.shape}; give True or a finite ({size}, {size})")
+    return first
+
+
+def with_element(x: Floats, g: Floats, attitude: Any) -> Any:
+    """Return the states, or the pair (states, group elements) if `attitude` requests it.
+
+    Examples
+    --------
+    >>> with_element(np.array([1.0]), np.eye(1), False)
+    array([1.])
+    """
+    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, g)
+
+
+def all_finite(x: Floats, start: Floats, times: Floats) -> Floats:
+    """Return the states of a closed form; raise ValueError if they overflow."""
+    if not np.isfinite(x).all():
+        raise ValueError(
+            f"the closed form overflows from x0 = {short(start.tolist())} to t = {short(times.tolist())}; "
+            "take smaller ones"
+        )
+    return x

@@ -1,0 +1,113 @@
+"""Evaluation points of functions: validation and number types.
+
+Every evaluation in this folder uses these functions, so that floats, complex numbers (for complex steps) and arrays
+of Python objects (fractions, multiprecision numbers) are treated alike.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.exact.numbers import exact_numbers
+from coadjoint.short_repr import short
+from coadjoint.validation import REAL, array_given, is_real, read_numbers, read_title
+
+Of = TypeVar("Of", bound=Callable[..., Any])
+
+
+def QUIET(method: Of) -> Of:
+    """Decorate a method to return infinity or NaN without a warning on overflow of float64.
+
+    Python integers too large for floats raise an OverflowError with an explanation.
+
+    Examples
+    --------
+    >>> QUIET(np.exp)(1000.0)
+    np.float64(inf)
+    """
+    quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")(method)
+
+    @functools.wraps(method)
+    def evaluated(*given: Any, **named: Any) -> Any:
+        try:
+            return quiet(*given, **named)
+        except OverflowError as reason:
+            raise OverflowError(f"a number there is too large for float64 ({reason})") from None
+
+    return cast(Of, evaluated)
+
+
+def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
+    """Return `x` as a float64, complex128 or object array of shape (n,)."""
+    array = x if type(x) is np.ndarray and x.dtype == np.float64 else array_given(x, "x", "iufc")
+    if array.ndim != 1 or (n is not None and array.size != n):
+        expected = "(n,)" if n is None else f"({n},)"
+        raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
+    return array.astype(np.float64) if array.dtype.kind in REAL else array
+
+
+def over_states(method: Of) -> Of:
+    """Extend a method of a state (n,) and a time to several states (..., n), bit-identical to separate calls.
+
+    The time is a scalar, or one value for each entry of the first axis.
+    """
+
+    @functools.wraps(method)
+    def of_all(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        array: npt.NDArray[Any] = x if type(x) is np.ndarray else array_given(x, "x", "iufc")
+        if array.ndim < 2 or len(getattr(self, "shape", ())) > 1:  # one state, or matrices
+            return method(self, x, t)
+        if array.shape[-1] != self.dim:
+            n = self.dim
+            raise ValueError(f"x has shape {array.shape}; a point of this system has shape ({n},), many have (k, {n})")
+        lead = array.shape[:-1]
+        times = read_numbers(t, "t")
+        if times.ndim > 1 or (times.ndim == 1 and len(times) != lead[0]):
+            raise ValueError(f"t has shape {times.shape}; give one time, or one for each of {lead[0]} states")
+        each = np.broadcast_to(times if times.ndim == 0 else times.reshape(-1, *[1] * (len(lead) - 1)), lead).ravel()
+        rows = array.reshape(-1, array.shape[-1])
+        found = [method(self, row, float(time)) for row, time in zip(rows, each, strict=True)]
+        if not found:  # without states, return an empty array of the right shape
+            like = np.asarray(method(self, np.zeros(array.shape[-1])))
+            return np.empty((*lead, *like.shape))
+        values = np.asarray(found)
+        return values.reshape(*lead, *values.shape[1:])
+
+    return cast(Of, of_all)
+
+
+def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return `coefficients` in a number type whose products with `x` are lossless.
+
+    In Python a Fraction times a float is a float, so for x of objects coefficients are converted to exact rationals.
+    """
+    if x.dtype != object:
+        return coefficients
+    return exact_numbers(coefficients.tolist())
+
+
+def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
+    """Return the sums of `entries` over equal `rows`, shape (n,), each added in index order."""
+    if entries.dtype == np.float64:
+        return np.bincount(rows, weights=entries, minlength=n)
+    sums = np.zeros(n, dtype=entries.dtype)
+    np.add.at(sums, rows, entries)
+    return sums
+
+
+def checked_name(name: Any, otherwise: str) -> str:
+    """Return the validated name, or `otherwise` if it is None."""
+    return otherwise if name is None else read_title(name, "name of a system")
+
+
+def checked_sign(sign: int, what: str = "sign") -> int:
+    """Validate a sign, +1 or -1; `what` is its name in messages."""
+    if not is_real(sign) or sign not in (1, -1):
+        rule = "+1 (x' = J(x) grad H) or -1 (body systems)" if what == "sign" else "+1 or -1"
+        raise ValueError(f"{what} is {short(sign)}; give {rule}")
+    return int(sign)

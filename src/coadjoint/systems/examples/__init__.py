@@ -1,0 +1,1 @@
+"""Ready-made systems: examples of other brackets and Hamiltonians."""

@@ -1,0 +1,1 @@
+"""Ready-made systems: fluids and plasmas."""

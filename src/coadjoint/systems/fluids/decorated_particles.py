@@ -1,0 +1,222 @@
+"""Particles with finite width: positions, momenta and second moments of each."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.families.moments import moments
+from coadjoint.algebra.families.products import copies
+from coadjoint.short_repr import short
+from coadjoint.systems.canonical import beside
+from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.hamiltonians.decorated_potential import (
+    chain_of,
+    check_even,
+    energy_polynomial,
+    potential_energy,
+    read_chain,
+)
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_finite
+
+Floats = npt.NDArray[np.float64]
+
+HIGHEST = 20  # degree of a potential
+LARGEST = 1e50
+LARGEST_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
+
+
+def _places_and_widths(dim: int) -> list[int]:
+    """Return the coordinates q and x20 of at most four particles."""
+    n = (dim - 1) // 5
+    return [*range(n)][:4] + [2 * n + 1 + 3 * a for a in range(n)][:4]
+
+
+def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
+    """Return the centre and the second moments per mass of each particle, for states (k, n)."""
+    found = []
+    for a, w in enumerate(system.parameters["weights"]):
+        n = len(system.parameters["weights"])
+        second = x[:, 2 * n + 1 + 3 * a : 2 * n + 4 + 3 * a].T / w
+        found.append((x[:, a], x[:, n + a] / w, *second))
+    return found
+
+
+@ready_made(
+    telling=Telling(
+        x0=(-1.0, 0.5, 0.0, 0.5, 1.0, 0.02, 0.0, 0.04, 0.05, 0.0, 0.02),
+        t_span=(0.0, 12.0),
+        step=0.02,
+        says="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
+        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
+        "area.",
+        pictures=(Picture("phase ellipse", lumps=_lumps, times=7, labels=("position $q$", "velocity $p/w$")),),
+        components=Picture("components", chosen=_places_and_widths, quantity="positions and widths"),
+        quantity="state",
+    )
+)
+def decorated_particles(
+    weights: npt.ArrayLike = (1.0, 1.0), external: Any = (0.0, 0.0, 0.5), pair: Any = (0.0, 0.0, 0.0, 0.0, 0.25)
+) -> LiePoissonSystem:
+    """Return particles on a line, each with a position, a momentum and the second moments of its finite width.
+
+    Each particle is a distribution f_a, described by its mass w_a, centre (q_a, p_a / w_a) and moments ``x_ij =
+    integral of (q - q_a)^i (v - p_a / w_a)^j f_a`` of degree 2. Sign +1; with potentials expanded to second order,
+    ``H = sum of p^2/(2 w) + x02/2 + w W(q) + W''(q) x20/2 + U''(0) w x20/2`` over particles plus ``w_a w_b U(r) +
+    U''(r) (w_b x20_a + w_a x20_b)/2``, r = q_a - q_b, over pairs.
+
+    Parameters
+    ----------
+    weights : (particles,)
+        Masses w, positive.
+    external : sequence of numbers, or four functions
+        W (energy per mass): its coefficients, ``sum of external[k] q^k`` up to degree 20, or a function of one number
+        and its first three derivatives, which Numba compiles.
+    pair : sequence of numbers, or four functions
+        U as a function of the distance (energy per mass squared), even.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State: ``(q_1, ..., q_n, p_1, ..., p_n, 1, x20_1, x11_1, x02_1, x20_2, ...)``, as
+        ``coadjoint.systems.canonical.canonical_state(q, p, x)`` makes it. The 1 is the central coordinate z. Casimirs:
+        z and the squared emittance x20 x02 - x11^2 of each particle. Integrals: the total momentum if there is no
+        external potential, and the energy of the centre of mass if it is ``(0, 0, k)``. ``exact(x0, t)`` if both
+        potentials are at most quadratic. Functions are not stored in ``parameters``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Weights that are not positive, coefficients that are not finite, a pair potential that is not even, or functions
+        that are not the stated derivatives.
+
+    Notes
+    -----
+    Scovel and Weinstein, Comm. Pure Appl. Math. 47, 683 (1994). Positions commute with x20, and momenta with x02, so a
+    splitting has two parts. The expansion is exact for potentials of degree at most 3.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.canonical import canonical_state
+    >>> lump = decorated_particles(weights=[2.0], external=(0, 0, 0.5), pair=(0,))
+    >>> lump.vector_field(canonical_state(1.0, 3.0, [0.5, 0.0, 0.25]))
+    array([ 1.5 , -2.  ,  0.  ,  0.  , -0.25,  0.  ])
+    """
+    w = _weights(weights)
+    n = len(w)
+    algebra = beside(n, copies(moments(2), n))
+    called = read_chain(external, "external"), read_chain(pair, "pair")
+    W, U = (None if f else _coefficients(c, what) for f, c, what in zip(called, (external, pair), _NAMES, strict=True))
+    if U is not None and np.any(U[1::2]):
+        raise ValueError(f"pair is {short(U.tolist())}; the potential of a pair is even, with no odd powers")
+    if called[1]:
+        check_even(called[1], "pair")
+    q, p, x20 = np.arange(n), np.arange(n, 2 * n), 2 * n + 1 + 3 * np.arange(n)
+    if W is not None and U is not None:
+        H: Any = energy_polynomial(algebra.dim, w, W, U)
+    else:
+        moving = Quadratic(np.r_[1 / w, np.zeros(n)], linear=np.r_[np.zeros(n), np.full(n, 0.5)])
+        chains = [f or chain_of(c) for f, c in zip(called, (W, U), strict=True)]
+        resting = potential_energy(w, chains[0], chains[1])
+        H = SplitHamiltonian([((*p.tolist(), *(x20 + 2).tolist()), moving), ((*q.tolist(), *x20.tolist()), resting)])
+    return LiePoissonSystem(
+        algebra,
+        H,
+        sign=+1,
+        name="decorated_particles",
+        parameters=None
+        if W is None or U is None
+        else {"weights": tuple(w.tolist()), "external": tuple(W.tolist()), "pair": tuple(U.tolist())},
+        exact=None
+        if W is None or U is None or np.any(W[3:]) or np.any(U[3:])
+        else partial(_oscillators, w, _at(W, 1), 2 * _at(W, 2), 2 * _at(U, 2)),
+        integrals={} if W is None else _integrals(algebra.dim, w, W),
+    )
+
+
+_NAMES = ("external", "pair")
+
+
+def _at(coefficients: Floats, k: int) -> float:
+    return float(coefficients[k]) if k < len(coefficients) else 0.0
+
+
+def _weights(weights: Any) -> Floats:
+    w = read_finite(weights, "weights")
+    if w.ndim != 1 or not w.size:
+        raise ValueError(f"weights has shape {w.shape}; give one mass for each particle")
+    for a in np.flatnonzero((w <= 1 / LARGEST) | (w > LARGEST))[:1].tolist():
+        raise ValueError(f"weights[{a}] is {w[a]:g}; masses are positive, from {1 / LARGEST:g} to {LARGEST:g}")
+    return w
+
+
+def _coefficients(given: Any, what: str) -> Floats:
+    c = read_finite(given, what)
+    if c.ndim != 1 or not 0 < c.size <= HIGHEST + 1:
+        raise ValueError(f"{what} has shape {c.shape}; give the coefficients of a polynomial, up to degree {HIGHEST}")
+    if np.abs(c).max() > LARGEST:
+        raise ValueError(f"{what} has coefficients beyond {LARGEST:g}; take other units")
+    return c
+
+
+def _integrals(dim: int, w: Floats, W: Floats) -> dict[str, Quadratic]:
+    n = len(w)
+    if not np.any(W[1:]):
+        return {"total momentum": Quadratic(0.0, linear=np.r_[np.zeros(n), np.ones(n), np.zeros(dim - 2 * n)])}
+    if np.any(W[3:]) or _at(W, 1) or n > LARGEST_SQUARE:
+        return {}
+    M = np.zeros((dim, dim))
+    M[:n, :n] = 2 * _at(W, 2) * np.outer(w, w) / w.sum()
+    M[n : 2 * n, n : 2 * n] = 1 / w.sum()
+    return {"energy of the centre": Quadratic(M)}
+
+
+def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the motion for W = push q + k q^2/2 and U = u r^2/2, up to constants.
+
+    The centre of mass follows W; relative positions and widths have the stiffness k + u sum(w). At a value z of the
+    central coordinate, positions and momenta evolve in the time z t.
+    """
+    states_alone(attitude, "decorated_particles")
+    n = len(w)
+    start, times = start_and_times(x0, t, 5 * n + 1)
+    q, p, z, x = start[:n], start[n : 2 * n], start[2 * n], start[2 * n + 1 :].reshape(n, 3)
+    total, stiff = w.sum(), k + u * w.sum()
+    with np.errstate(over="ignore", invalid="ignore"):
+        Q, V = (w @ q) / total, p.sum() / total
+        T = (z * times)[..., None]
+        c, s, fall = _waves(k, T)
+        centre, speed = c * Q + s * V - push * fall, c * V - s * (k * Q + push)
+        c, s, _ = _waves(stiff, T)
+        apart, faster = c * (q - Q) + s * (p / w - V), c * (p / w - V) - stiff * s * (q - Q)
+        c, s, _ = _waves(stiff, times[..., None])
+        x20, x11, x02 = x.T
+        widths = np.stack(
+            [
+                c * c * x20 + 2 * c * s * x11 + s * s * x02,
+                -stiff * c * s * x20 + (c * c - stiff * s * s) * x11 + c * s * x02,
+                (stiff * s) ** 2 * x20 - 2 * stiff * c * s * x11 + c * c * x02,
+            ],
+            axis=-1,
+        ).reshape(*times.shape, 3 * n)
+    constant = np.broadcast_to(z, (*times.shape, 1))
+    found = np.concatenate([centre + apart, w * (speed + faster), constant, widths], axis=-1)
+    return all_finite(found, start, times)
+
+
+def _waves(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the solutions of y'' = -stiffness y from (1, 0) and (0, 1), and of y'' = 1 - stiffness y from (0, 0)."""
+    rate = sqrt(abs(stiffness))
+    if not rate:
+        return np.ones_like(t), t, t * t / 2
+    cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
+    return cosine(rate * t), sine(rate * t) / rate, 2 * (sine(rate * t / 2) / rate) ** 2

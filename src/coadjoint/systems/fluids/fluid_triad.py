@@ -1,0 +1,112 @@
+"""A triad of interacting waves of an ideal fluid in two dimensions."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.short_repr import short
+from coadjoint.systems.closed_forms.equivalent_rigid_body import body_in_disguise
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_finite
+
+
+def _waves(system: Any, X: Any, Y: Any) -> Any:
+    """Return the three waves cos(k . r) at the points (X, Y)."""
+    (a, b), (c, d) = system.parameters["first"], system.parameters["second"]
+    return np.cos([a * X + b * Y, c * X + d * Y, (a + c) * X + (b + d) * Y])
+
+
+def _two_waves(system: Any) -> float:
+    """Return twice the longest wavelength."""
+    (a, b), (c, d) = system.parameters["first"], system.parameters["second"]
+    return 4.0 * math.pi / min(math.hypot(a, b), math.hypot(c, d), math.hypot(a + c, b + d))
+
+
+@ready_made(
+    telling=Telling(
+        x0=(0.02, 1.0, 0.02),
+        t_span=(0.0, 80.0),
+        step=0.05,
+        says="The wave of middle length is unstable: its amplitude passes to the two others and comes back with "
+        "the opposite sign. Middle, the vorticity at the start; right, when the waves have changed it most.",
+        pictures=(
+            Picture("field", modes=_waves, width=_two_waves, at=0.0, label="vorticity"),
+            Picture("field", modes=_waves, width=_two_waves, at=0.275, label="vorticity"),
+        ),
+        components=Picture("components", flips=1),
+        quantity="vorticity",
+    )
+)
+def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5, 1.5)) -> LiePoissonSystem:
+    """Return a triad of waves of the two-dimensional Euler equations, equivalent to a rigid body.
+
+    The vorticity ``sum of x_i cos(k_i . r)`` has three waves with k1 + k2 + k3 = 0, and the Euler equations are
+    truncated to these: ``x1' = (S/2) (1/k3^2 - 1/k2^2) x2 x3`` and cyclic, S = k1 cross k2. The algebra is so(3) with
+    brackets S, sign -1, and H is the mean kinetic energy ``sum of x_i^2 / (4 k_i^2)``. The wave of middle length is
+    unstable, as the middle axis of a rigid body.
+
+    Parameters
+    ----------
+    first, second : (2,)
+        Wave vectors k1 and k2 (1/length), not parallel; ``k3 = -k1 - k2``.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State: the amplitudes of vorticity (x1, x2, x3), per unit of time. Casimir: the mean enstrophy, ``(x1^2 + x2^2 +
+        x3^2) / 4``. ``exact(x0, t)`` in closed form. There is no representation, because a group element has no
+        meaning for the fluid.
+
+    Raises
+    ------
+    ValueError
+        Not two finite numbers each, parallel vectors (whose waves do not interact), or squares beyond float64.
+
+    Notes
+    -----
+    Kraichnan, Phys. Fluids 10, 1417 (1967), for the triad; Waleffe, Phys. Fluids A 4, 350 (1992), for its instability.
+
+    Examples
+    --------
+    >>> triad = fluid_triad(first=(1.0, 0.0), second=(0.0, 2.0))
+    >>> triad.vector_field([1.0, 1.0, 1.0])
+    array([-0.05,  0.8 , -0.75])
+    """
+    k1, k2 = _wave(first, "first"), _wave(second, "second")
+    k3 = (-k1[0] - k2[0], -k1[1] - k2[1])
+    area = k1[0] * k2[1] - k1[1] * k2[0]
+    if area == 0:
+        raise ValueError(f"first {short(first)} and second {short(second)} are parallel; give others that are not")
+    try:
+        S = float(area)
+        masses = tuple(float(1 / (2 * (x * x + y * y))) for x, y in (k1, k2, k3))
+    except OverflowError:
+        S, masses = 0.0, ()
+    if S == 0.0 or 0.0 in masses:
+        raise ValueError(
+            f"first {short(first)} and second {short(second)} leave the range of float64 when squared; take other units"
+        )
+    quarter = Fraction(1, 4)
+    return body_in_disguise(
+        (S, S, S),
+        (masses[0], masses[1], masses[2]),
+        {"enstrophy": Polynomial({(2, 0, 0): quarter, (0, 2, 0): quarter, (0, 0, 2): quarter})},
+        "fluid_triad",
+        {"first": tuple(map(float, k1)), "second": tuple(map(float, k2))},
+    )
+
+
+def _wave(given: npt.ArrayLike, name: str) -> tuple[Fraction, Fraction]:
+    values = read_finite(given, name)
+    if values.shape != (2,):
+        raise ValueError(f"{name} has shape {values.shape}; give a wave vector, two finite numbers")
+    x, y = values.tolist()
+    return Fraction(x), Fraction(y)

@@ -1,0 +1,104 @@
+"""Quantized reduced magnetohydrodynamics on the sphere and the torus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.systems.fluids.sphere_euler import sphere_euler
+from coadjoint.systems.fluids.torus_euler import torus_euler
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_choice
+
+SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
+
+
+def _two_vortices() -> npt.NDArray[np.complex128]:
+    """Return the Orszag-Tang vortex: omega = cos x + cos y, Theta = cos y + cos(2 x)/2."""
+    fluid = torus_euler(N=33)
+    theta, W = (fluid.from_modes(modes) for modes in ({(0, 1): 0.5, (2, 0): 0.25}, {(1, 0): 0.5, (0, 1): 0.5}))
+    return np.stack([theta, W])
+
+
+@ready_made(
+    telling=Telling(
+        x0=_two_vortices,
+        t_span=(0.0, 2.0),
+        step=0.002,
+        says="The vortex of Orszag and Tang in a conducting fluid: vorticity and magnetic potential fold into each "
+        "other, and sheets of vorticity grow where the field is bent. The spectrum of the potential is constant.",
+        pictures=(
+            Picture("vorticity", at=1.0),
+            Picture("vorticity", part="carried", at=1.0),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 33, "surface": "torus"},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
+def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
+    """Return the equations of an ideal conducting fluid in two dimensions, as two matrices.
+
+    ``W' = [P, W] + [J, Theta]``, ``Theta' = [P, Theta]`` with ``L P = -W`` and ``J = -L Theta``: W is the vorticity,
+    Theta the magnetic potential, J the current. Alfven waves propagate along the magnetic field.
+
+    Parameters
+    ----------
+    N : int
+        Size of the matrices, as for `sphere_euler` and `torus_euler`.
+    surface : {"sphere", "torus"}
+        Surface of the fluid.
+
+    Returns
+    -------
+    TwoLayerSystem
+        States (2, N, N): Theta and W. Energy ``(tr(W* L^-1 W) + tr(Theta* L Theta))/2``. Casimirs tr Theta^k and
+        tr W Theta^k, of which k = 1 is the cross helicity.
+
+    Notes
+    -----
+    K. Modin, M. Roop, "Spatio-temporal Lie-Poisson discretization for incompressible magnetohydrodynamics on the
+    sphere" (2023); H. R. Strauss, Phys. Fluids 19 (1976) 134.
+
+    Examples
+    --------
+    >>> s = reduced_mhd(N=7)
+    >>> s.shape, list(s.casimirs)[:2]
+    ((2, 7, 7), ['tr Theta^2', 'tr W Theta'])
+    """
+    ideal = ideal_fluid(N, surface)
+    return TwoLayerSystem(
+        ideal.algebra,
+        ideal.stream,  # type: ignore[arg-type]
+        inverse_of(ideal.stream),  # type: ignore[arg-type]
+        energy_sign=-1,
+        name="reduced_mhd",
+        parameters={"N": ideal.algebra.N, "surface": surface},
+    )
+
+
+def ideal_fluid(N: int, surface: str) -> MatrixSystem:
+    """Return the fluid on a surface without a second field.
+
+    Examples
+    --------
+    >>> ideal_fluid(5, "torus").name
+    'torus_euler'
+    """
+    return SURFACES[read_choice(surface, "surface", SURFACES)](N)
+
+
+def inverse_of(stream: Stream) -> Stream:
+    """Return the inverse stream, W of P, by products if the stream solves equations."""
+    if isinstance(stream, DiagonalSolve):
+        return Inverse(stream)
+    assert isinstance(stream, Circulants)
+    return stream.inverted()

@@ -1,0 +1,326 @@
+"""Quantized ideal fluids on the sphere: Zeitlin's model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.matrices import sphere_grid, sphere_states
+from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.hoppe_yau import generators, laplacian
+from coadjoint.systems.matrices.spherical_modes import (
+    as_mapping,
+    harmonics_of_matrix,
+    matrix_of_harmonics,
+    read_harmonics,
+    scale,
+)
+from coadjoint.systems.matrices.streams import DiagonalSolve
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_number, read_whole
+
+FASTEST = 1e100
+LARGEST = 4096
+Floats = npt.NDArray[np.float64]
+Matrix = npt.NDArray[np.complex128]
+
+
+class SphereEuler(FluidSystem):
+    """A fluid on the unit sphere, with conversions between matrices, spherical harmonics and grids.
+
+    `coadjoint.systems.matrices.spherical_modes` documents the conventions of modes and matrices. Latitudes and
+    longitudes are in radians; rows of a grid go from north to south, and columns from longitude 0 eastward.
+
+    Attributes
+    ----------
+    rotation : float
+        Angular velocity of the frame about the axis z. A state is the *absolute* vorticity, which exceeds the relative
+        vorticity in the frame by 2 rotation sin(latitude).
+    planetary : (N, N) array
+        The matrix of 2 rotation sin(latitude), -2 rotation S_3.
+    scale : float
+        Integrals over the sphere are traces over its square: the kinetic energy of the relative motion is
+        ``<stream(V), V>`` of ``V = relative(W)``, times -1/2, over ``scale^2``.
+    """
+
+    def __init__(self, N: int, rotation: float) -> None:
+        stream = DiagonalSolve(*laplacian(N), factor=-1.0)
+        self.rotation, self.scale = rotation, scale(N)
+        self.planetary = -2.0 * rotation * generators(N)[2]
+        self.planetary.flags.writeable = False
+        super().__init__(
+            MatrixAlgebra("su", N),
+            stream,
+            energy_sign=-1,
+            # of degree 1, where the stream is -1/2
+            linear=0.5 * self.planetary if rotation else None,
+            name="sphere_euler",
+            parameters={"N": N, "rotation": rotation},
+        )
+
+    states_by_name = (*FluidSystem.states_by_name, "rossby_haurwitz", "zonal_jet")
+
+    rossby_haurwitz = sphere_states.rossby_haurwitz
+    zonal_jet = sphere_states.zonal_jet
+
+    def mode_array(self, W: Any) -> Matrix:
+        """Return the coefficients of matrices (..., N, N) as an array, ``[..., l, m]`` with m >= 0."""
+        return harmonics_of_matrix(self.matrices(W))
+
+    def from_modes(self, modes: Any) -> Matrix:
+        """Return W from coefficients of orthonormal spherical harmonics in the Condon-Shortley phase convention.
+
+        Parameters
+        ----------
+        modes : mapping or (..., N, N) array
+            ``(l, m) -> c``, 0 < l < N; missing ones of -m are ``(-1)^m conj(c)``. Or an array in the form of
+            `mode_array`.
+
+        Returns
+        -------
+        (..., N, N) array
+
+        Examples
+        --------
+        >>> s = sphere_euler(N=5)
+        >>> found = s.modes(s.from_modes({(3, 2): 0.5 - 1j}))
+        >>> list(found), bool(abs(found[3, -2] - (0.5 + 1j)) < 1e-14)
+        ([(3, -2), (3, 2)], True)
+        """
+        return matrix_of_harmonics(read_harmonics(modes, self.algebra.N))
+
+    def modes(self, W: Any) -> dict[tuple[int, int], complex]:
+        """Return the coefficients of one matrix by (l, m) that are nonzero beyond round-off."""
+        return as_mapping(harmonics_of_matrix(self._one(W)))
+
+    def _one(self, W: Any) -> Matrix:
+        given = self.matrices(W)
+        if given.shape != self.shape:
+            raise ValueError(f"W has the shape {given.shape}; give one matrix, {self.shape}, or use mode_array")
+        return given
+
+    def grid(self, shape: Any = None, points: str = "clenshaw-curtis") -> tuple[Floats, Floats]:
+        """Return the latitudes of the rows and the longitudes of the columns of a grid, in radians.
+
+        Parameters
+        ----------
+        shape : (int, int), optional
+            Rows and columns; by default (N + 1, 2 N), the smallest grid that resolves all modes.
+        points : {"clenshaw-curtis", "fejer", "gauss-legendre"}
+            Rows equally spaced including the poles; equally spaced half a row from the poles; or Gauss-Legendre nodes.
+
+        Returns
+        -------
+        latitudes, longitudes : 1-d arrays
+
+        Examples
+        --------
+        >>> latitudes, longitudes = sphere_euler(N=4).grid()
+        >>> len(latitudes), len(longitudes), round(float(latitudes[0]), 4)
+        (5, 8, 1.5708)
+        """
+        rows, columns = self._shape(shape)
+        return sphere_grid.latitudes(points, rows), sphere_grid.longitudes(columns)
+
+    def _shape(self, shape: Any) -> tuple[int, int]:
+        return sphere_grid.read_shape(shape, (2, 1), sphere_grid.usual_shape(self.algebra.N))
+
+    def to_grid(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> Floats:
+        """Return the values of the field of matrices at the points of a grid of any shape, exactly.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            Matrices, such as states, whose field is the absolute vorticity; for the relative one give ``relative(W)``.
+        shape, points
+            As for `grid`.
+
+        Returns
+        -------
+        (..., rows, columns) array
+
+        Raises
+        ------
+        MissingPackageError
+            ducc0 is not installed.
+
+        Examples
+        --------
+        >>> s = sphere_euler(N=4)
+        >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
+        array([ 2.,  0., -2.])
+        """
+        return sphere_grid.values_of(self.mode_array(W), self._shape(shape), points)
+
+    def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
+        """Return the matrix of a field given at the points of a grid; the mean is removed.
+
+        Parameters
+        ----------
+        values : (..., rows, columns) array
+            Values on a grid of any shape: degrees that it does not resolve are zero, those from N on are dropped. Exact
+            for fields of degrees up to ``rows - 2`` (without poles ``rows - 1``) and orders up to
+            ``(columns - 1)/2``.
+        points : str
+            As for `grid`.
+        longitude : float
+            Longitude of the first column, in radians.
+
+        Returns
+        -------
+        (..., N, N) array
+        """
+        first = read_number(longitude, "longitude")
+        return matrix_of_harmonics(sphere_grid.coefficients_of(values, self.algebra.N, points, first))
+
+    def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
+        north, points, east = sphere_grid.recognized(first, second)
+        field = np.asarray(values)[..., ::north, ::east]
+        return self.from_grid(field, points, float(second[::east][0]))
+
+    @property
+    def area(self) -> float:
+        return 4 * pi
+
+    @property
+    def complete_degree(self) -> int:
+        return self.algebra.N - 1
+
+    @cached_property
+    def degrees(self) -> npt.NDArray[np.int64]:
+        return np.tril(np.broadcast_to(np.arange(self.algebra.N)[:, None], self.shape))
+
+    @property
+    def eigenvalues(self) -> Floats:
+        return self.degrees * (self.degrees + 1.0)
+
+    @property
+    def squares(self) -> Floats:
+        return np.where(self.degrees > 0, np.where(np.arange(self.algebra.N) > 0, 2.0, 1.0), 0.0)
+
+    def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
+        c = np.zeros(self.shape, dtype=np.complex128)
+        for l in range(1, last + 1):
+            drawn = rng.standard_normal(2 * l + 1)
+            c[l, 0], c[l, 1 : l + 1] = drawn[0], (drawn[1::2] + 1j * drawn[2::2]) / np.sqrt(2)
+        return c
+
+    def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
+        return sphere_grid.of_points(places, strengths, self.algebra.N)
+
+    def disc_profile(self, radius: float) -> Floats:
+        return sphere_grid.cap_profile(radius, self.algebra.N)[:, None]
+
+    def read_places(self, places: Any, what: str) -> Floats:
+        return sphere_grid.read_places(places, what)
+
+    def relative(self, W: Any) -> Matrix:
+        return np.asarray(self.matrices(W) - self.planetary)
+
+    def absolute(self, W: Any) -> Matrix:
+        return np.asarray(self.matrices(W) + self.planetary)
+
+    def exact(self, x0: Any, t: Any) -> Matrix:
+        """Return the exact motion (N, N) or (k, N, N) of a state at one time or several (k,).
+
+        It is known for zonal flows, and for states of degree 1, about any axis, plus one further degree, such as those
+        of `rossby_haurwitz`; other states raise ValueError.
+        """
+        return sphere_states.exact_motion(self.matrices(x0), t, self.rotation)
+
+    def angular_momentum(self, W: Any) -> Floats:
+        """Return the angular momentum of the absolute motion, the integral of (x, y, z) omega over the sphere.
+
+        It is constant if the frame does not rotate. Otherwise its component along the axis z is constant, and the
+        others rotate westward in the frame with the angular velocity `rotation`.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            States.
+
+        Returns
+        -------
+        (..., 3) array
+        """
+        return sphere_states.angular_momentum(self.matrices(W))
+
+    @property
+    def integrals(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """Name to function of states (..., N, N): the constant components of the angular momentum.
+
+        These are all three, or in a rotating frame the one along z; `integrate` records them with
+        ``observe=system.integrals``.
+        """
+        kept = "z" if self.rotation else "xyz"
+        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in kept}
+
+
+def _unstable_jet() -> Matrix:
+    return sphere_euler(48).zonal_jet(band=(0.2, 1.2), perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_unstable_jet,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices of both "
+        "signs. In the middle, the vorticity at the start and at the end. Energy moves to larger and to smaller "
+        "scales, and the spectrum of the matrix is constant.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 48},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
+def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
+    """Return the Euler equations of an ideal fluid on the sphere for a vorticity matrix: ``W' = [P, W]``, ``L P = -W``.
+
+    W is the vorticity, a matrix in su(N), P the stream matrix, and L the Hoppe-Yau Laplacian. All traces of powers of W
+    are kept, which correspond to the integrals of powers of the vorticity. The time is that of the Euler equations on
+    the unit sphere, to which the model converges like 1/N^2.
+
+    Parameters
+    ----------
+    N : int
+        Size of the matrices, from 2 to 4096: spherical harmonics of degrees l < N are resolved.
+    rotation : float
+        Angular velocity of the frame about the axis through the poles. Then W is the absolute vorticity, and
+        ``L P = -(W - F)`` with F the matrix of 2 rotation sin(latitude).
+
+    Returns
+    -------
+    SphereEuler
+        With `to_grid`, `modes`, initial states. Energy tr(W* L^-1 W)/2 - tr(F* W)/2: up to a constant the kinetic
+        energy of the relative motion times ``scale^2``. Casimirs tr W^k.
+
+    Notes
+    -----
+    V. Zeitlin, "Self-consistent finite-mode approximations for the hydrodynamics of an incompressible fluid on
+    nonrotating and rotating spheres", Phys. Rev. Lett. 93, 264501 (2004); J. Hoppe and S.-T. Yau, Comm. Math. Phys.
+    195, 67 (1998).
+
+    Examples
+    --------
+    >>> s = sphere_euler(N=16)
+    >>> s.shape, list(s.casimirs)[:2]
+    ((16, 16), ['tr W^2', 'tr W^3'])
+    """
+    turning = read_number(rotation, "rotation")
+    if abs(turning) > FASTEST:
+        raise ValueError(f"rotation is {turning:g}; give at most {FASTEST:g} in magnitude")
+    return SphereEuler(read_whole(N, "N", 2, LARGEST), turning)

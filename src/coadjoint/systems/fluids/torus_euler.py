@@ -1,0 +1,253 @@
+"""Quantized ideal fluids on the torus with the sine bracket: Zeitlin's model."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.matrices import torus_grid, torus_states
+from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
+from coadjoint.systems.matrices.streams import Circulants
+from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_whole
+
+LARGEST = 1001
+Floats = npt.NDArray[np.float64]
+Matrix = npt.NDArray[np.complex128]
+
+
+class TorusEuler(FluidSystem):
+    """A fluid on the torus of side 2 pi, with conversions between matrices, Fourier modes and grids.
+
+    The vorticity is ``omega(x, y) = sum of w_n exp(i (n1 x - n2 y))``: with this sign of n2 the equation of the modes
+    converges, as N grows, to the Euler equation ``d omega/dt + u . grad omega = 0`` in physical time, with x to the
+    right, y up and vorticity positive counterclockwise. W is ``-i N/(4 pi) sum of w_n T_n``.
+    """
+
+    states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
+
+    zonal_jet = torus_states.zonal_jet
+
+    def mode_array(self, W: Any) -> Matrix:
+        """Return the modes of matrices (..., N, N) as an array, ``[..., n1 mod N, n2 mod N]``."""
+        return modes_of_matrix(self.matrices(W))
+
+    def from_modes(self, modes: Any) -> Matrix:
+        """Return the matrix W from Fourier modes.
+
+        Parameters
+        ----------
+        modes : mapping or (..., N, N) array
+            ``(n1, n2) -> w``, from -(N - 1)/2 to (N - 1)/2; missing ones are conjugates, or zero. Or an array in the
+            form of `mode_array`.
+
+        Returns
+        -------
+        (..., N, N) array
+
+        Examples
+        --------
+        >>> s = torus_euler(N=5)
+        >>> bool(abs(s.modes(s.from_modes({(1, 2): 0.5 - 1j}))[-1, -2] - (0.5 + 1j)) < 1e-15)
+        True
+        """
+        return self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
+
+    def modes(self, W: Any) -> dict[tuple[int, int], complex]:
+        """Return the modes of a matrix W that are nonzero beyond round-off."""
+        N = self.algebra.N
+        w = modes_of_matrix(self.matrices(W))
+        n, size = representatives(N), np.abs(w).max(initial=0.0)
+        return {
+            (int(n[i]), int(n[j])): complex(round_off(w[i, j], size)) for i, j in np.argwhere(np.abs(w) > 1e-14 * size)
+        }
+
+    def grid(self, shape: Any = None) -> tuple[Floats, Floats]:
+        """Return x and y of a grid, from 0 to 2 pi without the end point.
+
+        Parameters
+        ----------
+        shape : (int, int), optional
+            Numbers of points along x and y; by default (N, N), the smallest grid that resolves all modes.
+
+        Returns
+        -------
+        x, y : 1-d arrays
+
+        Examples
+        --------
+        >>> x, y = torus_euler(N=9).grid((4, 2))
+        >>> x / np.pi, y / np.pi
+        (array([0. , 0.5, 1. , 1.5]), array([0., 1.]))
+        """
+        nx, ny = read_shape(shape, (1, 1), self.algebra.shape)
+        return torus_grid.coordinates(nx), torus_grid.coordinates(ny)
+
+    def to_grid(self, W: Any, shape: Any = None) -> Floats:
+        """Return the values of the field of matrices at the points of a grid of any shape, exactly.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            Matrices, such as states.
+        shape : (int, int), optional
+            As for `grid`.
+
+        Returns
+        -------
+        (..., nx, ny) array
+
+        Examples
+        --------
+        >>> s = torus_euler(N=9)
+        >>> W = s.from_modes({(0, 1): 0.5j})
+        >>> s.to_grid(W, (1, 4)).round(12) + 0.0
+        array([[ 0.,  1.,  0., -1.]])
+        """
+        return torus_grid.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
+
+    def from_grid(self, values: Any) -> Matrix:
+        """Return the matrix of a field given at the points of a grid; the mean is removed.
+
+        Parameters
+        ----------
+        values : (..., nx, ny) array
+            Values on a grid of any shape: modes that it does not resolve are zero, those that N does not resolve are
+            dropped. Exact for fields with |n1| < nx/2 and |n2| < ny/2.
+
+        Returns
+        -------
+        (..., N, N) array
+        """
+        # the mean is a multiple of the unit matrix, which is not in the algebra
+        return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
+
+    def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
+        x, y = torus_grid.recognized(first, "x"), torus_grid.recognized(second, "y")
+        w = self.mode_array(self.from_grid(np.asarray(values)[..., ::x, ::y]))
+        n = representatives(self.algebra.N)
+        # shift, since the first point is not at 0
+        w *= np.exp(-1j * n * first[::x][0])[:, None] * np.exp(1j * n * second[::y][0])
+        return self.algebra.projected(matrix_of_modes(w))
+
+    @property
+    def area(self) -> float:
+        return (2 * pi) ** 2
+
+    @property
+    def complete_degree(self) -> int:
+        return self.algebra.N // 2
+
+    @cached_property
+    def eigenvalues(self) -> Floats:
+        n = representatives(self.algebra.N)
+        return (n[:, None] ** 2 + n[None, :] ** 2).astype(float)
+
+    @cached_property
+    def degrees(self) -> npt.NDArray[np.int64]:
+        return np.rint(np.sqrt(self.eigenvalues)).astype(np.int64)
+
+    @property
+    def squares(self) -> Floats:
+        return np.where(self.degrees > 0, self.area, 0.0)
+
+    def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
+        n, w = representatives(self.algebra.N), np.zeros(self.shape, dtype=np.complex128)
+        n1, n2 = (found.ravel() for found in np.meshgrid(n, n, indexing="ij"))
+        degree = self.degrees.ravel()
+        chosen = np.flatnonzero(((n1 > 0) | ((n1 == 0) & (n2 > 0))) & (degree <= last))
+        chosen = chosen[np.lexsort((n2[chosen], n1[chosen], degree[chosen]))]
+        drawn = rng.standard_normal((len(chosen), 2)) / np.sqrt(2)
+        w[n1[chosen], n2[chosen]] = drawn[:, 0] + 1j * drawn[:, 1]
+        w[-n1[chosen], -n2[chosen]] = drawn[:, 0] - 1j * drawn[:, 1]
+        return w
+
+    def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
+        return torus_grid.of_points(places, strengths, self.algebra.N)
+
+    def disc_profile(self, radius: float) -> Floats:
+        return torus_grid.disc_profile(radius, np.sqrt(self.eigenvalues))
+
+    def read_places(self, places: Any, what: str) -> Floats:
+        return torus_grid.read_places(places, what)
+
+
+def round_off(value: complex, size: float) -> complex:
+    """Return a number with its parts that are round-off relative to `size` set to zero."""
+    real, imaginary = (part if abs(part) > 1e-15 * size else 0.0 for part in (value.real, value.imag))
+    return complex(round(real / size, 15) * size, round(imaginary / size, 15) * size)
+
+
+def _two_jets() -> Matrix:
+    return torus_euler(49).zonal_jet(width=0.5, perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_two_jets,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="Two jets, one against the other, meander and roll up into rows of vortices. In the middle, the "
+        "vorticity at the start and at the end. The spectrum of the matrix is constant.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 49},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
+def torus_euler(N: int = 33) -> TorusEuler:
+    """Return the Euler equations of an ideal fluid on the torus with the sine bracket: ``W' = [P, W]``, ``L P = -W``.
+
+    ``w_n' = sum over m of N/(2 pi) sin(2 pi (m x n)/N) w_m w_(n-m) / |m|^2`` for the Fourier modes w_n of the
+    vorticity, m x n = m1 n2 - m2 n1, modes counted mod N.
+    As N grows it converges to the Euler equation on a torus of side 2 pi, in physical time; `TorusEuler` documents the
+    conventions.
+
+    Parameters
+    ----------
+    N : int
+        Size of the matrices, odd, from 3 to 1001: modes n1, n2 from -(N - 1)/2 to (N - 1)/2 are resolved.
+
+    Returns
+    -------
+    TorusEuler
+        With grids, modes and initial states. Energy ``sum |w_n|^2 / |n|^2 / 2`` times N^3/(4 pi)^2.
+
+    Notes
+    -----
+    D. Fairlie and C. Zachos, Phys. Lett. B 224 (1989) 101; V. Zeitlin, Physica D 49 (1991) 353.
+
+    Examples
+    --------
+    >>> s = torus_euler(N=9)
+    >>> W = s.from_modes({(1, 0): 1.0, (0, 1): 0.5})
+    >>> s.shape, bool(np.abs(s.vector_field(W)).max() < 1.0)
+    ((9, 9), True)
+    """
+    N = read_whole(N, "N", 3, LARGEST)
+    if N % 2 == 0:
+        raise ValueError(f"N is {N}; the sine bracket needs an odd N")
+    n = representatives(N)
+    squares = (n[:, None] ** 2 + n[None, :] ** 2).astype(float)  # [d, n1]
+    with np.errstate(divide="ignore"):
+        by_mode = np.where(squares == 0.0, 0.0, -1.0 / squares)
+    # along the diagonal d the phase of mode n1 advances by 2 n1 from entry to entry
+    spectrum = np.empty((N, N))
+    spectrum[:, (2 * np.arange(N)) % N] = by_mode
+    return TorusEuler(
+        MatrixAlgebra("su", N), Circulants(spectrum), energy_sign=-1, name="torus_euler", parameters={"N": N}
+    )

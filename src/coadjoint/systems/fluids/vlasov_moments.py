@@ -1,0 +1,185 @@
+"""The Vlasov-Poisson equation, truncated to finitely many moments of the distribution."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from math import comb, sqrt
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.families.moments import moments, powers_of
+from coadjoint.algebra.polynomials.formulas import read_polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.short_repr import short
+from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+
+Floats = npt.NDArray[np.float64]
+Phase = dict[tuple[int, int], Any]  # a polynomial in q and p
+
+MOST_LETTERS = 10_000
+_MOMENT = re.compile(r"\bx([0-9,]+)\b")
+
+
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.0, 0.2),
+        t_span=(0.0, 12.0),
+        step=0.02,
+        says="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
+        "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the "
+        "area is constant.",
+        pictures=(Picture("phase ellipse", moments=(0, 1, 2), until=0.15, times=8), Picture("coadjoint orbit")),
+        parameters={"degree": 2, "potential": "1/2*x20 + 0.3*x20^2"},
+        quantity="moments",
+    )
+)
+def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> LiePoissonSystem:
+    """Return particles of mass 1 on a line as moments ``x_ij = <q^i p^j>``, ``H = x02/2 + V(x20, x40, ...)``.
+
+    The Vlasov equation for a distribution symmetric about the origin; moments above a degree are set to zero, which
+    keeps the bracket. Sign +1: ``x_ij' = i x_(i-1)(j+1) - j sum over k of k dV/dx_k0 x_(i+k-1)(j-1)``. An external
+    potential W(q) is V = <W>, linear in the moments; the self-consistent field adds products of moments. Degree 2 is
+    the envelope of a beam.
+
+    Parameters
+    ----------
+    degree : int
+        Highest degree of the moments, even, from 2 to 100.
+    potential : str, Polynomial, or Hamiltonian of another kind
+        V, an energy, of the moments x20, x40, ...: text such as ``"1/2*x20 + 0.1*x20^2"``, or a Hamiltonian of
+        degree / 2 coordinates.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State: the moments x20, x11, x02, x40, x31, ..., weighted by mass: length^i velocity^j. Casimirs: those of
+        ``moments(degree)``; <qq><pp> - <qp>^2, the squared emittance, for degree 2. Integrals: if V is linear, the
+        moments ``"<h^m>"`` of powers of the energy h = p^2/2 + W of one particle, truncated to the degree.
+        ``exact(x0, t)`` if V is a multiple of x20. For degree 2 there is a group element, a linear map of (q, p).
+        Parameters are stored if V is text.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An odd degree, or a potential in other moments or in another number of coordinates.
+
+    Notes
+    -----
+    Channell and Scovel, Physica D 50, 80 (1991); Scovel and Weinstein, Comm. Pure Appl. Math. 47, 683 (1994).
+    Moments of q commute, and so do those of p: a splitting has two parts. No distribution has vanishing higher moments,
+    so runs approximate the moments near x0 only, not for long times.
+
+    Examples
+    --------
+    >>> beam = vlasov_moments(degree=2, potential="1/2*x20 + 0.1*x20^2")
+    >>> beam.vector_field([1.0, 0.2, 0.5])
+    array([ 0.4 , -0.9 , -0.56])
+    >>> list(vlasov_moments(6).integrals)
+    ['<h^2>', '<h^3>']
+    """
+    algebra = moments(degree)
+    powers = powers_of(degree)
+    of_q = [powers.index((d, 0)) for d in range(2, degree + 1, 2)]
+    V = _read(potential, len(of_q)) if isinstance(potential, str) else potential
+    single: Phase | None = None
+    kinetic = Polynomial.variable(2, algebra.dim) * 0.5
+    if isinstance(V, Polynomial):
+        if V.dim != len(of_q):
+            raise ValueError(f"potential has {V.dim} coordinates; there are {len(of_q)} moments of q: {_known(of_q)}")
+        placed = {}
+        for exponents, c in V.monomials.items():
+            place = [0] * algebra.dim
+            for k, power in zip(of_q, exponents, strict=True):
+                place[k] = power
+            placed[tuple(place)] = c
+        H: Any = kinetic + Polynomial(placed, dim=algebra.dim)
+        if V.degree <= 1:
+            single = _single(V)
+    else:
+        H = SplitHamiltonian([((2,), Quadratic(0.0, linear=[0.5])), (of_q, V)])
+    harmonic = single is not None and set(single) <= {(0, 2), (2, 0)}
+    return LiePoissonSystem(
+        algebra,
+        H,
+        sign=+1,
+        name="vlasov_moments",
+        parameters={"degree": int(degree), "potential": potential} if isinstance(potential, str) else None,
+        exact=partial(_linear_flow, 2 * float(single.get((2, 0), 0)), powers) if harmonic and single else None,
+        integrals={} if single is None else _powers_of_energy(single, degree, powers),
+    )
+
+
+def _known(of_q: list[int]) -> str:
+    names = [f"x{2 * k}0" for k in range(1, len(of_q) + 1)]
+    return ", ".join(names if len(names) < 6 else [*names[:2], "...", names[-1]])
+
+
+def _read(text: str, count: int) -> Polynomial:
+    def place(found: re.Match[str]) -> str:
+        name = found[1].replace(",", "")
+        power = int(name[:-1] or 0) if name[-1:] == "0" and len(name) <= 4 else 1
+        if power % 2 or not 0 < power <= 2 * count:
+            raise ValueError(f"potential has {short(found[0])}; the moments of q are {_known([0] * count)}")
+        return f"x{power // 2}"
+
+    if len(text) > MOST_LETTERS:
+        raise ValueError(f"potential has {len(text)} characters; give at most {MOST_LETTERS}")
+    try:
+        return read_polynomial(_MOMENT.sub(place, text), count)
+    except ValueError as reason:
+        raise ValueError(str(reason) if str(reason).startswith("potential") else f"potential: {reason}") from None
+
+
+def _single(V: Polynomial) -> Phase:
+    """Return the energy of one particle in an external potential, V = <W>."""
+    h: Phase = {(0, 2): 0.5}
+    for exponents, c in V.monomials.items():
+        if sum(exponents):
+            h[2 * exponents.index(1) + 2, 0] = c
+    return h
+
+
+def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> dict[str, Quadratic]:
+    """Return the moments of powers of h as linear functions of the state, truncated to the degree."""
+    place = {pair: k for k, pair in enumerate(powers)}
+    found, power = {}, dict(h)
+    for m in range(2, degree // 2 + 1):
+        product: Phase = {}
+        for (i, j), c in power.items():
+            for (k, n), factor in h.items():
+                if i + j + k + n <= degree:
+                    product[i + k, j + n] = product.get((i + k, j + n), 0) + c * factor
+        power = product
+        linear = np.zeros(len(powers))
+        for pair, c in power.items():
+            linear[place[pair]] = c
+        found[f"<h^{m}>"] = Quadratic(0.0, linear=linear)
+    return found
+
+
+def _linear_flow(stiffness: float, powers: list[tuple[int, int]], x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the moments under q'' = -stiffness q, where every particle undergoes the same linear map."""
+    states_alone(attitude, "vlasov_moments")
+    start, times = start_and_times(x0, t, len(powers))
+    place = {pair: k for k, pair in enumerate(powers)}
+    with np.errstate(over="ignore", invalid="ignore"):
+        rate = sqrt(abs(stiffness))
+        cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
+        c = cosine(rate * times)
+        s = sine(rate * times) / rate if rate else times
+        slope = -stiffness * s
+        found = np.zeros((*times.shape, len(powers)))
+        for (i, j), k in place.items():
+            for a in range(i + 1):
+                for b in range(j + 1):  # (c q + s p)^i (slope q + c p)^j
+                    share = comb(i, a) * comb(j, b) * c ** (a + j - b) * s ** (i - a) * slope**b
+                    found[..., k] += share * start[place[a + b, i + j - a - b]]
+    return all_finite(found, start, times)

@@ -1,0 +1,132 @@
+"""A force given by the function of its flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.short_repr import shown_fields
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.rates import moves_matrices, sample_states
+from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
+from coadjoint.validation import read_flag, read_title
+
+MOMENT = 2.0**-12
+
+
+@dataclass(frozen=True)
+class OwnForce(Force):
+    """A custom force, given by the function of its flow.
+
+    Choose it if the flow is known in closed form, or if no other force fits. For a torque known only as a function of
+    the state use `Torque`.
+
+    Parameters
+    ----------
+    function : callable
+        Pure function of ``(x, t, tau)`` that returns the flow of the force: the state reached from x, shape (n,) or
+        (N, N), at time t after the duration tau, which is negative in runs backward. For tau = 0 it returns x. Compiled
+        by Numba.
+    name : str
+        Name in balances and messages.
+    keeps_casimirs : bool
+        Whether it keeps every Casimir; balances then omit the Casimirs for it.
+    backward : bool
+        Whether it can run backward in time.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not a function of these arguments, or not a valid name.
+
+    Examples
+    --------
+    Friction quadratic in the momentum along each axis, ``x_i' = -|x_i| x_i``:
+
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> drag = co.forces.OwnForce(lambda x, t, tau: x / (1.0 + np.abs(x) * tau), name="drag", backward=False)
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(drag)
+    >>> co.integrate(body, (0.0, 0.0, 1.0), t_span=(0, 3), step=0.125).x[-1]
+    array([0.  , 0.  , 0.25])
+    """
+
+    function: Callable[..., Any]
+    name: str = "own force"
+    keeps_casimirs: bool = False
+    backward: bool = True
+
+    def __post_init__(self) -> None:
+        check_arguments(self.function, "the flow of an OwnForce", "x, t, tau")
+        object.__setattr__(self, "name", read_title(self.name, "name of a force"))
+        for flag in ("keeps_casimirs", "backward"):
+            object.__setattr__(self, flag, read_flag(getattr(self, flag), flag))
+
+    def __repr__(self) -> str:
+        return shown_fields(self)
+
+    @property
+    def label(self) -> str:
+        """The given name."""
+        return self.name
+
+    @property
+    def casimirs(self) -> bool:  # type: ignore[override]
+        """Whether every Casimir is kept, as given by `keeps_casimirs`."""
+        return self.keeps_casimirs
+
+    @property
+    def reversible(self) -> bool:  # type: ignore[override]
+        """Whether it can run backward in time, as given by `backward`."""
+        return self.backward
+
+    def check(self, system: Any) -> None:
+        shape, failure = tuple(getattr(system, "shape", (system.dim,))), ""
+        kinds = "fiuc" if getattr(system, "complex", False) else "fiu"
+        for x in sample_states(system):
+            try:
+                with np.errstate(all="ignore"):
+                    found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (MOMENT, 0.0))
+            except Exception as error:  # outside its domain a user function may raise anything
+                failure = in_one_line(str(error), 200)
+                continue
+            for result in (found, still):
+                if result.shape != shape or result.dtype.kind not in kinds:
+                    raise ValueError(
+                        f"the flow of {self.name} returns {result.dtype} of shape {result.shape}; {system.name} needs "
+                        f"{'' if 'c' in kinds else 'real '}numbers of shape {shape}"
+                    )
+                if moves_matrices(system) and np.all(np.isfinite(result)):
+                    system.read(result, f"what the flow of {self.name} returns")
+            if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
+                raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x then")
+            return
+        raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        """Return the derivative of the flow at tau = 0, by Richardson-extrapolated central differences.
+
+        Raises
+        ------
+        TypeError
+            The force does not run backward.
+        """
+        if not self.backward:
+            raise TypeError(f"the field of {self.name} is not known: its flow does not run backward")
+        wide, narrow = (
+            (self.flow(system, x, t, tau) - self.flow(system, x, t, -tau)) / (2.0 * tau) for tau in (2 * MOMENT, MOMENT)
+        )
+        return np.asarray((4.0 * narrow - wide) / 3.0)
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        if moves_matrices(system):
+            return np.asarray(system.to_vector(self.function(system.from_vector(x), t, tau)))
+        return np.asarray(self.function(x, t, tau))
+
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.flow(self.function)

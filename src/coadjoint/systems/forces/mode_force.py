@@ -1,0 +1,117 @@
+"""Base classes of forces on the modes of a matrix, each of which has its own rate or noise."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.matrices.mode_basis import LAYERS, ModeBasis, Numbers, mode_basis_of, place_of_layer
+from coadjoint.validation import read_choice, read_number
+
+PerMode = list[NDArray[Any]]
+
+
+def modes_of(system: Any, what: str) -> ModeBasis:
+    """Return the modes of a system; raise ValueError if it has none."""
+    found = mode_basis_of(system)
+    if found is None:
+        raise ValueError(
+            f"{what} acts on the modes of a fluid, such as sphere_euler or torus_euler, which {system.name} does not "
+            "have; take LinearDamping"
+        )
+    return found
+
+
+def by_scale(given: float | Callable[[Any], Any], scales: NDArray[np.float64], what: str) -> NDArray[np.float64]:
+    """Return a number for each mode: a constant, or a validated function of the degrees or wave numbers."""
+    if not callable(given):
+        return np.full(scales.shape, given)
+    found = {scale: read_number(given(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
+    return np.array([found[scale] for scale in scales.tolist()])
+
+
+class OnLayer(Force):
+    """A force on the modes of one field, by default the vorticity."""
+
+    layer: str
+
+    def read_layer(self) -> None:
+        """Validate the field."""
+        object.__setattr__(self, "layer", read_choice(self.layer, f"layer of {self.label}", LAYERS))
+
+    def place(self, system: Any) -> int:
+        """Return the index of the field in a state."""
+        return place_of_layer(system, self.layer)
+
+    def matrix(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the field of a state."""
+        state = system.from_vector(x)
+        return np.asarray(state if state.ndim == 2 else state[self.place(system)])
+
+    def moved(self, system: Any, W: NDArray[Any]) -> NDArray[Any]:
+        """Return the vector of a state with this field, and zero in the others."""
+        state = np.zeros(system.shape, dtype=W.dtype)
+        state[self.place(system) if state.ndim == 3 else ...] = W
+        return np.asarray(system.to_vector(state))
+
+
+class ModeRates(OnLayer):
+    """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase.
+
+    On a rotating sphere, whose state is the absolute vorticity, c is the mode of the relative vorticity.
+    """
+
+    @abstractmethod
+    def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
+        """Return the real or complex rates, (k,), of the modes `numbers`, (k,), of diagonal d."""
+
+    def check(self, system: Any) -> None:
+        self._chosen(modes_of(system, self.label))
+        self.place(system)
+
+    def _chosen(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
+        """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
+        numbers, rates = [], []
+        for d in range(modes.diagonals):
+            every = modes.numbers(d)
+            found = self.rates(modes, d, every)
+            numbers.append(every[found != 0.0])
+            rates.append(found[found != 0.0])
+        return numbers, rates
+
+    def _acted(self, system: Any, x: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
+        modes = modes_of(system, self.label)
+        chosen, rates = self._chosen(modes)
+        W = self.matrix(system, x)
+        still = self._still(system)
+        W = W if still is None else W - still
+        moved = [
+            factor(rate) * modes.coefficients(W, d, numbers)
+            for d, (numbers, rate) in enumerate(zip(chosen, rates, strict=True))
+        ]
+        return self.moved(system, modes.matrix(moved, chosen))
+
+    def _still(self, system: Any) -> NDArray[Any] | None:
+        """Return the state at rest in the frame, or None if it is zero."""
+        absolute = getattr(system, "absolute", None)
+        if absolute is None or self.layer != "vorticity":
+            return None
+        still = np.asarray(absolute(np.zeros(system.algebra.shape)))
+        return still if np.any(still) else None
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        return self._acted(system, x, lambda rate: -rate)
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        return np.asarray(x + self._acted(system, x, lambda rate: np.expm1(-tau * rate)))
+
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        modes = modes_of(system, self.label)
+        still = self._still(system)
+        aim = None if still is None else np.ascontiguousarray(still).view(np.float64).ravel()
+        return reader.mode_rates(modes, *self._chosen(modes), aim, self.place(system))

@@ -1,0 +1,122 @@
+"""Rates and metrics of forces (number, diagonal or matrix): validation, storage as plain numbers, application."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.user_functions import sample_points
+from coadjoint.validation import array_given, read_finite
+
+Plain = float | tuple[Any, ...]
+
+
+def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
+    """Validate a number, a vector or a square matrix, and return it as floats in nested tuples.
+
+    Examples
+    --------
+    >>> read_matrix([1, 2], "rate")
+    (1.0, 2.0)
+    """
+    found = read_finite(given, what)
+    square = found.ndim < 2 or found.shape[0] == found.shape[1]
+    if found.ndim not in dimensions or not square or not found.size:
+        shapes = " or ".join(("a number", "(n,)", "(n, n)")[k] for k in dimensions)
+        raise ValueError(f"{what} has the shape {found.shape}; it must be {shapes}")
+    plain = found.tolist()
+    return tuple(map(_in_tuples, plain)) if isinstance(plain, list) else float(plain)
+
+
+def read_state(given: Any, what: str, number: bool = False) -> Any:
+    """Validate a vector or a matrix state (with `number` also a scalar), and return it as nested tuples.
+
+    Examples
+    --------
+    >>> read_state([[0, 1j], [1j, 0]], "torque")
+    ((0j, 1j), (1j, 0j))
+    """
+    if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # the form used in records
+        given = read_finite(given["real"], what) + 1j * read_finite(given["imaginary"], what)
+    matrix = array_given(given, what, "iufc")
+    if matrix.ndim not in (2, 3):
+        return read_matrix(given, what, (0, 1) if number else (1,))
+    if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
+        raise ValueError(f"{what} has the shape {matrix.shape}; a matrix must be (N, N), of finite numbers")
+    rows = matrix.astype(complex if matrix.dtype.kind == "c" else float).tolist()
+    return tuple(tuple(map(_in_tuples, row)) for row in rows)
+
+
+def moves_matrices(system: Any) -> bool:
+    """Return whether the state of a system is a matrix."""
+    return hasattr(system, "from_vector")
+
+
+def check_state(given: Any, what: str, system: Any) -> None:
+    """Raise an error if a state does not belong to a system; a scalar must be zero for systems of matrices."""
+    shape = np.shape(given)
+    if moves_matrices(system):
+        if shape or given != 0.0:
+            system.read(given, what)
+    elif len(shape) > 1:
+        raise ValueError(f"{what} is a matrix; {system.name} needs ({system.dim},)")
+    else:
+        check_dimension(given, what, system)
+
+
+def numbers_of(given: Any, system: Any) -> NDArray[np.float64]:
+    """Return a state as a vector of real numbers, (n,)."""
+    if moves_matrices(system) and np.ndim(given):
+        return np.asarray(system.read(given))
+    return np.asarray(np.broadcast_to(np.asarray(given, dtype=np.float64), (system.dim,)))
+
+
+def sample_states(system: Any) -> list[NDArray[Any]]:
+    """Return seeded sample states of different kinds, in the form in which user functions take them."""
+    points = sample_points(system.dim)
+    return [system.algebra.projected(system.from_vector(x)) for x in points] if moves_matrices(system) else points
+
+
+def _in_tuples(entry: Any) -> Any:
+    return tuple(entry) if isinstance(entry, list) else entry
+
+
+def check_dimension(given: Plain, what: str, system: Any) -> None:
+    """Raise an error if a vector or matrix does not have the dimension of a system."""
+    shape = np.shape(given)
+    if shape and shape[0] != system.dim:
+        raise ValueError(f"{what} has the shape {shape}; {system.name} has dimension {system.dim}")
+
+
+def applied(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
+    """Return the product of a number, a diagonal or a matrix with y."""
+    array = np.asarray(matrix)
+    return array @ y if array.ndim == 2 else array * y
+
+
+def root_of(metric: Plain, what: str) -> NDArray[np.float64]:
+    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor of fixed order of summation.
+
+    Raises ValueError unless P is symmetric positive semidefinite.
+    """
+    P = np.array(metric, dtype=np.float64)
+    size = np.max(np.abs(P))
+    if P.ndim < 2:
+        if np.any(P < 0.0):
+            raise ValueError(f"{what} has the negative entry {P.min():g}; damping needs a positive semidefinite one")
+        return np.sqrt(P)
+    if not np.array_equal(P, P.T):
+        raise ValueError(f"{what} is not symmetric; damping needs a symmetric positive semidefinite one")
+    n = len(P)
+    L, left, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
+    for k in range(n):
+        if left[k, k] > tolerance:
+            L[k:, k] = left[k:, k] / np.sqrt(left[k, k])
+            left -= np.multiply.outer(L[:, k], L[:, k])
+        elif left[k, k] < -tolerance or np.max(np.abs(left[k:, k])) > np.sqrt(tolerance * size):
+            raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
+    return L

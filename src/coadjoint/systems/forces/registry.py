@@ -1,0 +1,105 @@
+"""Forces by name, as in configuration files and records."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from coadjoint.short_repr import short
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.beta_plane import BetaPlane
+from coadjoint.systems.forces.custom_force import OwnForce
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
+from coadjoint.systems.forces.friction import Friction
+from coadjoint.systems.forces.heat_bath import HeatBath
+from coadjoint.systems.forces.linear_damping import LinearDamping
+from coadjoint.systems.forces.random_forcing import RandomForcing
+from coadjoint.systems.forces.torque import Torque
+from coadjoint.systems.forces.viscosity import Viscosity
+from coadjoint.validation import check_parameters, read_choice
+
+FORCES: tuple[type[Force], ...] = (
+    *(BetaPlane, DoubleBracketDamping, Friction, HeatBath, LinearDamping),
+    *(OwnForce, RandomForcing, Torque, Viscosity),
+)
+
+KINDS: dict[str, type[Force]] = {kind.__name__: kind for kind in FORCES}
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the forces, sorted.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> names()[:4]
+    ('BetaPlane', 'DoubleBracketDamping', 'Friction', 'HeatBath')
+    """
+    return tuple(sorted(KINDS))
+
+
+def get(name: str, /, **parameters: Any) -> Force:
+    """Return a force by its name, as a configuration file does.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    **parameters
+        Parameters of the force; omitted ones take their defaults.
+
+    Returns
+    -------
+    Force
+
+    Raises
+    ------
+    ValueError, TypeError
+        Unknown force or parameter (the message suggests the nearest name), or an invalid value.
+
+    Examples
+    --------
+    >>> get("LinearDamping", rate=0.5)
+    LinearDamping(rate=0.5, toward=0.0)
+    """
+    kind = KINDS[read_choice(name, "force", KINDS)]
+    known = inspect.signature(kind).parameters
+    required = [key for key, parameter in known.items() if parameter.default is inspect.Parameter.empty]
+    check_parameters(name, parameters, known, required)
+    return kind(**parameters)
+
+
+def from_description(description: Mapping[str, Any]) -> Force:
+    """Return the force described by a mapping of its name and parameters, as in a configuration file.
+
+    Parameters
+    ----------
+    description : mapping
+        ``"name"``, and parameters.
+
+    Returns
+    -------
+    Force
+
+    Raises
+    ------
+    ValueError, TypeError
+        As for `get`, or the name is missing.
+
+    Examples
+    --------
+    >>> from_description({"name": "Torque", "torque": [0.0, 0.0, 1.0]})
+    Torque(torque=(0.0, 0.0, 1.0))
+    """
+    parameters = dict(description)
+    name = parameters.pop("name", None)
+    if not isinstance(name, str):
+        raise ValueError(
+            f"{short(dict(description))} is not a force; give its name and parameters, such as name = 'LinearDamping', "
+            "rate = 0.1"
+        )
+    return get(name, **parameters)

@@ -1,0 +1,142 @@
+"""Gallery metadata of a ready-made system: an example run and its plots, as data without Matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite, read_flag, read_list, read_number, read_positive, read_title, read_whole
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, init=False)
+class Picture:
+    """A kind of picture, by name, with its options.
+
+    Parameters
+    ----------
+    kind : str
+        Such as ``"body axis"``; ``coadjoint.pictures.register.kinds`` lists them all.
+    **options
+        Options of that kind, documented by its function in the folder ``pictures/kinds``.
+
+    Examples
+    --------
+    >>> Picture("body axis", axis=1)
+    Picture('body axis', axis=1)
+    """
+
+    kind: str
+    options: Mapping[str, Any]
+
+    def __init__(self, kind: str, **options: Any) -> None:
+        object.__setattr__(self, "kind", read_title(kind, "kind of a picture"))
+        object.__setattr__(self, "options", options)
+
+    def __repr__(self) -> str:
+        return f"Picture({', '.join([repr(self.kind), *(f'{key}={short(v)}' for key, v in self.options.items())])})"
+
+
+@dataclass(frozen=True)
+class Telling:
+    """Gallery metadata of a ready-made system: an example run and its pictures.
+
+    Parameters
+    ----------
+    x0 : array_like, shape (n,) or (members, n), or function that returns it
+        Initial state; a function if it must be computed. For systems of matrices (N, N) or (members, N, N).
+    t_span : (float, float)
+        Start and end.
+    step : float
+        A step with which the suggested scheme resolves the motion.
+    says : str
+        Caption of one or two sentences that describes the picture, also used as its alternative text.
+    pictures : sequence of Picture
+        Pictures that `Solution.plot` draws besides components and drift. Those that a run cannot show, because of its
+        dimension or without attitudes, are omitted.
+    components : Picture
+        The components, or functions of them, drawn over time.
+    parameters : mapping
+        Parameters of the system, if the defaults are less suitable.
+    attitude : bool
+        Whether the run computes the group element.
+    save_every : int
+        As for `integrate`.
+    coordinates : sequence of str, or function of the dimension that returns it
+        Names of the coordinates, such as ``("E", "P", "D")``; by default those of the basis.
+    quantity : str
+        Physical quantity of the coordinates, for the label of their axis.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A value has the wrong type or shape.
+
+    Examples
+    --------
+    >>> Telling((0.0, 1.0, 0.01), (0.0, 10.0), 0.1, "A flip.", [Picture("body axis", axis=1)]).t_span
+    (0.0, 10.0)
+    """
+
+    x0: npt.ArrayLike | Callable[[], npt.ArrayLike]
+    t_span: tuple[float, float]
+    step: float
+    says: str
+    pictures: tuple[Picture, ...] = ()
+    components: Picture = Picture("components")
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    attitude: bool = False
+    save_every: int = 1
+    coordinates: tuple[str, ...] | Callable[[int], tuple[str, ...]] = ()
+    quantity: str = "momentum"
+
+    def __post_init__(self) -> None:
+        keep = object.__setattr__
+        keep(self, "t_span", tuple(read_number(t, "a time of t_span") for t in _listed(self.t_span, "t_span")))
+        keep(self, "step", read_positive(self.step, "step"))
+        keep(self, "save_every", read_whole(self.save_every, "save_every"))
+        keep(self, "attitude", read_flag(self.attitude, "attitude"))
+        pictures = _listed(self.pictures, "pictures")
+        for picture in (*pictures, self.components):
+            if not isinstance(picture, Picture):
+                raise TypeError(f"a picture is {short(picture)}; give a Picture, such as Picture('body axis', axis=1)")
+        keep(self, "pictures", pictures)
+        for text, what in ((self.says, "says"), (self.quantity, "quantity")):
+            if not isinstance(text, str) or not text:
+                raise TypeError(f"{what} is {short(text)}; give a string")
+
+    def start(self) -> npt.NDArray[Any]:
+        """Return the initial state, or one for each member.
+
+        Returns
+        -------
+        ndarray, shape (n,) or (members, n)
+        """
+        given = self.x0() if callable(self.x0) else self.x0
+        # Complex matrices are validated by the run.
+        return np.array(given) if np.iscomplexobj(given) else read_finite(given, "x0")
+
+    def names(self, dim: int) -> tuple[str, ...]:
+        """Return the names of `dim` coordinates; empty if they have none.
+
+        Parameters
+        ----------
+        dim : int
+            The dimension.
+
+        Returns
+        -------
+        tuple of str
+        """
+        given = tuple(self.coordinates(dim)) if callable(self.coordinates) else tuple(self.coordinates)
+        return given if len(given) == dim else ()
+
+
+def _listed(given: Any, what: str) -> tuple[Any, ...]:
+    return read_list(given, what, "give a list")

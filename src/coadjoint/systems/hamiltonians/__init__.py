@@ -1,0 +1,1 @@
+"""Hamiltonians: quadratic, polynomial, separable, split, driven, and sums of them."""

@@ -1,0 +1,126 @@
+"""A quadratic Hamiltonian with a linear time-dependent drive, ``H(x) + sum of f_k(t) x_k``."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections.abc import Callable
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.optional_packages import need
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import point
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.summable import Summable
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
+from coadjoint.systems.user_functions import takes_time
+
+
+class Driven(Summable):
+    """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic in ``sites * axes`` coordinates.
+
+    `force` is a function of the time alone that returns ``(axes,)`` numbers, common to all sites, or ``(sites, axes)``;
+    Numba compiles it. Coordinates of the same axis must commute. `what` is the name of the function in messages.
+    """
+
+    timed = True
+
+    def __init__(self, quadratic: Quadratic, force: Callable[..., Any], sites: int, axes: int, what: str) -> None:
+        self.dim: int | None = quadratic.dim
+        self._quadratic, self._sites, self._axes = quadratic, sites, axes
+        if isinstance(force, type) or takes_time(force, what):
+            raise TypeError(f"{what} is {short(force)}; give a function of the time t alone")
+        try:
+            given = np.asarray(force(0.0), dtype=np.float64)
+        except Exception as reason:
+            raise TypeError(
+                f"{what}(0.0) fails ({type(reason).__name__}: {short(str(reason))}); give numbers"
+            ) from None
+        if given.shape not in ((axes,), (sites, axes)):
+            raise ValueError(f"{what}(t) has shape {given.shape}; it must return ({axes},) or ({sites}, {axes})")
+        if not np.isfinite(given).all():
+            raise ValueError(f"{what}(0.0) is not finite; give a function with finite values")
+        self.uniform = given.ndim == 1
+        self._force, self._factor = force, 1.0
+        self._terms: tuple[Term, ...] | None = None
+
+    def bind(self, n: int) -> Driven:
+        """Return this Hamiltonian; raise an error if n is not its dimension."""
+        self._quadratic.bind(n)
+        return self
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the Hamiltonian multiplied by a factor."""
+        result = copy.copy(self)
+        result._quadratic, result._factor, result._terms = factor * self._quadratic, factor * self._factor, None
+        return result
+
+    def _forces(self, t: float, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        given = np.asarray(self._force(t), dtype=None if like.dtype == object else np.float64)
+        return self._factor * np.broadcast_to(given, (self._sites, self._axes)).ravel()
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+        y = point(x, self.dim)
+        return self._quadratic.value(y, t) - self._forces(t, y) @ y
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+        y = point(x, self.dim)
+        return self._quadratic.gradient(y, t) - self._forces(t, y)
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the dense matrix of the quadratic part."""
+        return self._quadratic.hessian(x, t)
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the quadratic term and one function term for each axis."""
+        if self._terms is None:
+            need("a force in time, a Python function,", "numba")
+            import numba
+
+            compiled = numba.njit(self._force) if inspect.isfunction(self._force) else self._force
+            own = [
+                _term(compiled, -self._factor, np.arange(axis, self.dim or 0, self._axes), axis, self.uniform)
+                for axis in range(self._axes)
+            ]
+            self._terms = (*self._quadratic.terms(), *own)
+        return self._terms
+
+    def __repr__(self) -> str:
+        return f"Driven({self._quadratic!r}, in time)"
+
+
+def _term(
+    force: Callable[..., Any], times: float, where: npt.NDArray[np.int64], axis: int, uniform: bool
+) -> FunctionTerm:
+    if uniform:
+
+        def value(y: Any, t: Any) -> Any:
+            return times * force(t)[axis] * np.sum(y)
+
+        def gradient(y: Any, t: Any) -> Any:
+            return np.full(len(y), times * force(t)[axis])
+
+    else:
+
+        def value(y: Any, t: Any) -> Any:
+            forces, total = force(t), 0.0
+            for site in range(len(y)):
+                total += times * forces[site][axis] * y[site]
+            return total
+
+        def gradient(y: Any, t: Any) -> Any:
+            forces, result = force(t), np.zeros(len(y))
+            for site in range(len(y)):
+                result[site] = times * forces[site][axis]
+            return result
+
+    def hessian(y: Any, t: Any) -> Any:
+        return np.zeros((len(y), len(y)))
+
+    return FunctionTerm(where.astype(np.int64), value, gradient, hessian, timed=True)

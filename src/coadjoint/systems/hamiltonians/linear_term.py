@@ -1,0 +1,155 @@
+"""The linear term of a Hamiltonian (a field, gravity, rotors): extraction and replacement."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separable import Separable
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
+from coadjoint.systems.system_checks import System
+
+Floats = npt.NDArray[np.float64]
+Moved = TypeVar("Moved", bound=System)
+
+PRESENT = 2.0**-300
+"""Placeholder for a zero coefficient that may change later; products with it vanish."""
+
+
+def linear_of(H: HamiltonianLike, n: int) -> Floats:
+    """Return the coefficients of the linear term, (n,), of a bound Hamiltonian.
+
+    Raises TypeError if it is one function of all coordinates or of a user-defined type.
+    """
+    if isinstance(H, Quadratic):
+        (term,) = H.terms()
+        assert term.form is not None
+        return np.array(term.form.linear)
+    found = np.zeros(n)
+    if isinstance(H, Separable):
+        return found
+    if isinstance(H, SumOfHamiltonians):
+        return np.asarray(sum(linear_of(one, n) for one in H.summands if _has_linear(one)) + found)
+    if isinstance(H, PolynomialHamiltonian):
+        for exponents, coefficient in H.polynomial.monomials.items():
+            if sum(exponents) == 1:
+                found[exponents.index(1)] = float(coefficient)
+        return found
+    if isinstance(H, SplitHamiltonian):
+        for coordinates, piece in zip(H.coordinates, H.pieces, strict=True):
+            if _has_linear(piece):
+                found[list(coordinates)] += linear_of(piece, len(coordinates))
+        return found
+    raise TypeError(
+        f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace; give a Quadratic, a "
+        "Polynomial, a Separable or a SplitHamiltonian"
+    )
+
+
+def _has_linear(H: HamiltonianLike) -> bool:
+    return isinstance(H, Quadratic | PolynomialHamiltonian | SplitHamiltonian)
+
+
+def with_linear(system: Moved, linear: Floats) -> Moved:
+    """Return the system with another linear term in its Hamiltonian; closed form, integrals and parameters are dropped.
+
+    Raises TypeError if the Hamiltonian has no linear term to replace, and ValueError if several pieces of a
+    `SplitHamiltonian` are polynomials in a coordinate whose coefficient changes (with none, a piece is added).
+    """
+    changed = copy.copy(system)
+    fields: dict[str, Any] = {
+        "hamiltonian": _other(system.hamiltonian, np.asarray(linear, dtype=np.float64)),
+        "_exact": None,
+        "_parameters": None,
+        "_integrals": {},
+    }
+    for name, value in fields.items():
+        if hasattr(system, name):
+            object.__setattr__(changed, name, value)
+    return changed
+
+
+def with_all_present(system: Moved, coordinates: Sequence[int]) -> Moved:
+    """Return the system with `PRESENT` in place of those of the given linear coefficients that are zero.
+
+    Its Hamiltonian then has every part that it can have for any values of them.
+    """
+    linear, chosen = linear_of(system.hamiltonian, system.dim), np.array(coordinates, dtype=np.int64)
+    absent = chosen[linear[chosen] == 0.0]
+    linear[absent] = PRESENT
+    return with_linear(system, linear) if len(absent) else system
+
+
+def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
+    if isinstance(H, Quadratic):
+        return H.with_linear(linear)
+    if isinstance(H, PolynomialHamiltonian):
+        monomials = {e: c for e, c in H.polynomial.monomials.items() if sum(e) != 1}
+        n = H.polynomial.dim
+        for k in np.flatnonzero(linear).tolist():
+            monomials[tuple(int(i == k) for i in range(n))] = float(linear[k])
+        return PolynomialHamiltonian(Polynomial(monomials, dim=n))
+    if isinstance(H, SplitHamiltonian):
+        return _other_split(H, linear)
+    if isinstance(H, SumOfHamiltonians):
+        return _other_sum(H, linear)
+    if isinstance(H, Separable):
+        pieces = []
+        for term in H.functions():
+            given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
+            pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
+        return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
+    raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace")
+
+
+def _other_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianLike:
+    """Replace the linear term of the `Quadratic` or polynomial of a sum, its first summand; add one if missing."""
+    first, n = H.summands[0], len(linear)
+    if not isinstance(first, Quadratic | PolynomialHamiltonian):
+        first = Quadratic(np.zeros(n))
+        H = SumOfHamiltonians([first, *H.summands])
+    elsewhere = linear_of(H, n) - linear_of(first, n)
+    return SumOfHamiltonians([_other(first, linear - elsewhere), *H.summands[1:]])
+
+
+def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
+    changed = np.flatnonzero(linear != linear_of(H, len(linear))).tolist()
+    found = list(zip(H.coordinates, H.pieces, strict=True))
+    for k in changed:
+        able = [p for p, (where, piece) in enumerate(found) if k in where and _has_linear(piece)]
+        if len(able) > 1:
+            raise ValueError(
+                f"pieces {able[0]} and {able[1]} of the SplitHamiltonian are polynomials in coordinate {k}, whose "
+                "linear coefficient may belong to either; leave the coordinate in one of them"
+            )
+        if not able:
+            found.append(((k,), Quadratic(0.0, linear=linear[k : k + 1])))
+            continue
+        where, piece = found[able[0]]
+        own = linear_of(piece, len(where))
+        own[where.index(k)] = linear[k]
+        found[able[0]] = where, _other(piece, own)
+    return SplitHamiltonian(found).bind(len(linear))
+
+
+def check_linear(system: Any) -> None:
+    """Raise TypeError if the Hamiltonian of a system has no linear term to replace.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> check_linear(co.systems.rigid_body((1, 2, 3)))
+    """
+    try:
+        linear_of(system.hamiltonian, system.dim)
+    except TypeError as reason:
+        raise TypeError(f"{short(system.name)} cannot take inputs: {reason}") from None

@@ -1,0 +1,453 @@
+"""The quadratic Hamiltonian, ``H(x) = x . M x / 2 + linear . x + constant``."""
+
+from __future__ import annotations
+
+import copy
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, NamedTuple, Self, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.memory import check_room
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import QUIET, matching, point, scatter
+from coadjoint.systems.hamiltonians.summable import Summable
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
+from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
+from coadjoint.validation import array_given, read_finite, read_number, read_whole
+
+
+class Entries(NamedTuple):
+    """The entries of a quadratic Hamiltonian: rows, columns and values of M, and the linear part."""
+
+    rows: npt.NDArray[np.int64]
+    columns: npt.NDArray[np.int64]
+    entries: npt.NDArray[Any]
+    linear: npt.NDArray[Any]
+
+
+class Quadratic(Summable):
+    """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
+
+    Use it whenever H is quadratic. Every scheme of the library supports it, and `Taylor`, `GaussLegendre` and
+    ``freeze="structure"`` keep its energy to round-off. M need not be positive definite.
+
+    Parameters
+    ----------
+    M : number, (n,), symmetric (n, n), or SciPy sparse matrix (n, n)
+        The matrix (for a rigid body the *inverse* inertia). A number is a multiple of the unit matrix, a vector a
+        diagonal; a sparse matrix is never made dense, except by `hessian`. An asymmetry of up to 64 u of the largest
+        entry (u = 2^-53, the round-off of a computed matrix) is removed by taking the upper triangle.
+    linear : (n,), optional
+        Coefficients of the linear part.
+    constant : float, optional
+        Added to the value; it has no effect on the motion.
+
+    Attributes
+    ----------
+    dim : int or None
+        n; None for a number M without `linear`, until `bind`.
+    timed : bool
+        False.
+
+    Raises
+    ------
+    ValueError
+        M is not symmetric (the message gives the entry), not square or not finite, or `linear` has another length.
+    TypeError
+        M or `linear` does not consist of real numbers.
+
+    Notes
+    -----
+    The T of equation (2) of Reich, "Numerical integration of the generalized Euler equations" (1993).
+
+    Examples
+    --------
+    >>> H = Quadratic([1.0, 0.5, 0.25], linear=[0.0, 0.0, 1.0])
+    >>> H.value([1.0, 2.0, 2.0])
+    4.0
+    >>> H.gradient([1.0, 2.0, 2.0])
+    array([1. , 1. , 1.5])
+    """
+
+    timed = False
+
+    def __init__(self, M: Any, linear: npt.ArrayLike | None = None, constant: Any = 0.0) -> None:
+        self._linear: npt.NDArray[Any] | None = None if linear is None else real_array(linear, "linear")
+        if self._linear is not None and self._linear.ndim != 1:
+            raise ValueError(f"linear has shape {self._linear.shape}; give one coefficient for each coordinate, (n,)")
+        size = read_number(constant, "constant")
+        self._constant = constant if isinstance(constant, Fraction) else size
+        self._scalar: Any = None
+        self.dim: int | None = None
+        if hasattr(M, "tocsr"):
+            self._store(*sparse_entries(M))
+            return
+        array = real_array(M, "M")
+        if array.ndim == 0 and self._linear is None:
+            self._scalar = array.item()
+        elif array.ndim == 0:
+            n = len(self._linear) if self._linear is not None else 0
+            self._store(n, np.arange(n), np.arange(n), np.full(n, array.item(), dtype=array.dtype))
+        elif array.ndim == 1:
+            own = np.flatnonzero(array)
+            self._store(array.size, own, own, array[own], mirrored=True)
+        elif array.ndim == 2 and array.shape[0] == array.shape[1]:
+            rows, columns = np.nonzero(array)
+            self._store(array.shape[0], rows, columns, array[rows, columns])
+        else:
+            raise ValueError(f"M has shape {array.shape}; give a number, (n,) or a symmetric (n, n)")
+
+    def _store(
+        self,
+        n: int,
+        rows: npt.NDArray[Any],
+        columns: npt.NDArray[Any],
+        entries: npt.NDArray[Any],
+        mirrored: bool = False,
+    ) -> None:
+        """Store the upper triangle and its mirror image as sparse rows; `mirrored` entries, sorted, as given."""
+        if n == 0:
+            raise ValueError("M has no entries; give at least one coordinate")
+        if self._linear is None:
+            self._linear = np.zeros(n)
+        if self._linear.size != n:
+            have = f"M has {n} entries" if mirrored else f"M is {n} x {n}"
+            raise ValueError(
+                f"{have} and linear has {self._linear.size}; give both one for each coordinate of the system"
+            )
+        rows, columns = rows.astype(np.int64), columns.astype(np.int64)
+        if not mirrored:
+            check_symmetric(n, rows, columns, entries.astype(np.float64))
+            upper = (rows <= columns) & (entries != 0)
+            above = upper & (rows < columns)
+            rows, columns = np.r_[rows[upper], columns[above]], np.r_[columns[upper], rows[above]]
+            entries = np.r_[entries[upper], entries[above]]
+            order = np.lexsort((columns, rows))
+            rows, columns, entries = rows[order], columns[order], entries[order]
+        self.dim = n
+        self._rows, self._indices, self._entries = rows, columns, entries
+        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
+        for array in (self._rows, self._indices, self._indptr, self._entries, self._linear):
+            array.flags.writeable = False
+
+    @classmethod
+    def from_polynomial(cls, polynomial: Polynomial) -> Self:
+        """Convert a polynomial of degree at most two to a quadratic Hamiltonian, with its coefficients unchanged.
+
+        Parameters
+        ----------
+        polynomial : Polynomial
+            Polynomial of degree at most two.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            The degree is higher.
+
+        Examples
+        --------
+        >>> Quadratic.from_polynomial(Polynomial({(2, 0): 0.5, (1, 1): -1.0, (0, 1): 3.0})).hessian([0.0, 0.0])
+        array([[ 1., -1.],
+               [-1.,  0.]])
+        """
+        if not isinstance(polynomial, Polynomial):
+            raise TypeError(f"the polynomial is {short(polynomial)}; give a Polynomial")
+        if polynomial.degree > 2:
+            raise ValueError(f"the polynomial has degree {polynomial.degree}; a quadratic Hamiltonian has at most 2")
+        n = polynomial.dim
+        exact = not all(isinstance(c, float) for c in polynomial.monomials.values())
+        kind: Any = object if exact else np.float64
+        linear = np.full(n, 0, dtype=kind)
+        constant: Any = 0.0
+        rows: list[int] = []
+        columns: list[int] = []
+        entries: list[Any] = []
+        for exponents, coefficient in polynomial.monomials.items():
+            where = factors_of(exponents)
+            if len(where) == 2:
+                rows += [where[0], where[1]] if where[0] != where[1] else [where[0]]
+                columns += [where[1], where[0]] if where[0] != where[1] else [where[0]]
+                entries += [coefficient, coefficient] if where[0] != where[1] else [2 * coefficient]
+            elif len(where) == 1:
+                linear[where[0]] = coefficient
+            else:
+                constant = coefficient
+        packed = np.empty(len(entries), dtype=kind)
+        packed[:] = entries
+        places = np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+        return cls.from_entries(n, *places, packed, linear, constant)
+
+    @classmethod
+    def from_entries(
+        cls,
+        n: int,
+        rows: npt.NDArray[np.int64],
+        columns: npt.NDArray[np.int64],
+        entries: npt.NDArray[Any],
+        linear: npt.NDArray[Any],
+        constant: Any,
+    ) -> Self:
+        """Return the Hamiltonian whose M has the given entries, in both triangles and without duplicates.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+        rows, columns : ndarray of int64, shape (nnz,)
+            Positions of the entries.
+        entries : ndarray, shape (nnz,)
+            Floats, or fractions in an array of objects.
+        linear : ndarray, shape (n,)
+            Coefficients of the linear part.
+        constant : float or Fraction
+            Added to the value.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            A number is not finite.
+        """
+        read_finite(entries, "the entries of M")
+        quadratic = cls(0.0, linear=linear, constant=constant)
+        quadratic._store(n, rows, columns, entries)
+        return quadratic
+
+    @property
+    def constant(self) -> Any:
+        """The constant as given: a float or a Fraction."""
+        return self._constant
+
+    @property
+    def exact(self) -> bool:
+        """Whether M, `linear` or `constant` contain exact numbers such as fractions."""
+        if self.dim is None:
+            return not isinstance(self._scalar, float) or isinstance(self._constant, Fraction)
+        kinds = {self._entries.dtype, np.zeros(0).dtype if self._linear is None else self._linear.dtype}
+        return kinds != {np.dtype(np.float64)} or isinstance(self._constant, Fraction)
+
+    def to_polynomial(self) -> Polynomial:
+        """Convert this bound Hamiltonian to a polynomial; inverse of `from_polynomial`.
+
+        Returns
+        -------
+        Polynomial
+
+        Examples
+        --------
+        >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
+        3.0*x2 + 0.5*x1^2 - x1*x2
+        """
+        if self.dim is None or self._linear is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        unit = [0] * self.dim
+        monomials: dict[tuple[int, ...], Any] = {tuple(unit): self._constant}
+        for i, c in enumerate(self._linear.tolist()):
+            monomials[(*unit[:i], 1, *unit[i + 1 :])] = c
+        for i, j, c in zip(self._rows.tolist(), self._indices.tolist(), self._entries.tolist(), strict=True):
+            if i == j:
+                monomials[(*unit[:i], 2, *unit[i + 1 :])] = c / 2 if isinstance(c, float) else Fraction(c) / 2
+            elif i < j:
+                monomials[(*unit[:i], 1, *unit[i + 1 : j], 1, *unit[j + 1 :])] = c
+        return Polynomial(monomials, dim=self.dim)
+
+    def bind(self, n: int) -> Quadratic:
+        """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            M is for another dimension.
+        """
+        n = read_whole(n, "the dimension")
+        if self._scalar is not None:
+            check_room(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
+            kind = object if not isinstance(self._scalar, float) else np.float64
+            return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
+        self.check_dimension(n)
+        return self
+
+    def check_dimension(self, n: int, owner: str = "the system") -> None:
+        """Raise ValueError if the dimension of M is not n, that of `owner`; a number as M has any dimension."""
+        if self.dim not in (None, read_whole(n, "the dimension")):
+            raise ValueError(f"{self._size()}; {owner} has dimension {n}; give {n}")
+
+    def _size(self) -> str:
+        """Describe the size of M in the form in which it was probably given."""
+        diagonal = np.array_equal(self._rows, self._indices)
+        return f"M has {self.dim} entries" if diagonal else f"M is {self.dim} x {self.dim}"
+
+    @property
+    def scalar(self) -> Any:
+        """The number M of a Hamiltonian without a dimension, as given; otherwise None."""
+        return self._scalar
+
+    def as_given(self) -> Entries:
+        """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
+        if self.dim is None or self._linear is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        return Entries(self._rows, self._indices, self._entries, self._linear)
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the Hamiltonian multiplied by a factor; fractions stay exact.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Quadratic
+
+        Examples
+        --------
+        >>> Quadratic([1.0, 2.0]).times(0.5)
+        Quadratic([0.5, 1.0])
+        """
+        from coadjoint.systems.hamiltonians.quadratic_sums import multiplied
+
+        return cast(Self, multiplied(self, factor))
+
+    def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
+        """Return the same bound Hamiltonian with another linear part; M is shared.
+
+        Parameters
+        ----------
+        linear : (n,)
+            Coefficients of the linear part.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            `linear` has another length, or is not finite.
+        TypeError
+            The Hamiltonian is not bound, or `linear` does not consist of real numbers.
+
+        Examples
+        --------
+        >>> Quadratic([1.0, 0.5]).with_linear([0.0, 2.0])
+        Quadratic([1.0, 0.5], linear=[0.0, 2.0])
+        """
+        if self.dim is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        given = real_array(linear, "linear")
+        if given.shape != (self.dim,):
+            raise ValueError(
+                f"linear has the shape {given.shape}; give one coefficient for each of {self.dim} coordinates"
+            )
+        given.flags.writeable = False
+        changed = copy.copy(self)
+        changed.__dict__.pop("_terms", None)
+        changed._linear = given
+        return changed
+
+    def _at(self, x: npt.ArrayLike) -> tuple[Quadratic, npt.NDArray[Any]]:
+        y = point(x, self.dim)
+        return (self if self.dim is not None else self.bind(y.size)), y
+
+    @QUIET
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return ``x . M x / 2 + linear . x + constant``."""
+        bound, y = self._at(x)
+        linear = bound._linear_part(y)
+        half = bound._product(y)
+        if y.dtype != object:
+            return (0.5 * (half @ y) + linear @ y + float(bound._constant)).item()
+        constant = matching(np.array([bound._constant], dtype=object), y)[0]
+        return (half @ y) / 2 + linear @ y + constant
+
+    def __call__(self, x: npt.ArrayLike) -> Any:
+        """Return the value at a state (n,), or the values at states (..., n), like other invariants."""
+        array = array_given(x, "x", "iufc")
+        width = array.shape[-1] if array.ndim > 1 else 0
+        if width == 0 or self.dim not in (None, width):  # one state, or states of another dimension
+            return self.value(array)
+        rows = array.reshape(-1, width)
+        return np.array([self.value(row) for row in rows]).reshape(array.shape[:-1])
+
+    @QUIET
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return ``M x + linear``, shape (n,)."""
+        bound, y = self._at(x)
+        return bound._product(y) + bound._linear_part(y)
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return M as a dense array, shape (n, n)."""
+        bound, y = self._at(x)
+        check_room(8 * y.size**2, f"M as a dense {y.size} x {y.size} array")
+        entries = bound._numbers(bound._entries, y)
+        dense = np.zeros((y.size, y.size), dtype=entries.dtype)
+        dense[bound._rows, bound._indices] = entries
+        return dense
+
+    @staticmethod
+    def _numbers(stored: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return matching(stored, x) if x.dtype == object else stored.astype(np.float64)
+
+    def _linear_part(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return self._numbers(self._linear if self._linear is not None else np.zeros(x.size), x)
+
+    def _product(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return scatter(self._rows, self._numbers(self._entries, x) * x[self._indices], x.size)
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the single `QuadraticTerm`; the Hamiltonian must be bound."""
+        if self.dim is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        return self._terms
+
+    @cached_property
+    def _terms(self) -> tuple[Term, ...]:
+        values = self._entries.astype(np.float64)
+        linear = self._linear_part(np.zeros(self._indptr.size - 1))
+        return (QuadraticTerm(self._indptr, self._indices, values, linear, float(self._constant)),)
+
+    def __repr__(self) -> str:
+        if self._scalar is not None:
+            return f"Quadratic({self._scalar!r})"
+        if self.dim is not None and self.dim <= 4:
+            dense = self.hessian(np.zeros(self.dim))
+            diagonal = np.array_equal(dense, np.diag(np.diag(dense)))
+            shown = (np.diag(dense) if diagonal else dense).tolist()
+        else:
+            shown = f"<{self.dim} x {self.dim}, {self._indices.size} nonzero>"
+        linear = self._linear_part(np.zeros(self.dim or 0))
+        tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
+        return f"Quadratic({shown}{tail})"
+
+
+def factors_of(exponents: tuple[int, ...]) -> list[int]:
+    """Return the coordinates in a monomial with multiplicity; fast for low degrees and many coordinates."""
+    found: list[int] = []
+    for degree in range(1, max(exponents) + 1):
+        place = -1
+        for _ in range(exponents.count(degree)):
+            place = exponents.index(degree, place + 1)
+            found += [place] * degree
+    return sorted(found)

@@ -1,0 +1,176 @@
+"""Hamiltonians that are sums of functions of commuting coordinates."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import point
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.hamiltonians.separable import MOST_COORDINATES
+from coadjoint.systems.hamiltonians.summable import Summable
+from coadjoint.systems.hamiltonians.terms import Term
+from coadjoint.validation import read_list, read_whole
+
+
+class SplitHamiltonian(Summable):
+    """A sum of pieces ``H_a(x[coordinates of a])``, each of coordinates that commute in the algebra.
+
+    Explicit splittings support it: the gradient of a piece is constant along the flow of that piece, so this flow is
+    known exactly. Whether the coordinates of a piece commute is checked when the system is constructed.
+
+    Parameters
+    ----------
+    pieces : sequence of (coordinates, Hamiltonian)
+        The coordinates of the piece (0-based), and a Hamiltonian of any type in these coordinates, in their order.
+        Different pieces may share coordinates.
+
+    Attributes
+    ----------
+    coordinates : tuple of tuple of int
+        The coordinates of every piece.
+    pieces : tuple
+        The Hamiltonian of every piece, bound to the number of its coordinates.
+
+    Raises
+    ------
+    ValueError
+        A coordinate is negative or occurs twice in a piece, or a Hamiltonian has another number of coordinates.
+    TypeError
+        No pieces, or a piece that is not such a pair.
+
+    Notes
+    -----
+    Section 4 of Reich (1993) uses single coordinates; the same holds for any function of commuting coordinates, since
+    ``sum of (dH/dx_i) e_i`` is constant along its own flow.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.hamiltonians.quadratic import Quadratic
+    >>> H = SplitHamiltonian([((0, 1), Quadratic([[1.0, 0.5], [0.5, 1.0]])), ((2,), Quadratic(3.0))])
+    >>> H.gradient([1.0, 0.0, 2.0])
+    array([1. , 0.5, 6. ])
+    """
+
+    def __init__(self, pieces: Sequence[tuple[Sequence[int], Any]]) -> None:
+        self.dim: int | None = None
+        coordinates: list[tuple[int, ...]] = []
+        parts: list[HamiltonianLike] = []
+        rule = "give a list of (coordinates, Hamiltonian)"
+        for number, piece in enumerate(read_list(pieces, "what SplitHamiltonian was given", rule)):
+            if not isinstance(piece, tuple | list) or len(piece) != 2:
+                raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)")
+            where, H = piece
+            listed = read_list(where, f"where piece {number} acts", "give (coordinates, Hamiltonian)")
+            chosen = tuple(read_whole(i, f"a coordinate of piece {number}", 0, MOST_COORDINATES) for i in listed)
+            if not chosen or len(set(chosen)) != len(chosen):
+                raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
+            try:
+                parts.append(as_hamiltonian(H, len(chosen)))
+            except (TypeError, ValueError) as reason:
+                raise type(reason)(f"piece {number}, of {len(chosen)} coordinates: {reason}") from reason
+            coordinates.append(chosen)
+        if not parts:
+            raise TypeError("SplitHamiltonian has no pieces; give at least one (coordinates, Hamiltonian)")
+        self.coordinates = tuple(coordinates)
+        self.pieces = tuple(parts)
+        self.timed = any(part.timed for part in self.pieces)
+
+    def bind(self, n: int) -> SplitHamiltonian:
+        """Return this Hamiltonian bound to dimension `n`.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+
+        Returns
+        -------
+        SplitHamiltonian
+
+        Raises
+        ------
+        ValueError
+            A piece has a coordinate that does not exist.
+        """
+        n = read_whole(n, "the dimension")
+        for number, chosen in enumerate(self.coordinates):
+            if max(chosen) >= n:
+                raise ValueError(
+                    f"piece {number} has coordinate {max(chosen)}; the system has coordinates 0 to {n - 1}"
+                )
+        bound = object.__new__(SplitHamiltonian)
+        bound.dim, bound.timed, bound.coordinates, bound.pieces = n, self.timed, self.coordinates, self.pieces
+        return bound
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the Hamiltonian multiplied by a factor.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        SplitHamiltonian
+
+        Raises
+        ------
+        TypeError
+            A piece is of a user-defined type without multiples.
+        """
+        for number, piece in enumerate(self.pieces):
+            if not isinstance(piece, Summable):
+                raise TypeError(
+                    f"piece {number} is {short(piece)}, whose type cannot be multiplied; multiply the piece itself"
+                )
+        result = copy.copy(self)
+        result.pieces = tuple(piece.times(factor) for piece in self.pieces if isinstance(piece, Summable))
+        return result
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return the sum of the pieces."""
+        y = point(x, self.dim)
+        parts = zip(self.coordinates, self.pieces, strict=True)
+        return sum(part.value(y[list(chosen)], t) for chosen, part in parts)
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+        y = point(x, self.dim)
+        result = np.zeros(y.size, dtype=y.dtype)
+        for chosen, part in zip(self.coordinates, self.pieces, strict=True):
+            where = list(chosen)
+            result[where] += part.gradient(y[where], t)
+        return result
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the second derivatives, shape (n, n)."""
+        y = point(x, self.dim)
+        result = np.zeros((y.size, y.size), dtype=y.dtype)
+        for chosen, part in zip(self.coordinates, self.pieces, strict=True):
+            where = list(chosen)
+            result[np.ix_(where, where)] += part.hessian(y[where], t)
+        return result
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the terms of all pieces in the n coordinates, with the numbers of the pieces; must be bound."""
+        if self.dim is None:
+            raise TypeError("SplitHamiltonian has no dimension yet; bind(n) it first")
+        result: list[Term] = []
+        for number, (chosen, part) in enumerate(zip(self.coordinates, self.pieces, strict=True)):
+            where = np.array(chosen, dtype=np.int64)
+            result += [term.placed(where, self.dim, number) for term in part.terms()]
+        return tuple(result)
+
+    def __repr__(self) -> str:
+        shown = [f"({short(chosen)}, {part!r})" for chosen, part in zip(self.coordinates, self.pieces, strict=True)]
+        return (
+            f"SplitHamiltonian([{', '.join(shown)}])" if len(shown) <= 4 else f"SplitHamiltonian({len(shown)} pieces)"
+        )

@@ -1,0 +1,64 @@
+"""Arithmetic of Hamiltonians: base class with ``H1 + H2``, ``H1 - H2``, ``2 * H``, ``H / 2``, ``-H``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from fractions import Fraction
+from typing import Any, Self
+
+from coadjoint.algebra.polynomials.monomials import read_coefficient
+from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.short_repr import short
+from coadjoint.validation import is_real
+
+
+class Summable(ABC):
+    """Base class of Hamiltonians that can be added to Hamiltonians and numbers, and multiplied by numbers."""
+
+    # Prevents NumPy arrays from broadcasting over it.
+    __array_ufunc__ = None
+
+    @abstractmethod
+    def times(self, factor: Coefficient) -> Self:
+        """Return the Hamiltonian, of the same type, multiplied by a finite int, float or Fraction."""
+
+    def __add__(self, other: Any) -> Any:
+        from coadjoint.systems.hamiltonians.sum_of_hamiltonians import sum_of
+
+        return sum_of(self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return self + other
+
+    def __neg__(self) -> Self:
+        return self.times(-1)
+
+    def __sub__(self, other: Any) -> Any:
+        # Polynomials and user-defined types may have their own negation.
+        if not hasattr(type(other), "__neg__"):
+            raise TypeError(f"{short(other)} cannot be subtracted from a Hamiltonian: it has no __neg__")
+        return self + -other
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    def __mul__(self, factor: Any) -> Self:
+        return self.times(_factor(factor))
+
+    def __rmul__(self, factor: Any) -> Self:
+        return self * factor
+
+    def __truediv__(self, divisor: Any) -> Self:
+        below = _factor(divisor)
+        if below == 0:
+            raise ValueError(f"a Hamiltonian can be divided by a number other than 0, not by {short(divisor)}")
+        return self * (1.0 / below if isinstance(below, float) else Fraction(1, 1) / below)
+
+
+def _factor(given: Any) -> Coefficient:
+    if not is_real(given):
+        raise TypeError(
+            f"a Hamiltonian is multiplied by {short(given)}; the factor must be a number (products of coordinates are "
+            "those of Polynomial)"
+        )
+    return read_coefficient(given, "the factor of a Hamiltonian")

@@ -1,0 +1,231 @@
+"""Terms of Hamiltonians, the form from which the tables of schemes are built."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+
+
+class TermReader(Protocol):
+    """Interface of visitors of the terms of a Hamiltonian, which build tables or parts of a splitting."""
+
+    def quadratic(self, term: QuadraticTerm) -> Any:
+        """Visit a quadratic term."""
+
+    def polynomial(self, term: PolynomialTerm) -> Any:
+        """Visit a polynomial term."""
+
+    def function(self, term: FunctionTerm) -> Any:
+        """Visit a function term."""
+
+
+class Term(Protocol):
+    """Interface of all terms of Hamiltonians."""
+
+    @property
+    def piece(self) -> int | None:
+        """Number of its piece of a `SplitHamiltonian`, or None."""
+
+    @property
+    def constant(self) -> float:
+        """Constant part of the value."""
+
+    @property
+    def degree(self) -> int | None:
+        """Degree as a polynomial; None if it is not one."""
+
+    @property
+    def called(self) -> bool:
+        """Whether it calls user functions."""
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether its second derivatives are known."""
+
+    @property
+    def multiplications(self) -> int:
+        """Number of multiplications of a gradient, without those of user functions."""
+
+    @property
+    def form(self) -> QuadraticTerm | None:
+        """The term as a `QuadraticTerm`; None if it is not quadratic."""
+
+    def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
+        """Yield sets of coordinates; second derivatives between coordinates that share no set are zero."""
+
+    def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
+        """Return the term of the coordinates `where` as a term of all n coordinates that belongs to a piece."""
+
+    def given_to(self, reader: TermReader) -> Any:
+        """Pass the term to a reader, in one or several of its forms; return the last result."""
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticTerm:
+    """The term ``constant + linear . x + x . M x / 2``, M symmetric and sparse.
+
+    Parameters
+    ----------
+    indptr, indices : ndarray of int64, shapes (n + 1,) and (nnz,)
+        Compressed sparse rows of M (both triangles), columns sorted in each row, no stored zeros.
+    values : ndarray of float64, shape (nnz,)
+        The entries of M.
+    linear : ndarray of float64, shape (n,)
+        Coefficients of the linear part.
+    constant : float
+        Has no effect on the motion; part of the energy.
+    piece : int or None
+        Number of its piece of a `SplitHamiltonian`.
+    """
+
+    indptr: npt.NDArray[np.int64]
+    indices: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+    linear: npt.NDArray[np.float64]
+    constant: float = 0.0
+    piece: int | None = None
+
+    called: ClassVar[bool] = False
+    degree: ClassVar[int] = 2
+    differentiable: ClassVar[bool] = True
+
+    @property
+    def multiplications(self) -> int:
+        """Number of entries of M."""
+        return len(self.values)
+
+    @property
+    def form(self) -> QuadraticTerm:
+        """The term itself."""
+        return self
+
+    def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
+        """Yield the pair of coordinates of each entry of M."""
+        yield from np.stack([self.rows, self.indices], axis=1)
+
+    def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> QuadraticTerm:
+        """Return the term with its entries in new rows and columns."""
+        rows, columns = where[self.rows], where[self.indices]
+        order = np.lexsort((columns, rows))
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
+        linear = np.zeros(n)
+        linear[where] = self.linear
+        return QuadraticTerm(indptr, columns[order], self.values[order], linear, self.constant, piece)
+
+    def given_to(self, reader: TermReader) -> Any:
+        """Pass the term to `reader.quadratic`."""
+        return reader.quadratic(self)
+
+    @cached_property
+    def rows(self) -> npt.NDArray[np.int64]:
+        """Row number of every stored entry of M, shape (nnz,)."""
+        return np.repeat(np.arange(self.linear.size, dtype=np.int64), np.diff(self.indptr))
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialTerm:
+    """A polynomial in all n coordinates.
+
+    Parameters
+    ----------
+    polynomial : Polynomial
+        In n variables.
+    piece : int or None
+        Number of the piece of a `SplitHamiltonian` that it belongs to.
+    """
+
+    polynomial: Polynomial
+    piece: int | None = None
+
+    called: ClassVar[bool] = False
+    constant: ClassVar[float] = 0.0
+    differentiable: ClassVar[bool] = True
+    form: ClassVar[None] = None
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial."""
+        return self.polynomial.degree
+
+    @property
+    def multiplications(self) -> int:
+        """Sum over monomials: each factor needs all of its powers."""
+        exponents = [[e for e in monomial if e] for monomial in self.polynomial.monomials]
+        return sum(len(e) * sum(e) for e in exponents)
+
+    def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
+        """Yield the variables of each monomial."""
+        yield from (np.flatnonzero(exponents) for exponents in self.polynomial.monomials)
+
+    def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> PolynomialTerm:
+        """Return the polynomial in other variables."""
+        monomials = {}
+        for exponents, coefficient in self.polynomial.monomials.items():
+            placed = [0] * n
+            for i, power in zip(where.tolist(), exponents, strict=True):
+                placed[i] = power
+            monomials[tuple(placed)] = coefficient
+        return PolynomialTerm(Polynomial(monomials, dim=n), piece)
+
+    def given_to(self, reader: TermReader) -> Any:
+        """Pass the term to `reader.polynomial`."""
+        return reader.polynomial(self)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTerm:
+    """A Python function of some coordinates, ``y = x[coordinates]``.
+
+    Parameters
+    ----------
+    coordinates : ndarray of int64, shape (m,)
+        The coordinates that it depends on, 0-based.
+    value, gradient : callable
+        Functions of ``y``, or of ``(y, t)`` if `timed`; `gradient` returns shape (m,).
+    hessian : callable or None
+        Returns shape (m, m).
+    scalar : bool
+        The functions take the number ``y = x[coordinates[0]]`` and return numbers.
+    timed : bool
+        The functions take the time as a second argument.
+    piece : int or None
+        Number of the piece of a `SplitHamiltonian` that it belongs to.
+    """
+
+    coordinates: npt.NDArray[np.int64]
+    value: Callable[..., Any]
+    gradient: Callable[..., Any]
+    hessian: Callable[..., Any] | None
+    scalar: bool = False
+    timed: bool = False
+    piece: int | None = None
+
+    called: ClassVar[bool] = True
+    constant: ClassVar[float] = 0.0
+    degree: ClassVar[None] = None
+    form: ClassVar[None] = None
+    multiplications: ClassVar[int] = 0
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether second derivatives were given."""
+        return self.hessian is not None
+
+    def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
+        """Yield all coordinates that the function depends on."""
+        yield np.asarray(self.coordinates)
+
+    def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> FunctionTerm:
+        """Return the function of other coordinates."""
+        return replace(self, coordinates=where[self.coordinates], piece=piece)
+
+    def given_to(self, reader: TermReader) -> Any:
+        """Pass the term to `reader.function`."""
+        return reader.function(self)

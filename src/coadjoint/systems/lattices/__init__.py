@@ -1,0 +1,1 @@
+"""Ready-made systems: spin and Toda lattices."""

@@ -1,0 +1,138 @@
+"""Neighbours of sites: lattices by name and shape, and graphs given by edges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.memory import check_room
+from coadjoint.short_repr import short
+from coadjoint.validation import array_given, read_choice, read_flag, read_list, read_whole
+
+Integers = npt.NDArray[np.int64]
+
+BYTES_PER_EDGE = 100  # peak, while edges are sorted
+
+
+class Cell(NamedTuple):
+    """A unit cell: its number of sites, and its bonds as (site, site of the other cell, offset of the other cell)."""
+
+    sites: int
+    bonds: tuple[tuple[int, int, tuple[int, ...]], ...]
+
+
+# Offsets are along the axes of the cells, which need not be orthogonal; all bonds of a lattice have equal length.
+CELLS: Mapping[str, Cell] = {
+    "chain": Cell(1, ((0, 0, (1,)),)),
+    "square": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)))),
+    "triangular": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)), (0, 0, (1, -1)))),
+    "honeycomb": Cell(2, ((0, 1, (0, 0)), (1, 0, (1, 0)), (1, 0, (0, 1)))),
+    "kagome": Cell(
+        3, ((0, 1, (0, 0)), (0, 2, (0, 0)), (1, 2, (0, 0)), (1, 0, (1, 0)), (2, 0, (0, 1)), (1, 2, (1, -1)))
+    ),
+    "cubic": Cell(1, ((0, 0, (1, 0, 0)), (0, 0, (0, 1, 0)), (0, 0, (0, 0, 1)))),
+}
+NAMES = (*CELLS, "complete", "ring")
+
+
+MOST_SITES = 2**30  # three coordinates per site, with 32-bit indices
+
+
+def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
+    """Return the number of sites of a lattice (a name of `NAMES`, or pairs of sites), and its edges, (edges, 2) int64.
+
+    `shape` counts cells along each axis, or sites if edges are given; `periodic` joins the last cell to the first.
+    Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by their first cell.
+    """
+    if not isinstance(lattice, str):
+        count = read_whole(shape, "shape, the number of sites where edges are given,", 1, MOST_SITES)
+        read_flags(periodic, 1)
+        edges = _given(lattice, count)
+    elif read_choice(lattice, "lattice", NAMES) == "complete":
+        count = read_whole(shape, "shape of a complete graph, its number of sites,", 1, MOST_SITES)
+        read_flags(periodic, 1)
+        check_room(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
+        edges = np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
+    else:
+        cell, around = (CELLS["chain"], True) if lattice == "ring" else (CELLS[lattice], periodic)
+        axes = len(cell.bonds[0][2])
+        sizes = _sizes(shape, axes, lattice)
+        count = cell.sites * math.prod(sizes)
+        check_room(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
+        edges = _of_cells(cell, sizes, read_flags(around, axes))
+    _check_once(edges, count, lattice, shape)
+    return count, edges
+
+
+def _sizes(shape: Any, axes: int, lattice: str) -> tuple[int, ...]:
+    rule = f"give {axes} whole numbers" if axes > 1 else "give one whole number"
+    given = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, "shape", rule)
+    if len(given) != axes:
+        raise ValueError(f"shape is {short(shape)}; {rule} for a lattice that is {lattice}")
+    return tuple(read_whole(size, f"shape[{axis}]") for axis, size in enumerate(given))
+
+
+def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
+    """Return one flag for each axis.
+
+    Examples
+    --------
+    >>> read_flags(True, 2)
+    (True, True)
+    """
+    if not isinstance(periodic, tuple | list):
+        return (read_flag(periodic, "periodic"),) * axes
+    if len(periodic) != axes:
+        raise ValueError(f"periodic is {short(periodic)}; give one truth value, or {axes} of them")
+    return tuple(read_flag(flag, f"periodic[{axis}]") for axis, flag in enumerate(periodic))
+
+
+def _of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
+    places = np.indices(sizes).reshape(len(sizes), -1)
+    numbers = np.arange(math.prod(sizes), dtype=np.int64)
+    found = []
+    for first, second, step in cell.bonds:
+        other, inside = np.zeros_like(numbers), np.ones(len(numbers), dtype=bool)
+        for axis, (size, around) in enumerate(zip(sizes, periodic, strict=True)):
+            place = places[axis] + step[axis]
+            if not around:
+                inside &= (place >= 0) & (place < size)
+            other = other * size + place % size
+        found.append(np.stack([numbers * cell.sites + first, other * cell.sites + second], axis=1)[inside])
+    return np.concatenate(found)
+
+
+def _given(edges: Any, count: int) -> Integers:
+    array = array_given(edges, "lattice")
+    if array.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
+        raise ValueError(
+            f"lattice is {short(edges, 60)}; give pairs of sites, whole numbers of shape (edges, 2), or one of "
+            f"{', '.join(NAMES)}"
+        )
+    check_room(BYTES_PER_EDGE * len(array), f"a graph of {len(array)} edges")
+    outside = np.argwhere((array < 0) | (array >= count))
+    if outside.size:
+        edge, end = outside[0].tolist()
+        raise ValueError(f"edge {edge} has the site {array[edge, end]}; sites are numbered from 0 to {count - 1}")
+    return array.astype(np.int64)
+
+
+def _check_once(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
+    """Raise ValueError for an edge from a site to itself, and for two edges between the same sites."""
+    low, high = edges.min(axis=1, initial=count), edges.max(axis=1, initial=0)
+    what = f"a periodic {lattice} lattice of shape {short(shape)}" if isinstance(lattice, str) else "lattice"
+    instead = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""
+    loops = np.flatnonzero(low == high)
+    if loops.size:
+        raise ValueError(f"{what} joins site {low[loops[0]]} to itself{instead or '; give pairs of different sites'}")
+    keys = np.sort(low * count + high)
+    again = np.flatnonzero(keys[1:] == keys[:-1])
+    if again.size:
+        i, j = divmod(int(keys[again[0]]), count)
+        raise ValueError(f"{what} joins the sites {i} and {j} twice{instead or '; give every pair once'}")

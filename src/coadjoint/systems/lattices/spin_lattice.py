@@ -1,0 +1,238 @@
+"""Classical spins on any graph: exchange, anisotropy, Dzyaloshinskii-Moriya coupling and fields."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.families.products import copies
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.memory import check_room
+from coadjoint.short_repr import short
+from coadjoint.systems.closed_forms.spin_integrals import total_spins
+from coadjoint.systems.closed_forms.spin_precession import precession
+from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.hamiltonians.driven import Driven
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.lattices.neighbours import graph
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import array_given, read_finite
+
+Floats = npt.NDArray[np.float64]
+
+BYTES_PER_SPIN, BYTES_PER_EDGE = 1000, 500  # peak, during construction
+MOST_KEPT = 2**16  # largest number of values stored as parameters
+LARGEST = 1e100
+MOST_FOLLOWED = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`
+LEVI_CIVITA = np.zeros((3, 3, 3))
+LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
+
+
+SIDE = 18
+
+
+def _vortices() -> Floats:
+    """Return spins in the plane that rotate once around each of two sites, and point up there."""
+    x, y = np.indices((SIDE, SIDE)) - 0.5 * (SIDE - 1)
+    turned, tilt = 0.5 * np.pi, np.zeros_like(x)
+    for side in (-3.5, 3.5):
+        turned = turned + np.arctan2(y, x - side)
+        tilt = tilt + np.exp(-0.4 * ((x - side) ** 2 + y**2))
+    flat = np.sqrt(1.0 - np.minimum(tilt, 1.0) ** 2)
+    return np.stack([flat * np.cos(turned), flat * np.sin(turned), tilt], axis=-1).ravel()
+
+
+def _mean(axis: int, x: Any) -> Any:
+    return x[..., axis::3].mean(axis=-1)
+
+
+_MEANS = {f"S{axis + 1}": partial(_mean, axis) for axis in range(3)}
+
+
+def _named(dim: int) -> tuple[str, ...]:
+    return tuple(f"S{axis + 1}[{site + 1}]" for site in range(dim // 3) for axis in range(3))
+
+
+@ready_made(
+    telling=Telling(
+        x0=_vortices,
+        t_span=(0.0, 36.0),
+        step=0.05,
+        says="Two vortices of the same sense in a square of 18 x 18 spins that prefer to lie in the plane. In the "
+        "middle of each, spins point up. The vortices go around each other, and radiate a little. Arrows show the "
+        "components in the plane, colours the component perpendicular to it.",
+        pictures=(Picture("spins", at=0.0), Picture("spins", at=1.0)),
+        components=Picture("components", functions=_MEANS, quantity="mean spin"),
+        parameters={"lattice": "square", "shape": (SIDE, SIDE), "tensor": (1.0, 1.0, 0.85)},
+        coordinates=_named,
+        quantity="spin",
+    )
+)
+def spin_lattice(
+    lattice: Any = "chain",
+    shape: Any = 2,
+    periodic: Any = False,
+    exchange: npt.ArrayLike = 1.0,
+    tensor: npt.ArrayLike = (1.0, 1.0, 1.0),
+    dm: npt.ArrayLike = (0.0, 0.0, 0.0),
+    field: Any = (0.0, 0.0, 0.0),
+    on_site: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> LiePoissonSystem:
+    """Return classical spins on a lattice or any graph, ``S_i' = S_i cross B_i`` with ``B_i = -dH/dS_i``.
+
+    The Landau-Lifshitz equations without damping: copies of so(3), sign +1, and, summed over edges (i, j) and sites i,
+    ``H = sum(-J_ij S_i . T S_j + D_ij . (S_i cross S_j)) - sum(S_i . K S_i + B_i . S_i)``. J > 0 is ferromagnetic. One
+    spin in a field B precesses about it by the angle -|B| t.
+
+    Parameters
+    ----------
+    lattice : str or (edges, 2) array of int
+        ``"chain"``, ``"ring"``, ``"square"``, ``"triangular"``, ``"honeycomb"``, ``"kagome"``, ``"cubic"`` or
+        ``"complete"``; or pairs of sites, from 0, each pair once. ``coadjoint.systems.lattices.neighbours.graph`` returns the
+        edges in order.
+    shape : int or tuple of int
+        Number of cells along each axis; number of sites for a complete graph, and if edges are given.
+    periodic : bool or tuple of bool
+        Whether the lattice is periodic along each axis. A ring always is.
+    exchange : number or (edges,)
+        J, for all edges or for each (energy per spin squared).
+    tensor : (3,), (3, 3) or (edges, 3, 3)
+        T: anisotropy of the exchange, diagonal or full; need not be symmetric. Dimensionless.
+    dm : (3,) or (edges, 3)
+        D, the Dzyaloshinskii-Moriya vector, for the given direction of the edge (energy per spin squared).
+    field : (3,), (sites, 3), or function of the time that returns one of them
+        B, including the gyromagnetic ratio (energy per spin). Numba compiles the function.
+    on_site : (3,), (3, 3) or (sites, 3, 3)
+        K, diagonal or full, symmetric (energy per spin squared): (0, 0, K) with K > 0 is an easy third axis.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State: the spins in order, S_i at ``x[3 i : 3 i + 3]`` (angular momentum; energies over it are frequencies, so
+        dimensionless spins go with energies over hbar). Casimirs: ``"|x|^2 [i]"`` of every spin, i from 1, up to 682
+        spins; for more, the sum of all. Integrals: the components of the total spin, or its square, that the couplings
+        leave constant. ``exact(x0, t)`` if all spins are coupled equally and isotropically (two spins, a ring of three,
+        a complete graph) in a uniform field, or if none are coupled. The group element, for few spins, is the rotation
+        of each. Parameters of more than 65536 numbers, and functions, are not stored.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An unknown lattice, a wrong shape, duplicate edges, edges from a site to itself, or arrays of the wrong shape.
+
+    Notes
+    -----
+    Section 4 of Reich (1993): if T, K are diagonal and D is zero, all first components commute, as do all second and
+    all third ones: a splitting has three parts on any graph. Frank, Huang and Leimkuhler, J. Comput. Phys. 133, 160
+    (1997).
+
+    Examples
+    --------
+    >>> pair = spin_lattice(exchange=2.0)
+    >>> pair.vector_field([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    array([ 0.,  0.,  2.,  0.,  0., -2.])
+    >>> list(spin_lattice("square", (4, 4), periodic=True, tensor=(1, 1, 0.5)).integrals)
+    ['total S3']
+    """
+    sites, edges = graph(lattice, shape, periodic)
+    check_room(BYTES_PER_SPIN * sites + BYTES_PER_EDGE * len(edges), f"a lattice of {short(sites)} spins")
+    J = _numbers(exchange, "exchange", ((), (len(edges),)))
+    T = _matrices(tensor, "tensor", len(edges))
+    D = _numbers(dm, "dm", ((3,), (len(edges), 3)))
+    K = _matrices(on_site, "on_site", sites, symmetric=True)
+    driven = callable(field)
+    B = np.zeros(3) if driven else _numbers(field, "field", ((3,), (sites, 3)))
+    if not (len(edges) and np.any(J)):
+        T = np.zeros((3, 3))
+    if not len(edges):
+        D = np.zeros(3)
+    coupling = -J[..., None, None] * T + np.einsum("...k,kab->...ab", D, LEVI_CIVITA)
+    H: Any = Quadratic(
+        _matrix(sites, edges, coupling, -2.0 * K),
+        linear=np.broadcast_to(-B, (sites, 3)).ravel(),
+    )
+    if driven:
+        H = Driven(H, field, sites, 3, "field")
+    kept = None if driven else _kept(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
+    turns = None if driven or np.any(D) else precession(sites, edges, J, T, K, B)
+    return LiePoissonSystem(
+        _spins(sites) if sites <= 8 else copies(catalogue.so(3), sites),
+        H,
+        sign=+1,
+        casimirs=None if sites <= MOST_FOLLOWED else {"sum of |x|^2": Quadratic(np.full(3 * sites, 2.0))},
+        name="spin_lattice",
+        parameters=kept,
+        exact=turns,
+        integrals=total_spins(sites, T, D, K, B, H.uniform if driven else None),
+        layout={"lattice": lattice, "shape": shape} if isinstance(lattice, str) else {"lattice": "graph"},
+    )
+
+
+@cache
+def _spins(sites: int) -> LieAlgebra:
+    """Return the algebra of few spins, cached: one object for all their systems."""
+    return copies(catalogue.so(3), sites)
+
+
+def _numbers(given: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:
+    array = read_finite(given, what)
+    if array.shape not in shapes:
+        wanted = " or ".join(str(shape) for shape in shapes).replace("()", "one number")
+        raise ValueError(f"{what} has shape {array.shape}; give {wanted}")
+    if np.abs(array).max(initial=0.0) > LARGEST:
+        raise ValueError(
+            f"{what} has numbers beyond {LARGEST:g}, whose products leave the range of float64; take larger units"
+        )
+    return array
+
+
+def _matrices(given: Any, what: str, count: int, symmetric: bool = False) -> Floats:
+    array = _numbers(given, what, ((3,), (3, 3), (count, 3, 3)))
+    matrices = np.diag(array) if array.ndim == 1 else array
+    wrong = np.argwhere(matrices != np.swapaxes(matrices, -1, -2)) if symmetric else np.zeros(0)
+    if wrong.size:
+        raise ValueError(f"{what} is not symmetric at {wrong[0].tolist()}; give the same value on both sides")
+    return matrices
+
+
+def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site: Floats) -> Any:
+    """Return M, from S_i . coupling S_j and S_i . on_site S_i / 2, as a sparse matrix."""
+    import scipy.sparse
+
+    a, b = np.nonzero(np.any(coupling.reshape(-1, 3, 3), axis=0))
+    c, d = np.nonzero(np.any(on_site.reshape(-1, 3, 3), axis=0))
+    value = np.broadcast_to(coupling, (len(edges), 3, 3))[:, a, b].ravel()
+    own = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
+    rows, columns = (3 * edges[:, :1] + a).ravel(), (3 * edges[:, 1:] + b).ravel()
+    site = 3 * np.arange(sites)[:, None]
+    entries = np.concatenate([value, value, own])
+    places = (
+        np.concatenate([rows, columns, (site + c).ravel()]),
+        np.concatenate([columns, rows, (site + d).ravel()]),
+    )
+    return scipy.sparse.coo_matrix((entries, places), shape=(3 * sites, 3 * sites))
+
+
+def _kept(lattice: Any, *others: Any) -> dict[str, Any] | None:
+    """Return the parameters as plain numbers and tuples; None if they are too many."""
+    names = ("shape", "periodic", "exchange", "tensor", "dm", "field", "on_site")
+    edges = lattice if isinstance(lattice, str) else array_given(lattice, "lattice")
+    if sum(np.size(given) for given in (edges, *others)) > MOST_KEPT:
+        return None
+    return {
+        "lattice": lattice if isinstance(lattice, str) else _plain(np.asarray(edges).tolist()),
+        **{
+            name: _plain(np.asarray(given, dtype=np.float64 if k > 1 else None).tolist())
+            for k, (name, given) in enumerate(zip(names, others, strict=True))
+        },
+    }
+
+
+def _plain(given: Any) -> Any:
+    return tuple(map(_plain, given)) if isinstance(given, list) else given

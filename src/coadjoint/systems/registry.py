@@ -1,0 +1,106 @@
+"""Registry of ready-made systems: each is one file in a folder of `FOLDERS`, registered by a decorator."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, TypeVar, overload
+
+from coadjoint.keyword_hints import told
+from coadjoint.short_repr import short
+from coadjoint.systems.gallery_entry import Telling
+
+Builder = TypeVar("Builder", bound=Callable[..., Any])
+
+FOLDERS = ("bodies", "fluids", "lattices", "examples")
+
+_FOUND: dict[str, Callable[..., Any]] = {}
+_TELLINGS: dict[str, Telling] = {}
+
+
+@overload
+def ready_made(function: Builder) -> Builder: ...
+
+
+@overload
+def ready_made(*, telling: Telling) -> Callable[[Builder], Builder]: ...
+
+
+def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
+    """Register a function that makes a system, under its own name.
+
+    Parameters
+    ----------
+    function : callable
+        The decorated function.
+    telling : Telling, optional
+        Example run and pictures of the system, used by `Solution.plot` and ``coadjoint gallery``.
+
+    Returns
+    -------
+    callable
+        The function itself; with only `telling`, a decorator.
+
+    Raises
+    ------
+    TypeError
+        `telling` is not a `Telling`.
+    """
+    if not isinstance(telling, Telling | None):
+        raise TypeError(f"telling is {short(telling)}; give a coadjoint.systems.gallery_entry.Telling")
+
+    def register(given: Builder) -> Builder:
+        made = told(given)
+        _FOUND[made.__name__] = made
+        if telling is not None:
+            _TELLINGS[made.__name__] = telling
+        return made
+
+    return register if function is None else register(function)
+
+
+def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
+    """Return all ready-made systems by name; imports every file of `FOLDERS`."""
+    for folder in FOLDERS:
+        package = importlib.import_module(f"coadjoint.systems.{folder}")
+        for module in pkgutil.iter_modules(package.__path__):
+            importlib.import_module(f"{package.__name__}.{module.name}")
+    return MappingProxyType(_FOUND)
+
+
+def telling_of(name: str) -> Telling | None:
+    """Return the example run and pictures of a ready-made system, or None if it declares none.
+
+    Parameters
+    ----------
+    name : str
+        Name of any system, ready-made or not.
+
+    Returns
+    -------
+    Telling or None
+
+    Examples
+    --------
+    >>> telling_of("rigid_body").attitude, telling_of("a system of mine")
+    (True, None)
+    """
+    ready_made_systems()
+    return _TELLINGS.get(name)
+
+
+def told_systems() -> tuple[str, ...]:
+    """Return the names of the ready-made systems that declare an example run and pictures, sorted.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> "rigid_body" in told_systems()
+    True
+    """
+    return tuple(name for name in sorted(ready_made_systems()) if telling_of(name) is not None)

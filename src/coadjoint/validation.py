@@ -1,0 +1,316 @@
+"""Validation of arguments: numbers, arrays, names and flags."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Collection, Iterable, Mapping, Sized
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import unknown_name
+from coadjoint.memory import check_room
+from coadjoint.short_repr import short
+
+Floats = NDArray[np.float64]
+
+REAL = "iuf"
+FEW = 64  # up to this many numbers plain Python is faster than NumPy
+SMALL = 2**16  # up to this many numbers memory is not checked
+LONGEST_TITLE = 200
+BYTES_PER_ENTRY = 64
+MOST_DIMENSIONS = 32  # maximum of an object array whose entries can be examined
+DEEPEST = 64  # maximum depth of nested lists: that of array dimensions
+
+
+def is_real(value: Any) -> bool:
+    """Return whether a value is a real number; booleans, text, arrays and objects merely convertible to float are not.
+
+    Examples
+    --------
+    >>> is_real(2.5), is_real(np.uint8(3)), is_real(True), is_real("2.5"), is_real(1j)
+    (True, True, False, False, False)
+    """
+    if isinstance(value, numbers.Real):
+        return not isinstance(value, bool)
+    # Decimal is a number but not registered with numbers.Real.
+    return isinstance(value, numbers.Number) and not isinstance(value, numbers.Complex)
+
+
+def size_of_range(values: range) -> int:
+    """Return the length of a range, which may exceed the limit of `len`.
+
+    Examples
+    --------
+    >>> size_of_range(range(10**30)) == 10**30
+    True
+    """
+    return max(0, -((values.start - values.stop) // values.step))
+
+
+def is_of_a_ring(value: Any) -> bool:
+    """Return whether a value supports addition and multiplication with numbers.
+
+    Examples
+    --------
+    >>> is_of_a_ring(1j), is_of_a_ring("2.5"), is_of_a_ring(None)
+    (True, False, False)
+    """
+    return hasattr(type(value), "__radd__") and hasattr(type(value), "__rmul__")
+
+
+def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
+    """Convert numbers to an array, without a copy if already one; `what` names the argument in messages.
+
+    `kinds` are the accepted NumPy kinds beside objects; with ``"c"`` any value that can be added and multiplied counts
+    as a number. TypeError: not numbers, booleans, ragged, or pandas labels that would be lost. ValueError: masked
+    entries.
+    """
+    if type(values) is np.ndarray:
+        array = values
+    else:
+        refuse_what_is_lost(values, what)
+        if isinstance(values, range):  # which may be longer than memory allows
+            check_room(8 * size_of_range(values), f"{what}, {short(values)},")
+        try:
+            array = np.asarray(values)
+        except MemoryError:
+            raise ValueError(f"{what} does not fit into memory; give fewer numbers") from None
+        except Exception:  # conversion of a foreign object can raise anything
+            raise no_numbers(values, what) from None
+    kind = array.dtype.kind
+    if kind in kinds:
+        return array
+    if (
+        kind != "O"
+        or array.ndim > MOST_DIMENSIONS
+        or not all(map(is_of_a_ring if "c" in kinds else is_real, array.flat))
+    ):
+        raise no_numbers(values, what)
+    return array
+
+
+def read_numbers(values: Any, what: str) -> Floats:
+    """Validate real numbers and return a float64 copy."""
+    array = array_given(values, what)
+    if array.size > SMALL:
+        check_room(8 * array.size, f"a copy of {what}, of shape {array.shape},")
+    try:
+        if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
+            return np.array(array, dtype=np.float64)
+        with np.errstate(over="ignore"):  # gives infinity, refused by callers that require finite numbers
+            return np.array(array, dtype=np.float64)
+    except OverflowError:
+        raise ValueError(f"{what} holds a number that is too large for float64") from None
+    except (TypeError, ValueError):
+        raise no_numbers(values, what) from None
+
+
+def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
+    """Validate real or complex numbers and return a complex copy, as in `read_numbers`.
+
+    Examples
+    --------
+    >>> read_complex([1, 2j], "modes")
+    array([1.+0.j, 0.+2.j])
+    """
+    array = array_given(values, what, "iufc")
+    try:
+        return np.array(array, dtype=np.complex128)
+    except OverflowError:
+        raise ValueError(f"{what} holds a number that is too large for float64") from None
+    except (TypeError, ValueError):
+        raise no_numbers(values, what) from None
+
+
+def read_finite(values: Any, what: str) -> Floats:
+    """Validate finite real numbers and return a float64 copy; the message names the first entry that is not finite."""
+    found = read_numbers(values, what)
+    check_finite(found, what)
+    return found
+
+
+def are_finite(numbers: Floats) -> bool:
+    """Return whether all numbers are finite; five times faster than NumPy for few numbers.
+
+    Examples
+    --------
+    >>> are_finite(np.array([1.0, 2.0])), are_finite(np.array([1.0, np.inf]))
+    (True, False)
+    """
+    # Numbers with a finite sum are finite.
+    few = numbers.size <= FEW
+    return (few and math.isfinite(sum(numbers.ravel().tolist()))) or bool(np.isfinite(numbers).all())
+
+
+def check_finite(values: Floats, what: str) -> None:
+    """Raise a ValueError that names the first NaN or infinity."""
+    if not np.isfinite(values).all():
+        place = np.argwhere(~np.isfinite(values))[0].tolist()
+        where = f"[{', '.join(map(str, place))}]" if place else ""
+        raise ValueError(f"{what}{where} is {values[tuple(place)]}; give finite numbers")
+
+
+def no_numbers(values: Any, what: str) -> TypeError:
+    """Return the error for a value that is not an array of real numbers."""
+    return TypeError(f"{what} is {short(values, 60)}; it must be an array of real numbers, all rows of the same length")
+
+
+def refuse_what_is_lost(values: Any, what: str, depth: int = 0) -> None:
+    """Raise an error for masks, labels and booleans, which conversion to float would lose."""
+    if isinstance(values, list | tuple):
+        kinds = set(map(type, values))
+        if kinds <= {float, int} or depth == DEEPEST:
+            return
+        if bool in kinds or np.bool_ in kinds:
+            raise no_numbers(values, what)
+        for entry in values:
+            refuse_what_is_lost(entry, what, depth + 1)
+    elif isinstance(values, np.ma.MaskedArray):
+        if np.ma.is_masked(values):
+            raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
+    elif hasattr(values, "iloc") and hasattr(values, "axes"):
+        # pandas objects, detected without importing it. Labels other than 0, 1, ... could mean another order.
+        if any(list(axis) != list(range(len(axis))) for axis in values.axes):
+            raise TypeError(
+                f"{what} is a {type(values).__name__} with labels other than 0, 1, 2, ..., and they would be lost; "
+                "give its to_numpy() if its order is right"
+            )
+
+
+def read_number(value: Any, what: str) -> float:
+    """Validate one finite real number and return a float."""
+    if type(value) is not float:
+        if type(value) is not int:
+            if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
+                value = value[()]
+            if not is_real(value):
+                raise TypeError(f"{what} is {short(value)}; it must be a number")
+        try:
+            value = float(value)
+        except (OverflowError, ValueError):
+            raise ValueError(f"{what} is {short(value)}, which is too large for float64") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{what} is {value!r}; it must be finite")
+    return value
+
+
+def read_positive(value: Any, what: str) -> float:
+    """Validate one positive number and return a float."""
+    number = read_number(value, what)
+    if number <= 0.0:
+        raise ValueError(f"{what} is {number!r}; it must be positive")
+    return number
+
+
+def check_power(number: float, power: int, what: str) -> None:
+    """Raise a ValueError if a power of a number is beyond float64."""
+    if power * math.log2(max(abs(number), 1.0)) >= 1024.0:
+        raise ValueError(
+            f"{what} is {number!r}, and its power {power} leaves the range of float64; give a smaller number"
+        )
+
+
+def read_whole(
+    value: Any, what: str, least: int = 1, most: int | None = None, *, floats: bool = False, why: str = ""
+) -> int:
+    """Validate a whole number within bounds and return a Python int, which does not wrap; booleans are refused.
+
+    `floats` accepts whole floats such as 1e6; `why`, the reason for the upper bound, is added to its message.
+    """
+    whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
+    if floats and not whole and isinstance(value, float | np.floating):
+        value = float(value)  # small float types cannot represent the bounds
+        whole = value.is_integer()
+    if not whole or value < least or (most is not None and value > most and not why):
+        bounds = f"from {least} up" if most is None or why else f"from {least} to {short(most)}"
+        raise ValueError(f"{what} must be a whole number {bounds}, not {short(value)}")
+    if most is not None and value > most:
+        raise ValueError(f"{what} must be at most {most}, not {short(value)}; {why}")
+    return int(value)
+
+
+def read_flag(value: Any, what: str) -> bool:
+    """Validate True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{what} is {short(value)}; it must be True or False")
+    return bool(value)
+
+
+def read_title(value: Any, what: str) -> str:
+    """Validate a name for messages and plots: one nonempty line of bounded length."""
+    if not isinstance(value, str) or not value:
+        raise TypeError(f"{what} must be a nonempty string, not {short(value)}")
+    if len(value) > LONGEST_TITLE or not value.isprintable():
+        raise ValueError(f"{what} is {short(value)}; it must be one line of at most {LONGEST_TITLE} characters")
+    return value
+
+
+def title(text: str) -> str:
+    """Truncate a composed name to the maximum length of a title.
+
+    Examples
+    --------
+    >>> title("so(3) + so(4)")
+    'so(3) + so(4)'
+    """
+    return text if len(text) <= LONGEST_TITLE else f"{text[: LONGEST_TITLE - 3]}..."
+
+
+def read_path(value: Any, what: str) -> Path:
+    """Validate the name of a file or folder and return a Path.
+
+    Examples
+    --------
+    >>> read_path("run.nc", "path").suffix
+    '.nc'
+    """
+    if not isinstance(value, str | Path):
+        raise TypeError(f"{what} is {short(value)}; give the name of a file, as text or as a pathlib.Path")
+    return Path(value)
+
+
+def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
+    """Return the entries of an iterable, or raise a TypeError that ends with `rule`.
+
+    Examples
+    --------
+    >>> read_list([1, 2], "methods", "give a list of schemes")
+    (1, 2)
+    """
+    try:
+        if not isinstance(values, str | bytes | Mapping):
+            size = values.size if isinstance(values, np.ndarray) else len(values) if isinstance(values, Sized) else 0
+            check_room(BYTES_PER_ENTRY * size, f"{what}, of {size} entries,")
+            return tuple(values)
+    except TypeError:
+        pass
+    raise TypeError(f"{what} is {short(values)}; {rule}")
+
+
+def check_parameters(name: str, given: Iterable[str], known: Iterable[str], required: Iterable[str] = ()) -> None:
+    """Raise a ValueError for unknown or missing parameters of `name`.
+
+    Examples
+    --------
+    >>> check_parameters("Torque", ["torqe"], ["torque"])
+    Traceback (most recent call last):
+    ValueError: unknown parameter of Torque 'torqe'; did you mean 'torque'?
+    """
+    given, known = list(given), list(known)
+    for parameter in given:
+        if parameter not in known:
+            raise unknown_name(f"parameter of {name}", parameter, known or ["(none)"])
+    missing = [key for key in required if key not in given]
+    if missing:
+        raise ValueError(f"{name} needs the parameter {missing[0]!r}")
+
+
+def read_choice(value: Any, what: str, known: Collection[str]) -> str:
+    """Validate a name among known ones; the error suggests the nearest."""
+    if not isinstance(value, str) or value not in known:
+        raise unknown_name(what, value, known)
+    return str(value)
