@@ -15,7 +15,7 @@ import numpy as np
 import coadjoint as co
 
 # The error is looked at here as well as at the end, since at a single time it may vanish by accident.
-LOOKS = 16
+SAMPLED_PARTS = 16
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def costs(problem: Problem, steps: int, rounds: int) -> dict[str, float]:
 
 
 def multiple(steps: float) -> int:
-    return LOOKS * max(1, round(steps / LOOKS))
+    return SAMPLED_PARTS * max(1, round(steps / SAMPLED_PARTS))
 
 
 def errors(problem: Problem, cost: dict[str, float]) -> dict[str, tuple[int, np.ndarray]]:
@@ -136,12 +136,12 @@ def errors(problem: Problem, cost: dict[str, float]) -> dict[str, tuple[int, np.
     The reference is compared with one of half as many steps: it must be known far better than any error.
     """
     taken = multiple(problem.span / problem.step)
-    exact, coarser = (problem.run(co.GaussLegendre(8), steps, LOOKS).x[1:] for steps in (2 * taken, taken))
+    exact, coarser = (problem.run(co.GaussLegendre(8), steps, SAMPLED_PARTS).x[1:] for steps in (2 * taken, taken))
     own = root_mean_square(exact - coarser)
     found = {}
     for name, method in problem.methods().items():
         count = multiple(taken * cost["coordinates"] / cost[name])
-        difference = problem.run(method, count, LOOKS).x[1:] - exact
+        difference = problem.run(method, count, SAMPLED_PARTS).x[1:] - exact
         found[name] = count, np.sqrt(np.sum(difference**2, axis=1))
         if not 100 * own < root_mean_square(found[name][1]):
             raise SystemExit(

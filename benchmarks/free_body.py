@@ -16,7 +16,7 @@ import numpy as np
 import coadjoint as co
 
 SPAN = 10.0
-LOOKS = 8
+SAMPLED_PARTS = 8
 # By order: steps that "auto" takes; errors are then well above round-off and in the range of the order.
 STEPS = {2: 512, 4: 128, 6: 64}
 
@@ -78,7 +78,7 @@ PROBLEMS: Mapping[str, tuple[str, Callable[[np.random.Generator], tuple[Any, np.
 
 
 def _error(system: Any, x0: np.ndarray, method: Any, steps: int, reference: np.ndarray) -> float:
-    run = co.integrate(system, x0, (0.0, SPAN), SPAN / steps, method, save_every=steps // LOOKS, watch=False)
+    run = co.integrate(system, x0, (0.0, SPAN), SPAN / steps, method, save_every=steps // SAMPLED_PARTS, watch=False)
     return float(np.sqrt(np.mean(np.sum((run.x - reference) ** 2, axis=1))))
 
 
@@ -122,7 +122,7 @@ def measured(name: str, states: int, rounds: int) -> list[Row]:
         gains = []
         for system, x0 in drawn:
             fine = co.Splitting(order=10, compensated=True)
-            reference = co.integrate(system, x0, (0.0, SPAN), SPAN / 1024, fine, save_every=1024 // LOOKS).x
+            reference = co.integrate(system, x0, (0.0, SPAN), SPAN / 1024, fine, save_every=1024 // SAMPLED_PARTS).x
             errors = {parts: _error(system, x0, method, steps, reference) for parts, method in methods.items()}
             gains.append(errors["auto"] / errors["free_body"])
         alone, crowd = _costs(*drawn[0], methods, rounds)

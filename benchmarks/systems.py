@@ -15,7 +15,7 @@ import numpy as np
 import coadjoint as co
 from coadjoint.systems.registry import ready_made_systems, telling_of
 
-LOOKS = 8
+SAMPLED_PARTS = 8
 SPAN_STEPS = 800  # of the step that the system itself suggests
 BUDGETS = (1.0, 4.0)  # times the time of SPAN_STEPS steps of the splitting of order 2, or of Gauss's two stages
 COARSEST, FINEST = 3, 15  # powers of two: steps that are tried
@@ -69,9 +69,11 @@ def problem_of(make: Callable[..., Any], told: Any) -> Problem:
     x0 = np.asarray(start() if callable(start) else start, dtype=np.float64)
     x0 = x0 if x0.ndim == 1 else x0[0]
     span, count = SPAN_STEPS * told.step, SPAN_STEPS
-    before = np.full((LOOKS, x0.size), np.inf)
+    before = np.full((SAMPLED_PARTS, x0.size), np.inf)
     while count <= 16 * SPAN_STEPS:
-        found = co.integrate(system, x0, (0.0, span), span / count, co.GaussLegendre(8), save_every=count // LOOKS)
+        found = co.integrate(
+            system, x0, (0.0, span), span / count, co.GaussLegendre(8), save_every=count // SAMPLED_PARTS
+        )
         if np.abs(found.x[1:] - before).max() < 100 * FLOOR * np.abs(found.x).max():
             return Problem(system, x0, span, found.x[1:])
         before, count = found.x[1:], 2 * count
@@ -82,7 +84,7 @@ def measured(problem: Problem, method: Any, steps: int, rounds: int) -> tuple[fl
     """Return the seconds of a run and its error, the largest over the looks; None where the run fails."""
     try:
         ready = co.prepare(problem.system, method, problem.span / steps, watch=False)
-        runs = [ready.run(problem.x0, (0.0, problem.span), save_every=steps // LOOKS) for _ in range(rounds)]
+        runs = [ready.run(problem.x0, (0.0, problem.span), save_every=steps // SAMPLED_PARTS) for _ in range(rounds)]
     except co.IntegrationError:
         return None
     error = np.abs(runs[0].x[1:] - problem.exact).max() / np.abs(problem.exact).max()
@@ -144,9 +146,9 @@ def written(value: float, best: bool) -> str:
 def table(rows: dict[str, dict[str, tuple[float, ...]]]) -> str:
     names = [name for name in schemes() if any(name in row for row in rows.values())]
     lines = [
-        f"Relative error, the largest at {LOOKS} times over {SPAN_STEPS} steps that the system suggests; left in the "
-        f"time that the splitting of order 2 takes for those (where it does not fit, Gauss's two stages), right in "
-        f"{BUDGETS[1]:g} times that. A scheme whose coarsest run takes longer, or fails, has a dash.\n",
+        f"Relative error, the largest at {SAMPLED_PARTS} times over {SPAN_STEPS} steps that the system suggests; left "
+        f"in the time that the splitting of order 2 takes for those (where it does not fit, Gauss's two stages), "
+        f"right in {BUDGETS[1]:g} times that. A scheme whose coarsest run takes longer, or fails, has a dash.\n",
         "| | " + " | ".join(names) + " |",
         "|---" * (len(names) + 1) + "|",
     ]

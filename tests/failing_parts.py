@@ -3,15 +3,15 @@
 import numpy as np
 
 from coadjoint.kernels.interface import codes
-from coadjoint.runs.partial_steps import PartsOfSteps
+from coadjoint.runs.partial_steps import PartialSteps
 
 
 def failing_parts(monkeypatch, member, start):
     """Let parts of the step of a member fail that begins at some time."""
-    taken = PartsOfSteps.taken
+    attempt = PartialSteps.attempt
 
     def some_fail(self, momenta, groups, times, lengths, owners=None, watched=False):
-        found = taken(self, momenta, groups, times, lengths, owners, watched)
+        found = attempt(self, momenta, groups, times, lengths, owners, watched)
         own = np.arange(len(times)) if owners is None else owners
         failed = (own == member) & (times == start) & (lengths != 0.0)
         for array in found[:4]:
@@ -19,4 +19,4 @@ def failing_parts(monkeypatch, member, start):
         found.status[failed], found.residual[failed] = codes("Status")["NOT_CONVERGED"], 0.25
         return found
 
-    monkeypatch.setattr(PartsOfSteps, "taken", some_fail)
+    monkeypatch.setattr(PartialSteps, "attempt", some_fail)

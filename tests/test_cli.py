@@ -15,7 +15,7 @@ import coadjoint
 import coadjoint as co
 from coadjoint import cli
 from coadjoint.algebra.families.low_dimensional import entries, parameters_of
-from coadjoint.experiments.statement import judged
+from coadjoint.experiments.statement import judge
 
 SOURCE = Path(coadjoint.__file__).parents[1]
 EXAMPLES = sorted((SOURCE.parent / "examples").glob("*.toml"))
@@ -178,7 +178,9 @@ def test_failed_run_without_output(folder, capsys):
     ],
 )
 def test_refused_in_one_line(folder, capsys, monkeypatch, arguments, said):
-    monkeypatch.setattr("coadjoint.runs.integrate.integrate", lambda *given, **more: pytest.fail("the run started"))
+    monkeypatch.setattr(
+        "coadjoint.runs.integrate.integrate", lambda *given, **more: pytest.mark_failed("the run started")
+    )
     assert refused(capsys, *arguments) == said
 
 
@@ -270,7 +272,7 @@ def test_systems_and_methods_are_listed(capsys):
 
 
 def test_reproduce_prints_the_table_and_where_the_figures_are(folder, capsys, monkeypatch):
-    row = judged("k", "Lemma 1", "sum", paper="4", criterion="exact", measured="2 + 2 = 4", holds=True)
+    row = judge("k", "Lemma 1", "sum", paper="4", criterion="exact", measured="2 + 2 = 4", holds=True)
 
     def experiments(out, echo):
         echo("running")

@@ -273,7 +273,7 @@ def test_warnings_follow_only_a_success(monkeypatch):
 
 
 def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
-    from coadjoint.long_operations import tell
+    from coadjoint.long_operations import warn_if_long
 
     class Closed:
         def write(self, text):
@@ -282,7 +282,7 @@ def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
         def flush(self):
             raise OSError("closed")
 
-    monkeypatch.setattr(commands, "_describe", lambda *given: tell("a run", 60.0))
+    monkeypatch.setattr(commands, "_describe", lambda *given: warn_if_long("a run", 60.0))
     for stream in (Closed(), None):
         monkeypatch.setattr("sys.stderr", stream)
         assert commands.perform(["methods"]) == (0, "")

@@ -8,16 +8,16 @@ import pytest
 
 import coadjoint as co
 from coadjoint.errors import (
-    LONGEST_SENTENCE,
-    MOST_LISTED,
+    MAX_LISTED_NAMES,
+    MAX_MESSAGE_LENGTH,
     OneLineError,
     in_one_line,
     nearest,
-    no_attribute,
+    unknown_attribute,
     unknown_name,
 )
 from coadjoint.files.configuration.construction import ConfigurationError
-from coadjoint.keyword_hints import ATTRIBUTES, KEYWORDS, told, unknown_keyword
+from coadjoint.keyword_hints import ATTRIBUTES, KEYWORDS, suggest_keywords, unknown_keyword
 from guards import bounded_work
 
 
@@ -75,7 +75,7 @@ def test_of_several_names_around_a_part_the_shortest_is_nearest():
 
 
 def test_unknown_names_list_few_and_suggest_one_of_many():
-    few, many = [f"name{k}" for k in range(MOST_LISTED)], [f"name{k:03}" for k in range(MOST_LISTED + 1)]
+    few, many = [f"name{k}" for k in range(MAX_LISTED_NAMES)], [f"name{k:03}" for k in range(MAX_LISTED_NAMES + 1)]
     assert str(unknown_name("kind", "zzz", few)) == f"unknown kind 'zzz'; there are: {', '.join(sorted(few))}"
     suggested = str(unknown_name("kind", "zzz", many)).removeprefix("unknown kind 'zzz'; did you mean '")
     assert suggested.removesuffix("'?") in many
@@ -84,7 +84,7 @@ def test_unknown_names_list_few_and_suggest_one_of_many():
 
 
 def test_missing_attributes_of_modules():
-    few, many = ["heavy_top", "toda"], [f"name{k:03}" for k in range(MOST_LISTED + 1)]
+    few, many = ["heavy_top", "toda"], [f"name{k:03}" for k in range(MAX_LISTED_NAMES + 1)]
     for module, name, known, said in (
         ("co.systems", "zzz", few, "co.systems has no attribute 'zzz'. It has: heavy_top, toda"),
         ("co.systems", "__path__", few, "co.systems has no attribute '__path__'"),
@@ -97,7 +97,7 @@ def test_missing_attributes_of_modules():
             "co.a has no attribute 'NAME001'; did you mean 'name001'? dir(co.a) lists what it has",
         ),
     ):
-        error = no_attribute(module, name, known)
+        error = unknown_attribute(module, name, known)
         assert type(error) is AttributeError and str(error) == said
 
 
@@ -123,7 +123,7 @@ def test_one_line_has_both_ends_of_a_message(limit):
 @pytest.mark.parametrize("kind", [OneLineError, ConfigurationError])
 def test_errors_of_one_line(kind):
     error = kind("a\nb " * 1000)
-    assert len(str(error)) <= LONGEST_SENTENCE and "\n" not in str(error) and isinstance(error, ValueError)
+    assert len(str(error)) <= MAX_MESSAGE_LENGTH and "\n" not in str(error) and isinstance(error, ValueError)
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
@@ -154,15 +154,15 @@ def test_a_keyword_is_answered_by_what_the_function_takes():
 def test_too_many_arguments_by_place():
     calls = []
 
-    @told
+    @suggest_keywords
     def run(x0, step=None, *, threads=None):
         calls.append((x0, step, threads))
 
-    @told
+    @suggest_keywords
     def one(inertia=None, *, name=None):
         calls.append(inertia)
 
-    @told
+    @suggest_keywords
     def any_number(*members):
         calls.append(members)
 

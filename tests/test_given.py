@@ -12,22 +12,22 @@ import coadjoint as co
 from coadjoint.errors import unknown_name
 from coadjoint.validation import (
     are_finite,
-    array_given,
     check_finite,
     check_parameters,
     check_power,
+    read_bool,
     read_choice,
     read_complex,
     read_finite,
-    read_flag,
+    read_integer,
     read_list,
     read_number,
     read_numbers,
     read_positive,
     read_title,
-    read_whole,
     size_of_range,
     title,
+    to_array,
 )
 
 BODY = co.systems.rigid_body()
@@ -238,16 +238,16 @@ def test_an_unknown_name_of_any_kind(value):
 
 
 def test_bounds():
-    assert read_whole(1e6, "save_every", floats=True) == 10**6
+    assert read_integer(1e6, "save_every", floats=True) == 10**6
     for value in (1e6, 0, 1.5, "1", None, True, np.nan):
         with pytest.raises(ValueError, match="n must be a whole number from 1 to 5, not"):
-            read_whole(value, "n", 1, 5)
+            read_integer(value, "n", 1, 5)
     with pytest.raises(ValueError, match="n must be at most 5, not 6; it is enough"):
-        read_whole(6, "n", 1, 5, why="it is enough")
+        read_integer(6, "n", 1, 5, why="it is enough")
     assert read_positive(Fraction(1, 2), "h") == 0.5
     with pytest.raises(ValueError, match=r"h is -0\.0; it must be positive"):
         read_positive(-0.0, "h")
-    assert read_flag(np.True_, "watch") is True
+    assert read_bool(np.True_, "watch") is True
     for name in ("a\nb", "x" * 201):
         with pytest.raises(ValueError, match="one line of at most 200 characters"):
             read_title(name, "name")
@@ -255,7 +255,7 @@ def test_bounds():
 
 def test_an_array_is_not_copied_before_it_must_be():
     given = np.ones(3)
-    assert array_given(given, "x") is given
+    assert to_array(given, "x") is given
     assert not np.shares_memory(read_numbers(given, "x"), given)
 
 
@@ -421,16 +421,16 @@ def test_powers_stay_within_float64():
 
 def test_what_is_returned_is_of_plain_types():
     for value in (np.int8(5), 5, np.uint64(5)):
-        assert type(read_whole(value, "n")) is int
+        assert type(read_integer(value, "n")) is int
     for value in (5.0, np.float16(5), np.float32(5)):
-        assert type(read_whole(value, "n", floats=True)) is int
+        assert type(read_integer(value, "n", floats=True)) is int
         with pytest.raises(ValueError, match="n must be a whole number from 1 up"):
-            read_whole(value, "n")
-    assert read_whole(np.float16(2048), "n", most=10**9, floats=True) == 2048
+            read_integer(value, "n")
+    assert read_integer(np.float16(2048), "n", most=10**9, floats=True) == 2048
     for value in (True, np.True_):
         with pytest.raises(ValueError, match="n must be a whole number from 1 up"):
-            read_whole(value, "n")
-    assert type(read_flag(np.False_, "flag")) is bool
+            read_integer(value, "n")
+    assert type(read_bool(np.False_, "flag")) is bool
     assert type(read_positive(np.float32(0.5), "h")) is float
     with pytest.raises(ValueError, match="must be positive"):
         read_positive(0, "h")
@@ -500,5 +500,5 @@ def test_labels_along_any_axis_are_not_lost():
 def test_objects_in_more_dimensions_than_can_be_looked_at():
     for dimensions in (33, 64):
         with pytest.raises(TypeError, match=r"^x is .*; it must be an array of real numbers"):
-            array_given(np.full((1,) * dimensions, Fraction(1, 3), dtype=object), "x")
+            to_array(np.full((1,) * dimensions, Fraction(1, 3), dtype=object), "x")
     assert read_numbers(np.full((1,) * 32, Fraction(1, 2), dtype=object), "x").ravel().tolist() == [0.5]

@@ -15,10 +15,11 @@ from coadjoint import interruption
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 BEGIN = """
 import os, signal, sys
-from coadjoint.interruption import begin, deferred, end, hear, ignore, raising, Told
+from coadjoint.interruption import Interrupted, deferred, ignore_signals, install_handlers
+from coadjoint.interruption import raise_on_interrupt, register_cleanup, unregister_cleanup
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
     signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-hear()
+install_handlers()
 class Dropping:
     def __init__(self, number):
         self.number = number
@@ -157,11 +158,11 @@ def test_a_handler_that_raises_when_a_context_begins(heard, monkeypatch):
 
 
 def test_what_is_registered_is_unregistered_once():
-    before = list(interruption._unfinished)
+    before = list(interruption._cleanups)
     for act in (time.sleep, print, time.sleep):
-        interruption.begin(act)
-    interruption.end(time.sleep)
-    interruption.end(print)
-    assert interruption._unfinished == [*before, time.sleep]
-    interruption.end(time.sleep)
-    assert interruption._unfinished == before
+        interruption.register_cleanup(act)
+    interruption.unregister_cleanup(time.sleep)
+    interruption.unregister_cleanup(print)
+    assert interruption._cleanups == [*before, time.sleep]
+    interruption.unregister_cleanup(time.sleep)
+    assert interruption._cleanups == before

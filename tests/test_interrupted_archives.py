@@ -36,7 +36,7 @@ AT_WRITE = """
 import os, signal, sys
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
 from coadjoint.files.archives import stored_arrays
-stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = 64
+stored_arrays.MIN_CHUNK_ROWS = stored_arrays.MAX_CHUNK_ROWS = 64
 original, writes = os.replace, 0
 def replace(source, target, **folders):
     global writes

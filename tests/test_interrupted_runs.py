@@ -37,18 +37,18 @@ SIGNAL = (
 import os, signal, sys, threading, time
 import numpy as np
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
-from coadjoint.kernels.loop import Crew
-original = Crew.advance
+from coadjoint.kernels.loop import MemberBatch
+original = MemberBatch.advance
 def advance(self, layout, schedule, saved, *given):
     def later():
         while np.isnan(saved["x"][1]).any():
             time.sleep(0.001)
         os.kill(os.getpid(), signal.{name})
     saved["x"][1] = np.nan
-    Crew.advance = original
+    MemberBatch.advance = original
     threading.Thread(target=later, daemon=True).start()
     return original(self, layout, schedule, saved, *given)
-Crew.advance = advance
+MemberBatch.advance = advance
 """
     + COMMAND
 )
@@ -56,15 +56,15 @@ Crew.advance = advance
 SIGNAL_AT_HALF = (
     """
 import os, signal, sys
-from coadjoint.kernels.loop import Crew
-original, calls = Crew.advance, []
+from coadjoint.kernels.loop import MemberBatch
+original, calls = MemberBatch.advance, []
 def advance(self, layout, schedule, saved, state, k0, k1, stop):
     calls.append(None)
     if len(calls) != 5:
         return original(self, layout, schedule, saved, state, k0, k1, stop)
     original(self, layout, schedule, saved, state, k0, (k0 + k1) // 2, stop)
     os.kill(os.getpid(), signal.{name})
-Crew.advance = advance
+MemberBatch.advance = advance
 """
     + COMMAND
 )
@@ -132,9 +132,9 @@ def test_a_second_interrupt_ends_it_at_once(folder):
 
 def interrupted_after(calls, monkeypatch):
     """Let a run be interrupted in one of the calls of its loops, after some of its steps."""
-    from coadjoint.kernels.loop import Crew
+    from coadjoint.kernels.loop import MemberBatch
 
-    original, left = Crew.advance, [calls]
+    original, left = MemberBatch.advance, [calls]
 
     def advance(self, layout, schedule, saved, state, k0, k1, stop):
         left[0] -= 1
@@ -143,7 +143,7 @@ def interrupted_after(calls, monkeypatch):
         original(self, layout, schedule, saved, state, k0, (k0 + k1) // 2, stop)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Crew, "advance", advance)
+    monkeypatch.setattr(MemberBatch, "advance", advance)
 
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
@@ -178,7 +178,7 @@ def test_a_run_that_had_not_begun_has_nothing(monkeypatch):
     def stop(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("coadjoint.kernels.loop.Crew.advance", stop)
+    monkeypatch.setattr("coadjoint.kernels.loop.MemberBatch.advance", stop)
     with pytest.raises(KeyboardInterrupt) as stopped:
         co.integrate(BODY, X, (0, 10), 0.125)
     assert len(stopped.value.partial.t) == 0 and stopped.value.partial.x.shape == (0, 3)
@@ -200,8 +200,8 @@ def test_the_signal_of_a_context_is_told_once():
 
     before = signal.getsignal(signal.SIGTERM)
     try:
-        interruption.hear()
-        with pytest.raises(interruption.Told) as told, interruption.raising():
+        interruption.install_handlers()
+        with pytest.raises(interruption.Interrupted) as told, interruption.raise_on_interrupt():
             signal.raise_signal(signal.SIGTERM)
         assert told.value.number == signal.SIGTERM and told.value.said == "terminated"
     finally:

@@ -22,7 +22,7 @@ AT_PIECE = """
 import os, signal, sys
 from contextlib import contextmanager
 from coadjoint.files.output import atomic_output as unfinished
-original, pieces = unfinished.Unfinished.writing, 0
+original, pieces = unfinished.PendingOutput.writing, 0
 @contextmanager
 def writing(self):
     global pieces
@@ -31,7 +31,7 @@ def writing(self):
         yield
     if pieces == {piece}:
         {act}
-unfinished.Unfinished.writing = writing
+unfinished.PendingOutput.writing = writing
 """
 AT_IMPORT = """
 import os, signal, sys

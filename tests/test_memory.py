@@ -140,12 +140,12 @@ def test_the_save_every_that_is_said_fits(members, end, little):
     ready = co.prepare(BODY, co.Splitting(), 0.1)
 
     def room(save_every):
-        from coadjoint.runs.memory_estimate import check_room_of_run
+        from coadjoint.runs.memory_estimate import check_run_memory
         from coadjoint.runs.times import times_of
 
         times = times_of((0, end), 0.1, save_every)
         layout = ready.loops(0.1).plan(members, times.points, 0, 1).layout
-        check_room_of_run(layout, times, members)
+        check_run_memory(layout, times, members)
 
     room(every)
     with pytest.raises(ValueError, match="saved points"):
@@ -178,19 +178,19 @@ def test_groups_of_linux(tmp_path):
     (root / "slurm" / "memory.stat").write_text("anon 2000\nfile 1000\n")
     (job / "memory.max").write_text("max\n")
     (job / "memory.current").write_text("3000\n")
-    assert memory._left_in_groups(str(root), str(own)) == 3000
+    assert memory._available_in_cgroups(str(root), str(own)) == 3000
     own.write_text("5:cpu,memory:/job\n")
     old = root / "memory" / "job"
     old.mkdir(parents=True)
     (old / "memory.limit_in_bytes").write_text("700\n")
     (old / "memory.usage_in_bytes").write_text("300\n")
     (old / "memory.stat").write_text("total_cache 100\n")
-    assert memory._left_in_groups(str(root), str(own)) == 500
-    assert memory._left_in_groups(str(root), str(tmp_path / "absent")) == memory.UNKNOWN
+    assert memory._available_in_cgroups(str(root), str(own)) == 500
+    assert memory._available_in_cgroups(str(root), str(tmp_path / "absent")) == memory.NO_LIMIT
 
 
 def test_available_is_asked_of_this_machine():
-    assert 2**20 < memory.available() <= memory.UNKNOWN
+    assert 2**20 < memory.available() <= memory.NO_LIMIT
 
 
 MEMINFO = "MemTotal:       16000000 kB\nMemFree:         1000000 kB\nMemAvailable:    3000000 kB\nSwapFree: 9 kB\n"
@@ -268,11 +268,11 @@ def test_the_group_with_the_least_counts(files, monkeypatch):
 def test_what_just_fits_is_made(monkeypatch):
     """The limit itself fits; what is small is not checked."""
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**9)
-    for count in (0, memory.SMALL, 10**9):
-        memory.check_room(count, "it")
+    for count in (0, memory.UNCHECKED_BYTES, 10**9):
+        memory.check_available_memory(count, "it")
     with pytest.raises(ValueError, match=r"^it needs about 1\.0 GB; this machine has 1\.0 GB free; take less$"):
-        memory.check_room(10**9 + 1, "it", "take less")
+        memory.check_available_memory(10**9 + 1, "it", "take less")
     monkeypatch.setattr("coadjoint.memory.available", lambda: 0)
-    memory.check_room(memory.SMALL, "it")
+    memory.check_available_memory(memory.UNCHECKED_BYTES, "it")
     with pytest.raises(ValueError, match=r"^it needs about 67 MB; this machine has 0 MB free$"):
-        memory.check_room(memory.SMALL + 1, "it")
+        memory.check_available_memory(memory.UNCHECKED_BYTES + 1, "it")

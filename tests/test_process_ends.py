@@ -15,7 +15,7 @@ DAEMON = """
 import dataclasses, sys, threading
 import numpy as np
 import coadjoint as co
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import MemberBatch
 
 @dataclasses.dataclass(frozen=True)
 class Euler(co.methods.StepMethod):
@@ -25,7 +25,7 @@ class Euler(co.methods.StepMethod):
     def step(self, system, x, t, h):
         return x + h * system.vector_field(x, t)
 
-body, inside, original = co.systems.rigid_body(inertia=(1, 2, 3)), threading.Event(), Crew.advance
+body, inside, original = co.systems.rigid_body(inertia=(1, 2, 3)), threading.Event(), MemberBatch.advance
 X = np.random.default_rng(0).normal(size=(640, 3))
 
 def advance(self, *given):
@@ -36,7 +36,7 @@ def work():
     while True:
         co.integrate(body, X[:{members}], (0, 1e7), 0.01, save_every=10**8, {options})
 
-Crew.advance = advance
+MemberBatch.advance = advance
 threading.Thread(target=work, daemon=True).start()
 assert inside.wait(100)
 {before}

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint import long_operations as waiting
+from coadjoint import long_operations as long_operation
 from coadjoint.algebra.invariants import casimirs
-from coadjoint.long_operations import LongWait, at, tell
+from coadjoint.long_operations import LongWait, at, warn_if_long
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
 
@@ -24,7 +24,7 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
 def clock(monkeypatch):
     """A clock that a test moves on."""
     now = [0.0]
-    monkeypatch.setattr(waiting.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(long_operation.time, "monotonic", lambda: now[0])
     return now
 
 
@@ -37,14 +37,16 @@ def said(action):
 
 
 def test_what_takes_seconds_is_told_beforehand():
-    assert said(lambda: tell("to make it ready", waiting.LONG)) == []
-    assert said(lambda: tell("to make it ready", 42.0, "take rk4")) == ["to make it ready takes about 42 s; take rk4"]
+    assert said(lambda: warn_if_long("to make it ready", long_operation.WARNING_SECONDS)) == []
+    assert said(lambda: warn_if_long("to make it ready", 42.0, "take rk4")) == [
+        "to make it ready takes about 42 s; take rk4"
+    ]
 
 
 def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
     def work():
-        with waiting.waiting("certify"):
-            for now in (2.0, waiting.LONG, 6.0, 60.0):
+        with long_operation.long_operation("certify"):
+            for now in (2.0, long_operation.WARNING_SECONDS, 6.0, 60.0):
                 clock[0] = now
                 at("the long run", now / 24.0)
 
@@ -55,10 +57,10 @@ def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
 
 def test_the_outer_of_two_speaks_for_both(clock):
     def work():
-        with waiting.waiting("certify"):
+        with long_operation.long_operation("certify"):
             clock[0] = 4.0
             for _ in range(2):
-                with waiting.waiting("choose"):
+                with long_operation.long_operation("choose"):
                     clock[0] += 4.0
                     at("a pilot run")
 
@@ -69,7 +71,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
     """Nested, one after the other, and in two threads of which the first to begin is the first to end."""
     entered = [threading.Event(), threading.Event()]
 
-    @waiting.waiting("choose")
+    @long_operation.long_operation("choose")
     def work(depth):
         if depth:
             work(depth - 1)
@@ -79,7 +81,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
     for _ in range(2):
         assert [one.partition(" so far")[0] for one in said(lambda: work(1))] == ["choose has taken 6 s"]
 
-    @waiting.waiting("choose")
+    @long_operation.long_operation("choose")
     def beside(number):
         entered[number].set()
         assert entered[1 - number].wait(timeout=60)
@@ -95,7 +97,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
 
 def test_outside_of_any_work_nothing_is_said(clock):
     def work():
-        with waiting.waiting("certify"):
+        with long_operation.long_operation("certify"):
             pass
         clock[0] = 100.0
         at("nothing")
@@ -105,7 +107,7 @@ def test_outside_of_any_work_nothing_is_said(clock):
 
 def test_work_that_fails_is_over(clock):
     def work():
-        with pytest.raises(ValueError, match="wrong"), waiting.waiting("certify"):
+        with pytest.raises(ValueError, match="wrong"), long_operation.long_operation("certify"):
             raise ValueError("wrong")
         clock[0] = 100.0
         at("nothing")
@@ -116,7 +118,7 @@ def test_work_that_fails_is_over(clock):
 def test_the_line_of_the_caller_is_named(clock, monkeypatch):
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        tell("to make it ready", 42.0)
+        warn_if_long("to make it ready", 42.0)
         clock[0] = 0.0
         with monkeypatch.context() as patch:
             patch.setattr(casimirs, "generic_rank", lambda *given: (clock.append(clock.pop() + 9.0), 0)[1])
@@ -196,8 +198,8 @@ def test_the_time_that_is_left_follows_from_the_part(clock, part):
     """Nothing is known of it at the start; times that are no longer than the limit are not told."""
 
     def work():
-        with waiting.waiting("certify"):
-            for now in (0.0, waiting.LONG, 8.0):
+        with long_operation.long_operation("certify"):
+            for now in (0.0, long_operation.WARNING_SECONDS, 8.0):
                 clock[0] = now
                 at("the long run", part)
 
@@ -212,9 +214,9 @@ def test_the_caller_is_named_through_decorators_of_the_library_alone():
     def around():
         yield
 
-    @functools.wraps(tell)
+    @functools.wraps(warn_if_long)
     def wrapped(*given):
-        return tell(*given)
+        return warn_if_long(*given)
 
     @around()
     def decorated():
@@ -224,4 +226,7 @@ def test_the_caller_is_named_through_decorators_of_the_library_alone():
         warnings.simplefilter("always")
         decorated()
     (one,) = found
-    assert one.filename == __file__ and "return tell(*given)" in Path(__file__).read_text().splitlines()[one.lineno - 1]
+    assert (
+        one.filename == __file__
+        and "return warn_if_long(*given)" in Path(__file__).read_text().splitlines()[one.lineno - 1]
+    )

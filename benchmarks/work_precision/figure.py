@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from work_precision.report import OURS, STEPPING, TARGETS, by_solver, front
 
-LOOKS = {
+SAMPLED_PARTS = {
     OURS: dict(color="black", marker="o", linewidth=2.2, zorder=5),
     STEPPING: dict(color="black", marker="", linewidth=1.4, linestyle=":", zorder=5),
     "coadjoint, scanned": dict(color="tab:orange", marker="."),
@@ -37,7 +37,7 @@ def draw(measured: dict[str, Any], path: Path) -> None:
     for panel, (name, found) in zip(panels.flat, problems.items(), strict=False):
         for solver, runs in by_solver(found["runs"]).items():
             curve = front(runs)
-            look = LOOKS[solver]
+            look = SAMPLED_PARTS[solver]
             panel.plot([run["error"] for run in curve], [1e3 * run["cpu"] for run in curve], markersize=4.5, **look)
             shown[solver] = Line2D([], [], markersize=4.5, **look)
         panel.set(xscale="log", yscale="log", xlim=(1.0, 1e-14), title=f"{name}, t = {found['span']:g}")

@@ -176,9 +176,9 @@ if not TYPE_CHECKING:  # type checkers know the names above and must report any 
         elif name in _HOME:
             found = getattr(importlib.import_module(_HOME[name]), name)
         else:
-            from coadjoint.errors import no_attribute
+            from coadjoint.errors import unknown_attribute
 
-            raise no_attribute("coadjoint", name, __all__)
+            raise unknown_attribute("coadjoint", name, __all__)
         globals()[name] = found
         return found
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import sys
 
-from coadjoint.interruption import hear, ignore
+from coadjoint.interruption import ignore_signals, install_handlers
 from coadjoint.optional_packages import need
 
 TYPE_CHECKING = False
@@ -33,11 +33,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         status, said = 130, "coadjoint: interrupted"
     if said:
-        _complain(said)
+        _print_error(said)
     return status
 
 
-def _complain(sentence: str) -> None:
+def _print_error(sentence: str) -> None:
     """Write to standard error; if that fails, only the exit status remains."""
     try:
         print(sentence, file=sys.stderr, flush=True)
@@ -47,22 +47,22 @@ def _complain(sentence: str) -> None:
 
 def run() -> None:
     """Run the command and exit the interpreter with its status."""
-    hear()
+    install_handlers()
     _open_closed_streams()
     status = main()
     try:
         sys.stdout.flush()
     except BrokenPipeError:
-        from coadjoint.commands import UNREAD
+        from coadjoint.commands import BROKEN_PIPE_STATUS
 
-        status = UNREAD
-        _forget_output()
+        status = BROKEN_PIPE_STATUS
+        _discard_output()
     except OSError as reason:
         if status == 0:
-            _complain(f"coadjoint: the standard output cannot be written ({reason.strerror})")
+            _print_error(f"coadjoint: the standard output cannot be written ({reason.strerror})")
         status = status or 1
-        _forget_output()
-    ignore()
+        _discard_output()
+    ignore_signals()
     sys.exit(status)
 
 
@@ -84,6 +84,6 @@ def _open_closed_streams() -> None:
         setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8"))
 
 
-def _forget_output() -> None:
+def _discard_output() -> None:
     """Discard unprinted output; the interpreter would otherwise try to flush it at exit and report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

@@ -18,13 +18,13 @@ import click
 
 from coadjoint import __version__
 from coadjoint.errors import in_one_line, nearest
-from coadjoint.interrupted_runs import ending, writing
+from coadjoint.interrupted_runs import reporting_write_errors, saving_partial_run
 from coadjoint.long_operations import LongWait
 from coadjoint.optional_packages import need
 from coadjoint.short_repr import short
 
-LONGEST_NUMBER = 60
-UNREAD = 141  # broken pipe: 128 + SIGPIPE
+MAX_NUMBER_LENGTH = 60
+BROKEN_PIPE_STATUS = 141  # broken pipe: 128 + SIGPIPE
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.configuration import Configuration
@@ -86,16 +86,16 @@ def run_file(
     target = _place(configuration, "file", out, lambda path: check_target(path, DATASETS))
     drawing = _place(configuration, "figure", figure, lambda path: check_target(path, FIGURES))
     moving = _place(configuration, "movie", movie, lambda path: _movie_target(configuration, path))
-    with ending(configuration.path, kept, target, configuration.dataset):
+    with saving_partial_run(configuration.path, kept, target, configuration.dataset):
         solution = configuration.integrate(progress=progress, archive=kept)
     if target is not None:
-        with writing(configuration.path, target):
+        with reporting_write_errors(configuration.path, target):
             write_dataset(configuration.dataset(solution), target)
     if drawing is not None:
-        with writing(configuration.path, drawing):
+        with reporting_write_errors(configuration.path, drawing):
             write_figure(solution.plot(), drawing)
     if moving is not None:
-        with writing(configuration.path, moving):
+        with reporting_write_errors(configuration.path, moving):
             solution.movie(moving)
     if not quiet:
         _summarize(solution, [place for place in (kept, target, drawing, moving) if place is not None])
@@ -199,14 +199,14 @@ def resume_archive(
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.configuration.configuration import CONFIGURATION, system_of_text
-    from coadjoint.files.records.required_functions import asks_for
+    from coadjoint.files.records.required_functions import requires_argument
 
     place, system = Path(path), None
     said = open_archive(place).attributes
-    if CONFIGURATION in said and asks_for(said, "system"):
+    if CONFIGURATION in said and requires_argument(said, "system"):
         # Catalogue algebras may have Casimirs that are functions; the configuration file names them.
         system = system_of_text(said[CONFIGURATION])
-    with ending(path, place, None, None):
+    with saving_partial_run(path, place, None, None):
         solution = resume(place, t_end, system=system, threads=threads, workers=workers, progress=progress)
     if not quiet:
         _summarize(solution, [place])
@@ -240,10 +240,10 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
     )
     click.echo(str(found))
     if target is not None:
-        with writing(configuration.path, target):
+        with reporting_write_errors(configuration.path, target):
             write_text(found.to_json(), target)
     if drawing is not None:
-        with writing(configuration.path, drawing):
+        with reporting_write_errors(configuration.path, drawing):
             write_figure(found.plot(), drawing)
     for place in (target, drawing):
         if place is not None:
@@ -316,7 +316,7 @@ def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
 def _parameter(text: str) -> tuple[str, Fraction]:
     key, _, number = text.partition("=")
     try:
-        if len(text) > LONGEST_NUMBER:
+        if len(text) > MAX_NUMBER_LENGTH:
             raise ValueError
         # An exponent can denote a number of any size.
         return key, Fraction(float(number) if "e" in number.lower() else number)
@@ -433,7 +433,7 @@ def _did_you_mean(name: str, known: Sequence[str]) -> str:
     return f"there are {', '.join(known)}" if near is None else f"did you mean {near!r}?"
 
 
-def _said(error: click.ClickException) -> str:
+def _one_line_message(error: click.ClickException) -> str:
     """Return the error message in one line."""
     if isinstance(error, click.NoSuchOption) and error.ctx is not None:
         known = [
@@ -493,9 +493,9 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except click.exceptions.Exit as done:
         return done.exit_code, ""
     except click.ClickException as error:
-        return error.exit_code, in_one_line(_said(error))
+        return error.exit_code, in_one_line(_one_line_message(error))
     except (ArchiveError, ConfigurationError, OutputError) as error:
-        return 2, "\n".join(map(in_one_line, getattr(error, "mistakes", ()) or (str(error),)))
+        return 2, "\n".join(map(in_one_line, getattr(error, "error_lines", ()) or (str(error),)))
     except ImportError as error:
         # A package is missing or incompatible; the message names it.
         return 2, in_one_line(f"coadjoint: {error}")
@@ -503,7 +503,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
         # Not caught by any validator, but still invalid input.
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
     except BrokenPipeError:
-        return UNREAD, ""
+        return BROKEN_PIPE_STATUS, ""
     except OSError as error:
         # Errors of output files carry their names, or are an OutputError.
         lost = type(error) is OSError and error.filename is None

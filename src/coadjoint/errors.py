@@ -55,16 +55,16 @@ class OneLineError(ValueError):
 
     Examples
     --------
-    >>> len(str(OneLineError("a name of a file " * 1000))) <= LONGEST_SENTENCE
+    >>> len(str(OneLineError("a name of a file " * 1000))) <= MAX_MESSAGE_LENGTH
     True
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(in_one_line(message, LONGEST_SENTENCE))
+        super().__init__(in_one_line(message, MAX_MESSAGE_LENGTH))
 
 
-LONGEST_SENTENCE = 900
-MOST_LISTED = 40
+MAX_MESSAGE_LENGTH = 900
+MAX_LISTED_NAMES = 40
 """Maximum number of names listed in a message."""
 
 
@@ -74,7 +74,7 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     if not isinstance(name, str):
         return ValueError(f"unknown {kind} {short(name)}; give a name, such as {names[0]!r}")
     near = nearest(name, names)
-    if near is None and len(names) <= MOST_LISTED:
+    if near is None and len(names) <= MAX_LISTED_NAMES:
         return ValueError(f"unknown {kind} {short(name)}; there are: {', '.join(names)}")
     return ValueError(f"unknown {kind} {short(name)}; did you mean {near or nearest(name, names, least=0.0)!r}?")
 
@@ -94,12 +94,12 @@ def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
     return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=least)), None)
 
 
-def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:
+def unknown_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:
     """Return the AttributeError for a missing name of a module, with the nearest one and the list of public names.
 
     Examples
     --------
-    >>> print(no_attribute("co.systems", "heavi_top", ["heavy_top", "toda"]))
+    >>> print(unknown_attribute("co.systems", "heavi_top", ["heavy_top", "toda"]))
     co.systems has no attribute 'heavi_top'; did you mean 'heavy_top'? It has: heavy_top, toda
     """
     text = f"{module} has no attribute {name!r}"
@@ -109,7 +109,7 @@ def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError
         return AttributeError(f"{text}; it is co.{name}")
     names = sorted(known)
     near = nearest(name, names)
-    listed = f"It has: {', '.join(names)}" if len(names) <= MOST_LISTED else f"dir({module}) lists what it has"
+    listed = f"It has: {', '.join(names)}" if len(names) <= MAX_LISTED_NAMES else f"dir({module}) lists what it has"
     return AttributeError(text + (f"; did you mean {near!r}? {listed}" if near else f". {listed}"))
 
 

@@ -32,7 +32,7 @@ class RunStopped(click.ClickException):
 
 
 @contextmanager
-def ending(
+def saving_partial_run(
     name: str, archive: Path | None, target: Path | None, dataset: Callable[[Any], xarray.Dataset] | None
 ) -> Iterator[None]:
     """Context that saves the solution so far of a run that fails or is interrupted, and reports it in one line.
@@ -42,42 +42,46 @@ def ending(
     from coadjoint.errors import IntegrationError
 
     try:
-        with interruption.raising():
+        with interruption.raise_on_interrupt():
             yield
     except IntegrationError as error:
-        raise _failed(name, error, archive, target, dataset) from error
-    except interruption.Told as told:
-        raise _stopped(name, told, archive, target, dataset) from told
+        raise _failure_error(name, error, archive, target, dataset) from error
+    except interruption.Interrupted as told:
+        raise _interruption_error(name, told, archive, target, dataset) from told
 
 
 @contextmanager
-def writing(name: str, target: Path) -> Iterator[None]:
+def reporting_write_errors(name: str, target: Path) -> Iterator[None]:
     """Context that reports in one line if the result of a run cannot be written."""
     from coadjoint.files.output.output_files import OutputError
 
     try:
         yield
     except (OSError, OutputError, MemoryError) as reason:
-        raise RunFailed(f"{name}: {_unwritten(target, reason)}") from reason
+        raise RunFailed(f"{name}: {_write_error(target, reason)}") from reason
 
 
-def _unwritten(target: Path, reason: BaseException) -> str:
+def _write_error(target: Path, reason: BaseException) -> str:
     said = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
     return f"{target} could not be written ({said}); nothing was replaced"
 
 
-def _failed(name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any) -> RunFailed:
+def _failure_error(
+    name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any
+) -> RunFailed:
     """Write the solution so far and return the error to raise."""
-    from coadjoint.files.datasets.export import said_of
+    from coadjoint.files.datasets.export import failure_attributes
 
     written = "" if archive is None else f"; the archive {archive} holds the solution so far"
     if target is not None and error.partial is not None:
-        written = _write(dataset(error.partial).assign_attrs(said_of(error)), target)
+        written = _write(dataset(error.partial).assign_attrs(failure_attributes(error)), target)
     return RunFailed(f"{name}: the run failed: {error}{written}")
 
 
-def _stopped(name: str, told: interruption.Told, archive: Path | None, target: Path | None, dataset: Any) -> RunStopped:
-    partial: Any = told.partial if archive is None else _held(archive)
+def _interruption_error(
+    name: str, told: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
+) -> RunStopped:
+    partial: Any = told.partial if archive is None else _open_partial_run(archive)
     written = ""
     if archive is not None and partial is not None:
         held = getattr(partial, "said", f"the run up to step {partial.reached}")
@@ -88,7 +92,7 @@ def _stopped(name: str, told: interruption.Told, archive: Path | None, target: P
     return RunStopped(f"{name}: {told.said}{written}" if written else f"coadjoint: {told.said}", told.number)
 
 
-def _held(archive: Path) -> Any:
+def _open_partial_run(archive: Path) -> Any:
     """Open the partial run in an archive; None if the archive was not created yet."""
     from coadjoint.files.archives.archived_solution import open_archive
 
@@ -104,5 +108,5 @@ def _write(dataset: xarray.Dataset, target: Path, marked: str = "") -> str:
     try:
         write_dataset(dataset, target)
     except (OSError, OutputError, MemoryError) as reason:
-        return f"; the solution so far is lost: {_unwritten(target, reason)}"
+        return f"; the solution so far is lost: {_write_error(target, reason)}"
     return f"; the solution so far is in {target}{marked}"

@@ -2,8 +2,8 @@
 
 The command ends at once, with one line, and removes incomplete files. An exception would not suffice: Python drops
 those raised while a weak reference is cleared or a module is loaded, and the run would continue. Only during the steps
-of a run the first signal raises `Told`, so that the solution so far can be written; the second one ends the process.
-Nothing expensive is imported here, so that signals are handled from the first line on.
+of a run the first signal raises `Interrupted`, so that the solution so far can be written; the second one ends the
+process. Nothing expensive is imported here, so that signals are handled from the first line on.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from types import FrameType, ModuleType
     from typing import Any
 
-_SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
-_unfinished: list[Callable[[], object]] = []
-_raises = False
-_told = 0
+_DESCRIPTIONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+_cleanups: list[Callable[[], object]] = []
+_raise_enabled = False
+_signal_received = 0
 
 
-class Told(KeyboardInterrupt):
-    """The process received an interrupt signal inside `raising`; `partial` holds the result so far."""
+class Interrupted(KeyboardInterrupt):
+    """The process received an interrupt signal inside `raise_on_interrupt`; `partial` holds the result so far."""
 
     partial: object = None
 
@@ -39,24 +39,24 @@ class Told(KeyboardInterrupt):
     @property
     def said(self) -> str:
         """The event in one word, such as "interrupted"."""
-        return _SAID[signal.Signals(self.number).name]
+        return _DESCRIPTIONS[signal.Signals(self.number).name]
 
 
-class raising:
-    """Context in which the first interrupt raises `Told` instead of ending the process."""
+class raise_on_interrupt:
+    """Context in which the first interrupt raises `Interrupted` instead of ending the process."""
 
     def __enter__(self) -> None:
-        global _raises, _told
-        _raises, _told = True, 0
+        global _raise_enabled, _signal_received
+        _raise_enabled, _signal_received = True, 0
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        global _raises
-        _raises = False
-        if _told and not isinstance(error, Told):
-            _leave(_told, None)  # Python dropped the exception
+        global _raise_enabled
+        _raise_enabled = False
+        if _signal_received and not isinstance(error, Interrupted):
+            _exit_process(_signal_received, None)  # Python dropped the exception
 
 
-def hear() -> None:
+def install_handlers() -> None:
     """Install handlers that end the process at an interrupt, with exit status 128 + number of the signal.
 
     Signals that the parent process set to be ignored (``nohup``, background jobs) stay ignored.
@@ -64,21 +64,22 @@ def hear() -> None:
     Examples
     --------
     >>> import subprocess, sys
-    >>> code = "from coadjoint.interruption import hear; hear(); import signal; signal.raise_signal(signal.SIGTERM)"
+    >>> code = "import signal; from coadjoint.interruption import install_handlers; "
+    >>> code += "install_handlers(); signal.raise_signal(signal.SIGTERM)"
     >>> subprocess.run([sys.executable, "-c", code], capture_output=True).returncode
     143
     """
-    for number in _heard():
+    for number in _handled_signals():
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
-            signal.signal(number, _leave)
+            signal.signal(number, _exit_process)
 
 
-def ignore() -> None:
+def ignore_signals() -> None:
     """Ignore interrupts from now on, when all work is done and the interpreter is about to exit.
 
     At exit it removes handlers first, and a signal would kill it without a message.
     """
-    for number in _heard():
+    for number in _handled_signals():
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -90,11 +91,11 @@ class deferred:
         self._waiting: dict[int, FrameType | None] = {}
         self._over = False
         try:
-            for number in _heard():
+            for number in _handled_signals():
                 handler = signal.getsignal(number)
                 if callable(handler):
                     self._handlers[number] = handler
-                    signal.signal(number, self._wait)
+                    signal.signal(number, self._queue_signal)
         except BaseException:  # raised by the handler of a signal that came first
             self._restore()
             raise
@@ -109,7 +110,7 @@ class deferred:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
-    def _wait(self, number: int, frame: FrameType | None) -> None:
+    def _queue_signal(self, number: int, frame: FrameType | None) -> None:
         if self._over:  # another handler raised while handlers were restored
             signal.signal(number, self._handlers[number])
             self._handlers[number](number, frame)
@@ -200,33 +201,33 @@ def _called() -> bool:
     return False
 
 
-def begin(abandon: Callable[[], object]) -> None:
-    """Register a cleanup (removal of incomplete files) to run if the process is ended before `end`.
+def register_cleanup(abandon: Callable[[], object]) -> None:
+    """Register a cleanup (removal of incomplete files) to run if the process is ended before `unregister_cleanup`.
 
     Examples
     --------
-    >>> begin(print)
-    >>> end(print)
+    >>> register_cleanup(print)
+    >>> unregister_cleanup(print)
     """
-    _unfinished.append(abandon)
+    _cleanups.append(abandon)
 
 
-def end(abandon: Callable[[], object]) -> None:
-    """Unregister a cleanup of `begin`."""
-    _unfinished.remove(abandon)
+def unregister_cleanup(abandon: Callable[[], object]) -> None:
+    """Unregister a cleanup of `register_cleanup`."""
+    _cleanups.remove(abandon)
 
 
-def _heard() -> list[signal.Signals]:
-    return [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
+def _handled_signals() -> list[signal.Signals]:
+    return [getattr(signal, name) for name in _DESCRIPTIONS if hasattr(signal, name)]
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    global _told
-    if _raises and not _told:
-        _told = number
-        raise Told(number)
-    ignore()
-    for act in (*reversed(_unfinished), sys.stdout.flush):
+def _exit_process(number: int, frame: FrameType | None) -> None:
+    global _signal_received
+    if _raise_enabled and not _signal_received:
+        _signal_received = number
+        raise Interrupted(number)
+    ignore_signals()
+    for act in (*reversed(_cleanups), sys.stdout.flush):
         try:
             act()
         except Exception:  # the process ends in any case; the next run removes remaining files
@@ -234,7 +235,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
     try:
         # The terminal may show ^C or a progress bar on this line.
         begun = "\n" if os.isatty(2) else ""
-        os.write(2, f"{begun}coadjoint: {_SAID[signal.Signals(number).name]}\n".encode())
+        os.write(2, f"{begun}coadjoint: {_DESCRIPTIONS[signal.Signals(number).name]}\n".encode())
     except OSError:
         pass
     os._exit(128 + number)

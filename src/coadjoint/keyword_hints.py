@@ -58,12 +58,12 @@ ATTRIBUTES: Mapping[str, str] = {
 """Solution attribute of other libraries -> the corresponding one here."""
 
 
-def told(function: Function) -> Function:
+def suggest_keywords(function: Function) -> Function:
     """Decorate a function so that unknown keywords raise a TypeError with the corresponding or nearest known one.
 
     Examples
     --------
-    >>> @told
+    >>> @suggest_keywords
     ... def run(x0, step=None): ...
     >>> run((1, 2), dt=0.1)
     Traceback (most recent call last):
@@ -74,19 +74,19 @@ def told(function: Function) -> Function:
     """
     parameters = inspect.signature(function).parameters
     known = tuple(parameters)
-    by_place = [name for name, one in parameters.items() if one.kind is not inspect.Parameter.KEYWORD_ONLY]
+    positional = [name for name, one in parameters.items() if one.kind is not inspect.Parameter.KEYWORD_ONLY]
     any_number = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in parameters.values())
 
     @functools.wraps(function)
-    def told_function(*args: Any, **given: Any) -> Any:
+    def wrapped_function(*args: Any, **given: Any) -> Any:
         for name in given:
             if name not in known:
                 raise unknown_keyword(function.__name__, name, known)
-        if len(args) > len(by_place) and not any_number:
-            raise too_many(function.__name__, args, by_place, known)
+        if len(args) > len(positional) and not any_number:
+            raise too_many_arguments(function.__name__, args, positional, known)
         return function(*args, **given)
 
-    return cast(Function, told_function)
+    return cast(Function, wrapped_function)
 
 
 def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError:
@@ -97,24 +97,28 @@ def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError
     >>> print(unknown_keyword("GaussLegendre", "stage", ["stages"]))
     GaussLegendre has no stage; did you mean stages=?
     """
-    return TypeError(_answer(function, name, known))
+    return TypeError(_suggestion(function, name, known))
 
 
-def too_many(function: str, given: Sequence[Any], by_place: Sequence[str], known: Sequence[str]) -> TypeError:
-    """Return the TypeError for too many positional arguments; `by_place` and `known` are positional and all names.
+def too_many_arguments(
+    function: str, given: Sequence[Any], positional: Sequence[str], known: Sequence[str]
+) -> TypeError:
+    """Return the TypeError for too many positional arguments; `positional` and `known` are positional and all names.
 
     Examples
     --------
-    >>> print(too_many("rigid_body", (1, 2, 3), ["inertia"], ["inertia"]))
+    >>> print(too_many_arguments("rigid_body", (1, 2, 3), ["inertia"], ["inertia"]))
     rigid_body was given 3 arguments, and takes inertia; give several values as one, inertia=(1, 2, 3)
     """
     said = f"{function} was given {len(given)} arguments, and takes {', '.join(known) or 'none'}"
-    if len(by_place) == 1 == len(known):
+    if len(positional) == 1 == len(known):
         return TypeError(f"{said}; give several values as one, {known[0]}={short(tuple(given))}")
-    return TypeError(f"{said}" + (f", those after {by_place[-1]} by name" if 0 < len(by_place) < len(known) else ""))
+    return TypeError(
+        f"{said}" + (f", those after {positional[-1]} by name" if 0 < len(positional) < len(known) else "")
+    )
 
 
-def _answer(function: str, name: str, known: Sequence[str]) -> str:
+def _suggestion(function: str, name: str, known: Sequence[str]) -> str:
     meant = KEYWORDS.get(name)
     # Suggest the corresponding argument only if this function has it.
     if meant is not None and ("=" not in meant or meant.partition("=")[0] in known):
@@ -123,12 +127,12 @@ def _answer(function: str, name: str, known: Sequence[str]) -> str:
     return f"{function} has no {name}; " + (f"did you mean {near}=?" if near else f"it takes {', '.join(known)}")
 
 
-def no_such_part(name: str, known: list[str]) -> AttributeError:
+def unknown_solution_attribute(name: str, known: list[str]) -> AttributeError:
     """Return the AttributeError for an unknown attribute of a solution.
 
     Examples
     --------
-    >>> print(no_such_part("y", ["x", "t"]), no_such_part("enregy", ["energy"]), sep="; ")
+    >>> print(unknown_solution_attribute("y", ["x", "t"]), unknown_solution_attribute("enregy", ["energy"]), sep="; ")
     a Solution has no attribute 'y'; here it is x; a Solution has no attribute 'enregy'; did you mean 'energy'?
     """
     text = f"a Solution has no attribute {name!r}"

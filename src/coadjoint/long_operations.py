@@ -9,8 +9,8 @@ from contextlib import ContextDecorator
 from contextvars import ContextVar, Token
 from types import FrameType
 
-WITHIN = ("contextlib", "functools")
-LONG = 5.0
+DECORATOR_MODULES = ("contextlib", "functools")
+WARNING_SECONDS = 5.0
 """Operations shorter than this (seconds) do not warn."""
 
 
@@ -26,14 +26,17 @@ class LongWait(UserWarning):
     """
 
 
-def tell(what: str, seconds: float, instead: str = "") -> None:
-    """Warn in advance if an operation is estimated to take longer than `LONG`; `instead` names a faster alternative."""
-    if seconds > LONG:
+def warn_if_long(what: str, seconds: float, instead: str = "") -> None:
+    """Warn in advance if an operation is estimated to take longer than `WARNING_SECONDS`; `instead` names a faster
+    alternative.
+    """
+    if seconds > WARNING_SECONDS:
         _warn(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""))
 
 
-class waiting(ContextDecorator):
-    """Context, or decorator, of an operation that may be long: after `LONG` seconds the next `at` inside warns, once.
+class long_operation(ContextDecorator):
+    """Context, or decorator, of an operation that may be long: after `WARNING_SECONDS` seconds the next `at` inside
+    warns, once.
 
     `what`, the subject of the message, is the name of the function called by the user. Only the outermost context
     warns.
@@ -41,14 +44,14 @@ class waiting(ContextDecorator):
 
     def __init__(self, what: str) -> None:
         self.what = what
-        self._token: Token[waiting | None] | None = None
+        self._token: Token[long_operation | None] | None = None
 
-    def _recreate_cm(self) -> waiting:
-        return waiting(self.what)
+    def _recreate_cm(self) -> long_operation:
+        return long_operation(self.what)
 
-    def __enter__(self) -> waiting:
+    def __enter__(self) -> long_operation:
         if _current.get() is None:
-            self.begun, self.said = time.monotonic(), False
+            self.started, self.warned = time.monotonic(), False
             self._token = _current.set(self)
         return self
 
@@ -58,20 +61,22 @@ class waiting(ContextDecorator):
             self._token = None
 
 
-_current: ContextVar[waiting | None] = ContextVar("waiting", default=None)
+_current: ContextVar[long_operation | None] = ContextVar("waiting", default=None)
 
 
-def at(doing: str, part: float | None = None) -> None:
-    """Record what is computed next, and warn after `LONG` seconds; `part` is the completed fraction, if known."""
+def at(computing: str, part: float | None = None) -> None:
+    """Record what is computed next, and warn after `WARNING_SECONDS` seconds; `part` is the completed fraction, if
+    known.
+    """
     current = _current.get()
-    if current is None or current.said:
+    if current is None or current.warned:
         return
-    spent = time.monotonic() - current.begun
-    if spent <= LONG:
+    spent = time.monotonic() - current.started
+    if spent <= WARNING_SECONDS:
         return
-    current.said = True
+    current.warned = True
     left = f", and about {spent * (1.0 / part - 1.0):.2g} s are left" if part else ""
-    _warn(f"{current.what} has taken {spent:.2g} s so far{left}; now it computes {doing}; Ctrl-C ends it")
+    _warn(f"{current.what} has taken {spent:.2g} s so far{left}; now it computes {computing}; Ctrl-C ends it")
 
 
 def _warn(text: str) -> None:
@@ -81,7 +86,7 @@ def _warn(text: str) -> None:
     while frame is not None:
         name = frame.f_globals.get("__name__", "").partition(".")[0]
         # Frames of a decorator lie between the library and its caller.
-        if name == "coadjoint" or (name in WITHIN and level == outermost + 1):
+        if name == "coadjoint" or (name in DECORATOR_MODULES and level == outermost + 1):
             outermost = level
         frame, level = frame.f_back, level + 1
     warnings.warn(text, LongWait, stacklevel=outermost + 1)

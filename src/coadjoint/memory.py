@@ -6,15 +6,15 @@ import os
 import sys
 from pathlib import Path
 
-SMALL = 2**26
+UNCHECKED_BYTES = 2**26
 """Allocations below this size (bytes) are not checked."""
 
-UNKNOWN = 2**62
+NO_LIMIT = 2**62
 
 
 def available() -> int:
     """Return the memory available to this process in bytes; a large number if the system does not report it."""
-    return max(0, min(_free(), _left_in_groups(), _left_of_address_space()))
+    return max(0, min(_free(), _available_in_cgroups(), _available_address_space()))
 
 
 def _free() -> int:
@@ -30,7 +30,7 @@ def _free() -> int:
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
-        return UNKNOWN
+        return NO_LIMIT
 
 
 def _free_on_windows() -> int:
@@ -41,12 +41,12 @@ def _free_on_windows() -> int:
 
     status = Status(length=ctypes.sizeof(Status))
     found = getattr(ctypes, "windll").kernel32.GlobalMemoryStatusEx(ctypes.byref(status))  # noqa: B009
-    return int(status.bytes[1]) if found else UNKNOWN
+    return int(status.bytes[1]) if found else NO_LIMIT
 
 
-def _left_in_groups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup") -> int:
+def _available_in_cgroups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup") -> int:
     """Return the memory left in the Linux control groups of this process: a container, a batch job."""
-    left = UNKNOWN
+    left = NO_LIMIT
     try:
         lines = Path(own).read_text(encoding="ascii").splitlines()
     except (OSError, ValueError):
@@ -61,39 +61,39 @@ def _left_in_groups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup"
             continue
         inside = [part for part in path.split("/") if part not in ("", "..")]
         for depth in range(len(inside) + 1):
-            left = min(left, _left_in(base.joinpath(*inside[:depth]), *names))
+            left = min(left, _available_in_cgroup(base.joinpath(*inside[:depth]), *names))
     return left
 
 
-def _left_in(group: Path, limit: str, used: str, cache: str) -> int:
+def _available_in_cgroup(group: Path, limit: str, used: str, cache: str) -> int:
     """Return the memory left in one control group, not counting its file cache."""
     try:
         most, held = (int(Path(group, name).read_text(encoding="ascii")) for name in (limit, used))
         stated = dict(line.split() for line in Path(group, "memory.stat").read_text(encoding="ascii").splitlines())
         return most - held + int(stated.get(cache, 0))
     except (OSError, ValueError):  # no limit of this kind
-        return UNKNOWN
+        return NO_LIMIT
 
 
-def _left_of_address_space() -> int:
+def _available_address_space() -> int:
     """Return the address space left by ``ulimit -v``."""
     try:
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit == resource.RLIM_INFINITY:
-            return UNKNOWN
+            return NO_LIMIT
         return limit - int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     except (ImportError, OSError, ValueError):
-        return UNKNOWN
+        return NO_LIMIT
 
 
-def in_words(count: float) -> str:
+def format_bytes(count: float) -> str:
     """Format a number of bytes.
 
     Examples
     --------
-    >>> in_words(5.62e9), in_words(2e8), in_words(3e16), in_words(10**400)
+    >>> format_bytes(5.62e9), format_bytes(2e8), format_bytes(3e16), format_bytes(10**400)
     ('5.6 GB', '200 MB', '3e+07 GB', '1e+291 GB')
     """
     count = min(count, 10**300)  # integers may exceed the range of float
@@ -102,13 +102,15 @@ def in_words(count: float) -> str:
     return f"{count / 1e9:.1f} GB" if count < 1e14 else f"{count / 1e9:.0e} GB"
 
 
-def check_room(count: float, what: str, instead: str = "") -> None:
+def check_available_memory(count: float, what: str, instead: str = "") -> None:
     """Raise a ValueError, with the estimate and the free memory, if `count` bytes are not available.
 
     `what` is the subject of the message; `instead` names an alternative that would fit.
     """
-    if count > SMALL:
+    if count > UNCHECKED_BYTES:
         free = available()
         if count > free:
             ending = f"; {instead}" if instead else ""
-            raise ValueError(f"{what} needs about {in_words(count)}; this machine has {in_words(free)} free{ending}")
+            raise ValueError(
+                f"{what} needs about {format_bytes(count)}; this machine has {format_bytes(free)} free{ending}"
+            )

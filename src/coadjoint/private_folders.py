@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def check_private(folder: Path) -> None:
@@ -27,7 +27,7 @@ def check_private(folder: Path) -> None:
             raise PermissionError(f"{place} belongs to another user")
         # In a sticky folder such as /tmp others can add entries, but not replace those of this user.
         sticky = place != folder and found.st_mode & stat.S_ISVTX
-        if found.st_mode & OTHERS_WRITE and not sticky:
+        if found.st_mode & WRITABLE_BY_OTHERS and not sticky:
             raise PermissionError(f"{place} can be changed by other users, mode {stat.S_IMODE(found.st_mode):o}")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-DEPTH = 6
+MAX_DEPTH = 6
 """Maximum depth of nested containers shown; deeper levels are elided."""
 
 
@@ -20,7 +20,7 @@ def short(value: Any, limit: int = 80) -> str:
     bounded time. An object whose ``__repr__`` fails is shown by its type.
     """
     text = ""
-    for piece in _pieces(value, limit, DEPTH):
+    for piece in _pieces(value, limit, MAX_DEPTH):
         text += piece
         if len(text) > limit:
             text = f"{text[: limit - 3]}..."
@@ -98,11 +98,11 @@ def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
     elif isinstance(value, np.ndarray):
         yield from _array(value, limit, depth)
     else:
-        yield _own(value, limit)
+        yield _own_repr(value, limit)
 
 
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType, np.ufunc, type(np.linalg.norm))
-FEW_FUNCTIONS = 3
+MAX_NAMED_FUNCTIONS = 3
 """Maximum number of functions in a container shown individually; otherwise their count."""
 _BRACKETS: dict[Any, tuple[str, str]] = {
     list.__repr__: ("[", "]"),
@@ -116,7 +116,7 @@ _BRACKETS: dict[Any, tuple[str, str]] = {
 def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
     first, last = _BRACKETS[type(value).__repr__]
     held = value.values() if isinstance(value, dict) else value
-    if len(value) > FEW_FUNCTIONS and all(_is_of_functions(entry) for entry in held):
+    if len(value) > MAX_NAMED_FUNCTIONS and all(_is_of_functions(entry) for entry in held):
         yield f"{len(value)} functions"
         return
     if not value and first.endswith("{") and not isinstance(value, dict):
@@ -155,12 +155,12 @@ def _array(value: Any, limit: int, depth: int) -> Iterator[str]:
         yield from _pieces(value.tolist(), limit, depth - 1)
         yield ", dtype=object)"
     elif small and value.dtype != object:
-        yield _own(value, limit)
+        yield _own_repr(value, limit)
     else:
         yield f"<{'array' if plain else type(value).__name__} of shape {value.shape}, {value.dtype.name}>"
 
 
-def _own(value: Any, limit: int) -> str:
+def _own_repr(value: Any, limit: int) -> str:
     """Return the start of an object's own repr, or its type if repr fails."""
     try:
         return " ".join(repr(value)[: 8 * limit].split())

@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 Floats = NDArray[np.float64]
 
-REAL = "iuf"
-FEW = 64  # up to this many numbers plain Python is faster than NumPy
-SMALL = 2**16  # up to this many numbers memory is not checked
-LONGEST_TITLE = 200
+REAL_KINDS = "iuf"
+SMALL_SIZE = 64  # up to this many numbers plain Python is faster than NumPy
+UNCHECKED_SIZE = 2**16  # up to this many numbers memory is not checked
+MAX_TITLE_LENGTH = 200
 BYTES_PER_ENTRY = 64
-MOST_DIMENSIONS = 32  # maximum of an object array whose entries can be examined
-DEEPEST = 64  # maximum depth of nested lists: that of array dimensions
+MAX_DIMENSIONS = 32  # maximum of an object array whose entries can be examined
+MAX_DEPTH = 64  # maximum depth of nested lists: that of array dimensions
 
 
 def is_real(value: Any) -> bool:
@@ -51,18 +51,18 @@ def size_of_range(values: range) -> int:
     return max(0, -((values.start - values.stop) // values.step))
 
 
-def is_of_a_ring(value: Any) -> bool:
+def supports_arithmetic(value: Any) -> bool:
     """Return whether a value supports addition and multiplication with numbers.
 
     Examples
     --------
-    >>> is_of_a_ring(1j), is_of_a_ring("2.5"), is_of_a_ring(None)
+    >>> supports_arithmetic(1j), supports_arithmetic("2.5"), supports_arithmetic(None)
     (True, False, False)
     """
     return hasattr(type(value), "__radd__") and hasattr(type(value), "__rmul__")
 
 
-def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
+def to_array(values: Any, what: str, kinds: str = REAL_KINDS) -> NDArray[Any]:
     """Convert numbers to an array, without a copy if already one; `what` names the argument in messages.
 
     `kinds` are the accepted NumPy kinds beside objects; with ``"c"`` any value that can be added and multiplied counts
@@ -72,32 +72,32 @@ def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
     if type(values) is np.ndarray:
         array = values
     else:
-        refuse_what_is_lost(values, what)
+        reject_lossy_conversion(values, what)
         if isinstance(values, range):  # which may be longer than memory allows
-            check_room(8 * size_of_range(values), f"{what}, {short(values)},")
+            check_available_memory(8 * size_of_range(values), f"{what}, {short(values)},")
         try:
             array = np.asarray(values)
         except MemoryError:
             raise ValueError(f"{what} does not fit into memory; give fewer numbers") from None
         except Exception:  # conversion of a foreign object can raise anything
-            raise no_numbers(values, what) from None
+            raise not_numbers_error(values, what) from None
     kind = array.dtype.kind
     if kind in kinds:
         return array
     if (
         kind != "O"
-        or array.ndim > MOST_DIMENSIONS
-        or not all(map(is_of_a_ring if "c" in kinds else is_real, array.flat))
+        or array.ndim > MAX_DIMENSIONS
+        or not all(map(supports_arithmetic if "c" in kinds else is_real, array.flat))
     ):
-        raise no_numbers(values, what)
+        raise not_numbers_error(values, what)
     return array
 
 
 def read_numbers(values: Any, what: str) -> Floats:
     """Validate real numbers and return a float64 copy."""
-    array = array_given(values, what)
-    if array.size > SMALL:
-        check_room(8 * array.size, f"a copy of {what}, of shape {array.shape},")
+    array = to_array(values, what)
+    if array.size > UNCHECKED_SIZE:
+        check_available_memory(8 * array.size, f"a copy of {what}, of shape {array.shape},")
     try:
         if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
             return np.array(array, dtype=np.float64)
@@ -106,7 +106,7 @@ def read_numbers(values: Any, what: str) -> Floats:
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None
     except (TypeError, ValueError):
-        raise no_numbers(values, what) from None
+        raise not_numbers_error(values, what) from None
 
 
 def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
@@ -117,13 +117,13 @@ def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
     >>> read_complex([1, 2j], "modes")
     array([1.+0.j, 0.+2.j])
     """
-    array = array_given(values, what, "iufc")
+    array = to_array(values, what, "iufc")
     try:
         return np.array(array, dtype=np.complex128)
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None
     except (TypeError, ValueError):
-        raise no_numbers(values, what) from None
+        raise not_numbers_error(values, what) from None
 
 
 def read_finite(values: Any, what: str) -> Floats:
@@ -142,7 +142,7 @@ def are_finite(numbers: Floats) -> bool:
     (True, False)
     """
     # Numbers with a finite sum are finite.
-    few = numbers.size <= FEW
+    few = numbers.size <= SMALL_SIZE
     return (few and math.isfinite(sum(numbers.ravel().tolist()))) or bool(np.isfinite(numbers).all())
 
 
@@ -154,21 +154,21 @@ def check_finite(values: Floats, what: str) -> None:
         raise ValueError(f"{what}{where} is {values[tuple(place)]}; give finite numbers")
 
 
-def no_numbers(values: Any, what: str) -> TypeError:
+def not_numbers_error(values: Any, what: str) -> TypeError:
     """Return the error for a value that is not an array of real numbers."""
     return TypeError(f"{what} is {short(values, 60)}; it must be an array of real numbers, all rows of the same length")
 
 
-def refuse_what_is_lost(values: Any, what: str, depth: int = 0) -> None:
+def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
     """Raise an error for masks, labels and booleans, which conversion to float would lose."""
     if isinstance(values, list | tuple):
         kinds = set(map(type, values))
-        if kinds <= {float, int} or depth == DEEPEST:
+        if kinds <= {float, int} or depth == MAX_DEPTH:
             return
         if bool in kinds or np.bool_ in kinds:
-            raise no_numbers(values, what)
+            raise not_numbers_error(values, what)
         for entry in values:
-            refuse_what_is_lost(entry, what, depth + 1)
+            reject_lossy_conversion(entry, what, depth + 1)
     elif isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values):
             raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
@@ -214,7 +214,7 @@ def check_power(number: float, power: int, what: str) -> None:
         )
 
 
-def read_whole(
+def read_integer(
     value: Any, what: str, least: int = 1, most: int | None = None, *, floats: bool = False, why: str = ""
 ) -> int:
     """Validate a whole number within bounds and return a Python int, which does not wrap; booleans are refused.
@@ -233,7 +233,7 @@ def read_whole(
     return int(value)
 
 
-def read_flag(value: Any, what: str) -> bool:
+def read_bool(value: Any, what: str) -> bool:
     """Validate True or False."""
     if not isinstance(value, bool | np.bool_):
         raise TypeError(f"{what} is {short(value)}; it must be True or False")
@@ -244,8 +244,8 @@ def read_title(value: Any, what: str) -> str:
     """Validate a name for messages and plots: one nonempty line of bounded length."""
     if not isinstance(value, str) or not value:
         raise TypeError(f"{what} must be a nonempty string, not {short(value)}")
-    if len(value) > LONGEST_TITLE or not value.isprintable():
-        raise ValueError(f"{what} is {short(value)}; it must be one line of at most {LONGEST_TITLE} characters")
+    if len(value) > MAX_TITLE_LENGTH or not value.isprintable():
+        raise ValueError(f"{what} is {short(value)}; it must be one line of at most {MAX_TITLE_LENGTH} characters")
     return value
 
 
@@ -257,7 +257,7 @@ def title(text: str) -> str:
     >>> title("so(3) + so(4)")
     'so(3) + so(4)'
     """
-    return text if len(text) <= LONGEST_TITLE else f"{text[: LONGEST_TITLE - 3]}..."
+    return text if len(text) <= MAX_TITLE_LENGTH else f"{text[: MAX_TITLE_LENGTH - 3]}..."
 
 
 def read_path(value: Any, what: str) -> Path:
@@ -284,7 +284,7 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
     try:
         if not isinstance(values, str | bytes | Mapping):
             size = values.size if isinstance(values, np.ndarray) else len(values) if isinstance(values, Sized) else 0
-            check_room(BYTES_PER_ENTRY * size, f"{what}, of {size} entries,")
+            check_available_memory(BYTES_PER_ENTRY * size, f"{what}, of {size} entries,")
             return tuple(values)
     except TypeError:
         pass

@@ -8,8 +8,8 @@ import pytest
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.catalogue import e, gl, heisenberg, se, sl, so, sp, su, u
 from coadjoint.algebra.exact.elimination import Span
-from coadjoint.algebra.families.matrix_bases import LARGEST, Sparse, matrices
-from coadjoint.algebra.polynomials.quadratic_forms import ROOM, within
+from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, Sparse, matrices
+from coadjoint.algebra.polynomials.quadratic_forms import MAX_STORED_EXPONENTS, casimirs_fit
 
 # algebra, dimension, number of Casimirs, semisimple
 FAMILIES = [
@@ -104,9 +104,9 @@ def test_large_algebras_are_sparse():
 
 
 def test_limits_of_size():
-    assert within(ROOM, 1) and not within(ROOM + 1, 1)
+    assert casimirs_fit(MAX_STORED_EXPONENTS, 1) and not casimirs_fit(MAX_STORED_EXPONENTS + 1, 1)
     one = Sparse([(0, 0, 0, 1.0)])
-    assert matrices(one, LARGEST // 4**2 + 1, 4) is None
+    assert matrices(one, MAX_REPRESENTATION_NUMBERS // 4**2 + 1, 4) is None
     assert matrices(one, 2, 4).shape == (2, 4, 4)
 
 

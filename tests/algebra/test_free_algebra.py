@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coadjoint.algebra.exact.free_algebra import (
-    bracketed,
+    expand_bracket,
     exponential,
     factors,
     lie_coordinates,
@@ -42,7 +42,7 @@ def test_as_many_lyndon_words_as_the_free_lie_algebra_has_dimensions(weight, cou
     words = lyndon_words({k: k for k in range(1, weight + 1)}, weight)
     assert len(words) == count and words == sorted(words)
     for word in words:
-        expanded = bracketed(word)
+        expanded = expand_bracket(word)
         assert expanded[word] == 1 and min(expanded) == word
         if len(word) > 1:
             left, right = factors(word)

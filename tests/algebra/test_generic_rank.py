@@ -8,7 +8,7 @@ import pytest
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.modular import random_prime, skew_rank, sparse_rank
-from coadjoint.algebra.exact.numerical_rank import clear_rank
+from coadjoint.algebra.exact.numerical_rank import rank_from_gap
 from coadjoint.algebra.exact.rational_constants import as_fraction, jacobi_exact, rational_constants
 from coadjoint.algebra.lie_algebra import LieAlgebra
 
@@ -114,7 +114,7 @@ def test_fractions_must_fulfil_the_jacobi_identity():
 
 
 def test_a_rank_needs_a_gap():
-    assert clear_rank(np.array([1.0, 1e-3, 1e-17]), 1e-15, "A") == 2
-    assert clear_rank(np.zeros(3), 1e-15, "A") == 0
+    assert rank_from_gap(np.array([1.0, 1e-3, 1e-17]), 1e-15, "A") == 2
+    assert rank_from_gap(np.zeros(3), 1e-15, "A") == 0
     with pytest.raises(ValueError, match="the rank of A is not clear: its singular value 1e-13"):
-        clear_rank(np.array([1.0, 1e-13]), 1e-15, "A")
+        rank_from_gap(np.array([1.0, 1e-13]), 1e-15, "A")

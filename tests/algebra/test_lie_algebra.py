@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.bracket_format import count_of_brackets, shown_brackets
-from coadjoint.algebra.bracket_parser import read_brackets
+from coadjoint.algebra.bracket_format import count_of_brackets, format_brackets
+from coadjoint.algebra.bracket_parser import parse_brackets
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
 
@@ -28,7 +28,7 @@ ALGEBRAS = [
 WITH_VECTORS = st.sampled_from(ALGEBRAS).flatmap(
     lambda g: st.tuples(
         st.just(g),
-        *(st.lists(st.fractions(-5, 5, max_denominator=9), min_size=g.dim, max_size=g.dim) for _ in range(3)),
+        *(st.list_schema(st.fractions(-5, 5, max_denominator=9), min_size=g.dim, max_size=g.dim) for _ in range(3)),
     )
 )
 
@@ -293,9 +293,9 @@ def test_equality_is_by_value_and_repr_is_short():
 
 def test_brackets_that_are_shown_are_read_again():
     for g in (catalogue.so(4), catalogue.get("A5_13", a=0.5, p=0.25, s=2), catalogue.sl(3), catalogue.heisenberg(2)):
-        lines = shown_brackets(g.triples, g.basis, 1000)
+        lines = format_brackets(g.triples, g.basis, 1000)
         assert len(lines) == count_of_brackets(g.triples)
-        assert LieAlgebra.from_brackets(g.dim, read_brackets(lines, g.basis)) == g
+        assert LieAlgebra.from_brackets(g.dim, parse_brackets(lines, g.basis)) == g
 
 
 def test_the_basis_has_the_names_that_were_given():

@@ -170,7 +170,7 @@ def test_every_matrix_counts_however_many_are_looked_at_together(monkeypatch, g,
     rho = in_drawn_bases(g, seed)
     whole = invariant_form(rho)
     n, d = rho.shape[:2]
-    monkeypatch.setattr(module, "FOLDED_ROWS", per_fold * d * d)
+    monkeypatch.setattr(module, "REDUCED_ROWS", per_fold * d * d)
     form = invariant_form(rho)
     # The matrices are conditioned below 16; a form of an irreducible representation is unique up to its factor.
     assert residual(rho, form) < 1e-12 and np.abs(form).max() == form.max() == 1.0
@@ -189,7 +189,7 @@ def test_a_form_of_a_large_representation():
     """45 matrices of 10 x 10: more equations than are looked at together."""
     metric = np.diag([1.0] * 5 + [-1.0] * 5)
     rho = catalogue.so(10).representation @ metric
-    assert len(rho) * 100 > module.FOLDED_ROWS
+    assert len(rho) * 100 > module.REDUCED_ROWS
     form = invariant_form(rho)
     assert residual(rho, form) < 1e-13
     np.testing.assert_allclose(np.abs(form), np.eye(10), rtol=0, atol=1e-12)

@@ -170,7 +170,7 @@ def test_the_estimate_of_each_member_is_near_one():
 
 
 def test_what_is_left_by_the_order_is_what_a_finer_run_leaves():
-    """`Finer.left` is the error of the finer run in parts of that of the run, measured against the closed form."""
+    """`FinerRun.left` is the error of the finer run in parts of that of the run, measured against the closed form."""
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
     end = body.exact(x0, 8.0)
     schemes = [co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2), co.CommutatorFree(3), co.Kahan()]

@@ -11,14 +11,14 @@ import coadjoint as co
 from coadjoint.analysis.certificates.certificate import Certificate, Row, verdict
 from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import attitude, convergence, invariants
-from coadjoint.analysis.checks.convergence import allowed
+from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.growth import growth
 from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.checks.sizes import size_of
 from coadjoint.analysis.checks.slope import slope_of_defects
-from coadjoint.analysis.checks.study import LARGE, study
-from coadjoint.analysis.checks.subject import APART, Subject
+from coadjoint.analysis.checks.study import LARGE_ERROR, study
+from coadjoint.analysis.checks.subject import STATE_SPACING, Subject
 from coadjoint.analysis.checks.symmetry import symmetry_row
 from coadjoint.methods import Properties
 
@@ -84,7 +84,7 @@ def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
         found[times] = {row.key: row for row in [*rows, poisson_row(subject, 2.0 * h)]}
         # Without single steps, whose deviations are nearer to their bounds, the rows are those of the long run.
         with monkeypatch.context() as patch:
-            patch.setattr(invariants, "_single_steps", lambda subject, telling: [])
+            patch.setattr(invariants, "_single_steps", lambda subject, coarse_step: [])
             rows = invariants.invariant_rows(subject, run, 2.0 * h)
         assert all("round-off of the run" in row.source for row in rows)
         found[times] |= {f"{row.key} over the run": row for row in rows}
@@ -174,11 +174,11 @@ def test_the_element_of_a_growing_motion_is_seen_over_fewer_steps():
     system = co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[1.0, 0.0]))
     subject = subject_of(system, co.Splitting(), [[0.5, 0.3], [0.2, 0.1], [0.1, 0.2], [0.7, 0.1]], 0.25)
     run, g, condition = attitude._run(subject, "coadjoint", 256)
-    assert condition <= attitude.LARGE_CONDITION and 8 <= run.stats.steps < 256
+    assert condition <= attitude.MAX_CONDITION and 8 <= run.stats.steps < 256
     values = np.linalg.svd(g, compute_uv=False)
     assert condition == pytest.approx(np.max(values[..., 0] / values[..., -1]))
     longer = subject.run(subject.states, 0.25, 2 * run.stats.steps, attitude="coadjoint").attitude
-    assert np.max(np.linalg.cond(longer)) > attitude.LARGE_CONDITION
+    assert np.max(np.linalg.cond(longer)) > attitude.MAX_CONDITION
 
 
 # Growth, slopes, sizes
@@ -245,8 +245,8 @@ def test_errors_that_are_allowed_follow_the_order_and_the_ratio_of_the_steps():
     """An error C h^p changes by (r^p - 1) times that of the smaller step; six times as much is allowed."""
     for order in (1, 2, 4):
         for ratio in (1.25, 2.0, 3.0):
-            assert allowed(ratio**order - 1.0, ratio, order) == pytest.approx(6.0)
-    assert allowed(1.0, 3.0, None) == allowed(1.0, 3.0, 1) == 3.0
+            assert allowed_error(ratio**order - 1.0, ratio, order) == pytest.approx(6.0)
+    assert allowed_error(1.0, 3.0, None) == allowed_error(1.0, 3.0, 1) == 3.0
 
 
 # References, and studies of convergence
@@ -261,7 +261,7 @@ def test_a_reference_is_the_motion_of_every_state(t):
     size = np.linalg.norm(exact)
     for system, by in ((BODY, "the closed form"), (plain, "DOP853 on the vector field")):
         found = motion(system, states, t)
-        assert found.by == by and found.doubt == ""
+        assert found.by == by and found.contradiction == ""
         assert np.linalg.norm(found.states - exact) <= (found.error + 64 * 2.0**-53) * size
         assert found.error < 1e-11
         np.testing.assert_array_equal(motion(system, states[::-1].copy(), t).states, found.states[::-1])
@@ -302,11 +302,11 @@ def test_a_study_has_the_errors_of_its_runs(method, h):
     else:
         assert h == 1e-6
     assert found.slope.value == pytest.approx(method.order, abs=0.3)
-    telling = found.telling(h)
-    assert telling * h > 0.0 and abs(telling) >= abs(h)
-    if telling != h:
-        place = found.counts.index(round(found.span / telling))
-        assert found.errors[place] < LARGE / 5 and all(error >= LARGE / 5 for error in found.errors[:place])
+    coarse_step = found.coarse_step(h)
+    assert coarse_step * h > 0.0 and abs(coarse_step) >= abs(h)
+    if coarse_step != h:
+        place = found.counts.index(round(found.span / coarse_step))
+        assert found.errors[place] < LARGE_ERROR / 5 and all(error >= LARGE_ERROR / 5 for error in found.errors[:place])
 
 
 # Subjects
@@ -320,7 +320,7 @@ def test_few_states_are_extended_along_the_motion(h):
     assert subject.time == time == subject_of(BODY, co.Splitting(), given[::-1], h).time
     assert np.array_equal(subject.states[:2], given) and len(subject.states) == 4
     for k, x in enumerate(subject.states[2:], 1):
-        np.testing.assert_allclose(x, BODY.exact(X0, math.copysign(k * APART * time, h)), atol=1e-13)
+        np.testing.assert_allclose(x, BODY.exact(X0, math.copysign(k * STATE_SPACING * time, h)), atol=1e-13)
     assert subject.span_time == min(natural_time(BODY, x) for x in subject.states)
     many = np.random.default_rng(3).normal(size=(11, 3))
     np.testing.assert_array_equal(subject_of(BODY, co.Splitting(), many, h).states, many[:8])
@@ -328,10 +328,10 @@ def test_few_states_are_extended_along_the_motion(h):
 
 def test_rests_only_if_every_state_rests():
     rest, moving = [1.0, 0.0, 0.0], [0.3, 1.0, 0.2]
-    for states, rests in (([rest, [0.0, 0.0, 2.0]], True), ([rest, moving], False), ([moving, rest], False)):
+    for states, at_equilibrium in (([rest, [0.0, 0.0, 2.0]], True), ([rest, moving], False), ([moving, rest], False)):
         subject = subject_of(BODY, co.Splitting(), states, 0.1)
-        assert subject.rests == rests
-        assert subject.time == (0.1 if rests else natural_time(BODY, np.array(moving)))
+        assert subject.at_equilibrium == at_equilibrium
+        assert subject.time == (0.1 if at_equilibrium else natural_time(BODY, np.array(moving)))
 
 
 @pytest.mark.parametrize("digits", [6, 9, None])
@@ -485,7 +485,7 @@ def test_a_record_has_what_was_given_and_no_number_that_is_not_finite(h):
     numbers = {"one": np.float64(math.inf), "many": np.array([[1.0, -math.inf], [math.nan, 2.0]]), "none": []}
     row = Row("x", "x", "kept", "-", "fails", True, math.nan, np.float64(2.0), evidence=numbers)
     for found in (rest, Certificate((*rest.rows, row), rest.subject)):
-        read = json.loads(found.to_json(), parse_constant=lambda name: pytest.fail(name))
+        read = json.loads(found.to_json(), parse_constant=lambda name: pytest.mark_failed(name))
         subject = read["subject"]
         assert subject["given"] == [[1.0, 0.0, 0.0]] == subject["states"][:1]
         assert subject["system"]["sign"] == BODY.sign and subject["system"]["dim"] == 3

@@ -29,7 +29,7 @@ SYSTEMS = {name: coupled(co.algebras.get(name)) for name in ("sl(2)", "A5,3", "s
 @pytest.fixture
 def dear(monkeypatch):
     """Every step is taken for one that takes long."""
-    monkeypatch.setattr(subject, "DEAR", 0.0)
+    monkeypatch.setattr(subject, "EXPENSIVE_SECONDS", 0.0)
 
 
 @pytest.mark.parametrize("name, h", [("sl(2)", 0.05), ("A5,3", -0.05)])
@@ -42,7 +42,7 @@ def test_dear_steps_have_the_verdicts_of_cheap_ones(name, h, dear, monkeypatch):
         assert along == bool(few["poisson"].value is not None)
         assert len(few.subject["states"]) == 2
         with monkeypatch.context() as patch:
-            patch.setattr(subject, "DEAR", np.inf)
+            patch.setattr(subject, "EXPENSIVE_SECONDS", np.inf)
             all_of_it = co.certify(system, scheme, x0, h, steps=64)
         assert len(all_of_it.subject["states"]) == 4
         told = {row.key: row.verdict for row in few.table if row.claimed}
@@ -67,7 +67,7 @@ def test_the_defect_along_directions_is_about_that_of_the_matrices(dear):
     P, Q = there.tangent(x), back.tangent(y)
     defect = np.linalg.norm(P @ system.structure_matrix(x) - system.structure_matrix(y) @ Q.T)
     assert row.measured.startswith("defect")
-    found, bound, _ = poisson._seen_along(subject_of(system, scheme, x, h), x, h)
+    found, bound, _ = poisson._directional_defect(subject_of(system, scheme, x, h), x, h)
     assert 0.5 * defect < found < 2.0 * defect and bound < 1e-6 * defect
 
 
@@ -80,7 +80,7 @@ def subject_of(system, scheme, x, h):
 
 
 def test_the_long_run_has_as_many_steps_as_take_seconds(monkeypatch):
-    monkeypatch.setattr(subject, "ROTATION", 2e-5)  # a step of su(3) then counts as some milliseconds
+    monkeypatch.setattr(subject, "SECONDS_PER_COST", 2e-5)  # a step of su(3) then counts as some milliseconds
     system = SYSTEMS["su(3)"]
     x0 = RNG.normal(size=system.dim)
     found = co.certify(system, co.Splitting(), x0, 0.05)
@@ -99,7 +99,7 @@ def test_the_norm_of_a_tangent_by_directions():
     given = subject_of(system, co.Splitting(), x, 0.05)
     P = co.stepper(system, co.Splitting(), 0.05).tangent(x)
     size = np.linalg.norm(P)
-    assert size / 1.5 < given.size_of_tangent(x, 0.05) < 1.5 * size
+    assert size / 1.5 < given.tangent_norm(x, 0.05) < 1.5 * size
     exact = size * np.linalg.norm(np.linalg.inv(P))
     assert exact / 2.25 < given._estimate(x, 0.05) < 2.25 * exact
     assert given.condition(x, 0.05) == given._condition(x, 0.05)
@@ -109,14 +109,14 @@ def test_the_norm_of_a_tangent_by_directions():
 def test_matrices_that_would_be_too_large_are_not_needed_for_dear_steps(dear, monkeypatch):
     """Neither J nor P is made as a matrix; a lattice of more coordinates is not read flow by flow."""
     for module in (poisson, symmetry):
-        monkeypatch.setattr(module, "LARGEST_DENSE", 16)
+        monkeypatch.setattr(module, "MAX_DENSE_DIM", 16)
     g = co.algebras.so(7)
     system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
     monkeypatch.setattr(type(system), "structure_matrix", None)
     x0 = RNG.normal(size=g.dim) / np.sqrt(g.dim)
     found = co.certify(system, co.Splitting(), x0, 0.05, steps=4)
     assert [found[key].verdict for key in ("symmetry", "poisson")] == ["holds", "holds"]
-    monkeypatch.setattr(poisson, "LARGEST_ALONG", 20)
+    monkeypatch.setattr(poisson, "MAX_DIRECTIONAL_DIM", 20)
     assert co.certify(system, co.Splitting(), x0, 0.05, steps=4)["poisson"].verdict == "not decidable here"
 
 

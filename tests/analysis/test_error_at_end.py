@@ -55,7 +55,7 @@ def test_members_are_told_apart_and_do_not_feel_each_other(monkeypatch):
     assert sol.error_estimate.shape == (6,)
     level = np.maximum(errors, sol.choice.roundoff)
     assert np.all(errors / 10 <= sol.error_estimate) and np.all(sol.error_estimate <= 10 * level)
-    monkeypatch.setattr(module, "NUMBERS", 3 * 256)  # one member at a time
+    monkeypatch.setattr(module, "MAX_SAVED_NUMBERS", 3 * 256)  # one member at a time
     assert np.array_equal(error_at_end(sol), sol.error_estimate)
 
 

@@ -157,7 +157,7 @@ def test_large_ensembles_are_analysed_in_groups(monkeypatch: pytest.MonkeyPatch)
 
     t = np.arange(400) * 0.3
     w = np.linspace(0.5, 3.0, 7)
-    monkeypatch.setattr(module, "MOST_NUMBERS", 2 * 400 * (8 + 3))
+    monkeypatch.setattr(module, "MAX_NUMBERS", 2 * 400 * (8 + 3))
     found = co.frequencies(t, np.cos(np.multiply.outer(t, w))[..., None], count=1)
     assert found.frequency[:, 0] == pytest.approx(w, abs=1e-12)
 

@@ -269,7 +269,7 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
     """They give what products of their tangents give; complex steps and differences have some nine digits at least."""
     from coadjoint.runs import tangent_stretching as stretching
 
-    monkeypatch.setattr(stretching, "_said", set())
+    monkeypatch.setattr(stretching, "_warned_types", set())
     given = {"t_span": (0.0, 2.0), "step": 0.125, "renormalize_every": 3, "save_every": 8}
     for method, name, by in (
         (co.Taylor(4), "Taylor", ("formula",)),
@@ -363,7 +363,7 @@ def test_memory_is_estimated_first(monkeypatch):
     from coadjoint import memory
 
     monkeypatch.setattr(memory, "available", lambda: 10**6)
-    monkeypatch.setattr(memory, "SMALL", 0)
+    monkeypatch.setattr(memory, "UNCHECKED_BYTES", 0)
     spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 60), co.Quadratic(np.tile([1.0, 0.5, 0.25], 60)))
     with pytest.raises(ValueError, match="180 tangent vectors of dimension 180 needs about"):
         co.lyapunov(spins, np.ones(180), (0, 1), 0.1)

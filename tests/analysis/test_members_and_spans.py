@@ -101,8 +101,8 @@ TABLE: dict[str, dict[str, Entry]] = {
         "observed": Entry(lambda sol: co.frequencies(sol, "x3", count=2)),
         "function": Entry(lambda sol: co.frequencies(sol, third, count=2)),
     },
-    "sampled.sampled": {"momentum": Entry(sampled)},
-    "error_at_end.error_at_end": {"at the end": Entry(error_at_end, {"scheme": "accuracy"})},
+    "signals.sampled": {"momentum": Entry(sampled)},
+    "end_error.error_at_end": {"at the end": Entry(error_at_end, {"scheme": "accuracy"})},
     "round_off.round_off": {"invariants": Entry(round_off, alone=False)},
     "round_off.orthogonality": {"attitude": Entry(orthogonality, alone=False)},
     "round_off.spatial_momentum": {"momentum": Entry(spatial_momentum, {"attitude": "coadjoint"}, alone=False)},
@@ -191,7 +191,7 @@ def test_an_ensemble_is_its_members(name, kind):
     each = [entry.call(run(Made((m,), single=entry.alone, t0=T0, **entry.made))) for m in range(3)]
     if entry.alone:
         for m, alone in enumerate(each):
-            if name == "error_at_end.error_at_end":
+            if name == "end_error.error_at_end":
                 # The ensemble has one step for all: its members alone are compared with the truth of that step.
                 ends = run(Made(t0=T0, **entry.made))
                 exact = bodies()[0].exact(STARTS[m], 30.0)

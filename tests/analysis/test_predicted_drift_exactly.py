@@ -16,7 +16,7 @@ def test_a_clock_and_a_turn_about_the_momentum(monkeypatch, sign, x0):
 
     A clock that is fast by e takes the attitude along by e times its mean speed about the momentum, 2T/|x|.
     """
-    monkeypatch.setattr(periods, "RELATIVE", 1e-10)
+    monkeypatch.setattr(periods, "RELATIVE_TOLERANCE", 1e-10)
     body = so3_body(TENSOR, sign=sign, name="body", parameters={})
     start, gradient = np.array(x0), body.hamiltonian.gradient
     size, c, e = np.linalg.norm(start), 0.02, 0.01
@@ -40,7 +40,7 @@ def test_less_than_half_a_turn_per_period_has_its_size_and_sense(monkeypatch, se
     Here c |x| is 3 radians in a period: with one of both signs the angles of the exact and the computed motion lie on
     either side of half a turn, unless the exact one is within 0.14 of whole turns.
     """
-    monkeypatch.setattr(periods, "RELATIVE", 1e-10)
+    monkeypatch.setattr(periods, "RELATIVE_TOLERANCE", 1e-10)
     rng = np.random.default_rng(seed)
     axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     body = so3_body(axes @ np.diag([3.0, 1.0, 0.3]) @ axes.T, sign=sign, name="body", parameters={})

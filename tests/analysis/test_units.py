@@ -9,7 +9,7 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import convergence
-from coadjoint.analysis.checks.reference import AGREEMENT, motion, natural_time
+from coadjoint.analysis.checks.reference import CLOSED_FORM_TOLERANCE, motion, natural_time
 from coadjoint.analysis.checks.study import study
 from coadjoint.analysis.checks.subject import Subject
 
@@ -141,11 +141,11 @@ def test_the_error_of_a_closed_form_is_relative(name, off, units):
     found = motion(system, momentum * states, 2.0 * time)
     true = states @ expm(2.0 * A).T
     distance = np.linalg.norm(found.states / momentum - true) / np.linalg.norm(true)
-    if off > AGREEMENT:
-        assert found.by == "DOP853 on the vector field" and "is off the vector field by 1e-07" in found.doubt
+    if off > CLOSED_FORM_TOLERANCE:
+        assert found.by == "DOP853 on the vector field" and "is off the vector field by 1e-07" in found.contradiction
         assert distance <= found.error < 1e-11
     else:
-        assert found.by == "the closed form" and found.doubt == ""
+        assert found.by == "the closed form" and found.contradiction == ""
         # The exponentials of a norm below 2 |A| are rounded to some n u of that.
         rounding = 64 * n * U * (1.0 + np.linalg.norm(A))
         assert distance == pytest.approx(off, abs=rounding)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing.candidates import admitted
+from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
-from coadjoint.methods.protocol.cost_model import FUNCTION, MULTIPLICATION, flow_work, iteration_work
+from coadjoint.methods.protocol.cost_model import FUNCTION_COST, MULTIPLICATION_COST, flow_work, iteration_work
 from coadjoint.program.table import build_program
 
 pytestmark = pytest.mark.sensitive
@@ -191,7 +191,7 @@ def test_what_keeps_no_integrals_is_expected_to_grow_like_the_square_of_time():
         pilot = Pilot(system, np.array([x0]), 0.0, 1e4)
         alone = co.Taylor(12, projected=False)
         for method in (co.GaussLegendre(4), co.Splitting(order=4), co.Taylor(12), alone):
-            (candidate,) = admitted(system, [method], x0, False, strict=True)
+            (candidate,) = supported_candidates(system, [method], x0, False, strict=True)
             trial = Trial(100, Growth(0.25, 0.5, 1.0), 1.0, 1.0)
             power = 2 if method in square or method is alone else 1
             assert candidate.growth(pilot, trial) == pytest.approx(pilot.windows**power)
@@ -218,7 +218,7 @@ def test_sparse_series_are_paid():
 
 
 def test_compensation_is_paid():
-    (plain,) = admitted(BODY, [co.Splitting(order=2)], X0, False, strict=False)
+    (plain,) = supported_candidates(BODY, [co.Splitting(order=2)], X0, False, strict=False)
     better = plain.compensated()
     assert better.method.compensated and better.work.cost(0.0, 0.0) == flow_work(better.method.program(BODY), True)
     assert better.work.cost(0.0, 0.0) > plain.work.cost(0.0, 0.0) == flow_work(plain.method.program(BODY), False)
@@ -237,9 +237,11 @@ def test_functions_of_the_user_are_paid():
     plain, called = (flow_work(build_program(system, coordinates), False) for system in (numbers, functions))
     flows = build_program(functions, coordinates).rows
     count = int(flows.section[2] - flows.section[1])
-    assert called - plain == pytest.approx(count * (FUNCTION - MULTIPLICATION), abs=count * 2 * MULTIPLICATION)
+    assert called - plain == pytest.approx(
+        count * (FUNCTION_COST - MULTIPLICATION_COST), abs=count * 2 * MULTIPLICATION_COST
+    )
     apart = iteration_work(functions, 8.0, None) - iteration_work(numbers, 8.0, None)
-    assert apart > 8.0 * 3 * FUNCTION * 0.9
+    assert apart > 8.0 * 3 * FUNCTION_COST * 0.9
 
 
 def test_rounding_is_told_from_the_model_within_a_factor():

@@ -205,7 +205,7 @@ def test_growth_is_extrapolated_alike_for_all_units_and_never_falls(quarter, hal
 def test_loops_are_kept_for_schemes_and_energies_without_state(monkeypatch):
     """Not where tables depend on the step, nor with functions of the user, which may change."""
     monkeypatch.setattr(remembered, "SystemLoops", lambda *given, **options: [given])
-    monkeypatch.setattr(remembered, "_known_of", lru_cache(lambda system: {}))
+    monkeypatch.setattr(remembered, "_cache_of", lru_cache(lambda system: {}))
     called = co.LiePoissonSystem(
         co.algebras.so(3), co.Hamiltonian(lambda x: 0.5 * (x @ x), lambda x: 1.0 * x), name="called"
     )

@@ -10,13 +10,13 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import accuracy
 from coadjoint.choosing import member_sample as sampling
-from coadjoint.choosing.candidates import admitted
+from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 from coadjoint.kernels.interface import limit
-from coadjoint.methods.protocol.cost_model import CROWD, newton_work
+from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, newton_work
 
 X0 = (1.0, 0.2, 0.5)
 SPAN = (0.0, 40.0)
@@ -217,19 +217,19 @@ def test_the_sensitivity_of_an_ensemble_is_that_of_its_worst_member():
         assert Pilot(BODY, np.array([calm]), 0.0, 12.0).sensitivity.whole < 10.0
 
 
-@pytest.mark.parametrize("members", [CROWD - 1, CROWD])
+@pytest.mark.parametrize("members", [MIN_LANE_MEMBERS - 1, MIN_LANE_MEMBERS])
 def test_from_a_number_of_members_on_lanes_make_splittings_cheaper(members):
     crowd = np.tile(X0, (members, 1))
     many, one = (co.choose(BODY, x0, SPAN, 1e-6, methods=co.Splitting(order=6)) for x0 in (crowd, X0))
     assert many.step == one.step
-    if members < CROWD:
+    if members < MIN_LANE_MEMBERS:
         assert many.cost == pytest.approx(one.cost)
     else:
         assert many.cost < 0.5 * one.cost
 
 
 def test_the_linear_systems_of_newtons_method_are_counted():
-    (candidate,) = admitted(BODY, [co.GaussLegendre(4)], X0, False, strict=True)
+    (candidate,) = supported_candidates(BODY, [co.GaussLegendre(4)], X0, False, strict=True)
     without = Trial(10, Growth(0.0, 0.0, 0.0), 3.0, 12.0)
     added = candidate.cost(without._replace(newton=True)) - candidate.cost(without)
     assert added == pytest.approx(newton_work(3, 4.0)) and added > 0.0
@@ -243,15 +243,15 @@ def test_a_trial_tells_whether_newtons_method_was_used(monkeypatch):
         assert not pilot.trial(co.Taylor(8), 48).newton
 
 
-@pytest.mark.parametrize("members", [1, CROWD - 1, CROWD, 3 * CROWD])
+@pytest.mark.parametrize("members", [1, MIN_LANE_MEMBERS - 1, MIN_LANE_MEMBERS, 3 * MIN_LANE_MEMBERS])
 def test_members_go_side_by_side_where_they_are_many_and_not_too_wide(members):
     widest = limit("WIDEST")
     for copies in (1, widest // 3, widest // 3 + 1):
         many = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), copies), co.Quadratic(np.ones(3 * copies)))
         x0 = np.ones((members, 3 * copies))
-        (candidate,) = admitted(many, [co.GaussLegendre(2)], x0, False, strict=True)
-        assert candidate.crowd is (members >= CROWD and 3 * copies <= widest)
-        assert candidate.share == (candidate.work.in_a_crowd if candidate.crowd else 1.0)
+        (candidate,) = supported_candidates(many, [co.GaussLegendre(2)], x0, False, strict=True)
+        assert candidate.in_lanes is (members >= MIN_LANE_MEMBERS and 3 * copies <= widest)
+        assert candidate.share == (candidate.work.in_a_crowd if candidate.in_lanes else 1.0)
 
 
 # The last confirmation

@@ -140,10 +140,10 @@ def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up(windows, share):
     assert tried[:3] == [40, 40, 80]
     found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=5.0 * limit, **given)
     needed = 60 * (1e-6 / windows) ** (-1.0 / 16)
-    assert found.given_up == (needed > 1.375 * 100.0) and found.cost == found.steps * share
+    assert found.abandoned == (needed > 1.375 * 100.0) and found.cost == found.steps * share
     found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=4.0 * limit, **given)
-    assert found.given_up and found.cost == found.steps * share
-    assert not fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=10.0 * limit, **given).given_up
+    assert found.abandoned and found.cost == found.steps * share
+    assert not fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=10.0 * limit, **given).abandoned
 
 
 def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():
@@ -157,7 +157,7 @@ def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():
     pilot.trial = lambda method, steps: seen(method, steps)._replace(iterations=20.0 if steps < 100 else 1.0)
     candidate = SimpleNamespace(**{**vars(found_of(None, 1).candidate), "method": co.GaussLegendre(6), "cost": cost})
     found = fit(pilot, candidate, 1e-6, 300.0, 40.0)
-    assert found is not None and not found.given_up and found.cost <= 300.0
+    assert found is not None and not found.abandoned and found.cost <= 300.0
 
 
 @pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])

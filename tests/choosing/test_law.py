@@ -9,7 +9,14 @@ import coadjoint as co
 from coadjoint.choosing import accuracy
 from coadjoint.choosing import pilot as pilots
 from coadjoint.choosing import system_cache as remembered
-from coadjoint.choosing.cost_model import AHEAD, KIN, NEAR_KIN, Foresight, Law, law_of
+from coadjoint.choosing.cost_model import (
+    MAX_ADVANTAGE,
+    NEAREST_DIVISOR,
+    RELATED_DIVISOR,
+    SeriesErrorModel,
+    StepPredictor,
+    series_error_model,
+)
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Trial
 from random_runs.algebras import some_algebra
@@ -41,46 +48,49 @@ def exact_fits(goal):
 
 def test_a_law_that_is_exact():
     fits = [fit_of(p, 80.0 + p, 3.0 * (50.0 / (80.0 + p)) ** p) for p in (16, 8)]
-    law = Law(*fits)
+    law = SeriesErrorModel(*fits)
     for p, goal in ((6, 1e-3), (12, 1e-9), (24, 1e-12)):
         steps = law.steps(p, goal)
         assert 3.0 * (50.0 / steps) ** p == pytest.approx(goal, rel=1e-9)
 
 
 def test_what_is_foretold_by_the_law_alone():
-    foresight = Foresight(lambda candidate: 1e-6, None)
+    foresight = StepPredictor(lambda candidate: 1e-6, None)
     series, gauss = (Told(method=m) for m in (co.Taylor(12), co.GaussLegendre(6)))
-    assert foresight.guess(series) is None and foresight.least_cost(gauss) == 0.0
-    assert [foresight.learn(fit) for fit in exact_fits(1e-6)] == [False, True]
+    assert foresight.predict_steps(series) is None and foresight.cost_lower_bound(gauss) == 0.0
+    assert [foresight.add_fit(fit) for fit in exact_fits(1e-6)] == [False, True]
     steps = 50.0 * (3.0 / 1e-6) ** (1.0 / 12)
-    assert foresight.guess(series) == pytest.approx(steps) and steps / AHEAD < foresight.guess(gauss) < steps
+    assert (
+        foresight.predict_steps(series) == pytest.approx(steps)
+        and steps / MAX_ADVANTAGE < foresight.predict_steps(gauss) < steps
+    )
     # Six stages, ten rounds, and a quarter of the steps.
-    assert foresight.least_cost(gauss) == pytest.approx(steps / AHEAD * 10 * 6)
-    assert not foresight.learn(fit_of(12, 1000, 1e-6))
+    assert foresight.cost_lower_bound(gauss) == pytest.approx(steps / MAX_ADVANTAGE * 10 * 6)
+    assert not foresight.add_fit(fit_of(12, 1000, 1e-6))
 
 
 @pytest.mark.parametrize("backward", [False, True])
 def test_what_is_foretold_by_kin(backward):
     """A Gauss method that took half as many steps as the law says, in 20 rounds: others do about the same."""
-    foresight = Foresight(lambda candidate: 1e-6, None)
+    foresight = StepPredictor(lambda candidate: 1e-6, None)
     law = [50.0 * (3.0 / 1e-6) ** (1.0 / p) for p in (16, 12, 8)]
-    kin = [
+    related = [
         fit_of(16, 0.5 * law[0], 1e-6, co.GaussLegendre(8), iterations=20.0),
         fit_of(8, 3.0 * law[2], 1e-6, co.GaussLegendre(4), iterations=30.0, newton=True),
     ]
-    for fit in [*exact_fits(1e-6), *(kin[::-1] if backward else kin)]:
-        foresight.learn(fit)
+    for fit in [*exact_fits(1e-6), *(related[::-1] if backward else related)]:
+        foresight.add_fit(fit)
     gauss = Told(method=co.GaussLegendre(6))
     # What Newton's method was needed for tells nothing of others.
-    assert foresight.guess(gauss) == pytest.approx(0.5 * law[1])
-    assert foresight.least_cost(gauss) == pytest.approx(0.5 * law[1] * 20 * 6 / KIN)
+    assert foresight.predict_steps(gauss) == pytest.approx(0.5 * law[1])
+    assert foresight.cost_lower_bound(gauss) == pytest.approx(0.5 * law[1] * 20 * 6 / RELATED_DIVISOR)
     # Of series the nearest order is believed: one of order 20 took twice what the law says.
-    foresight.learn(fit_of(20, 100.0 * (3.0 / 1e-6) ** (1.0 / 20), 1e-6))
-    assert foresight.guess(Told(method=co.Taylor(24))) == pytest.approx(100.0 * (3.0 / 1e-6) ** (1.0 / 24))
-    assert foresight.guess(Told(method=co.Taylor(12))) == pytest.approx(law[1])
-    costs = [foresight.least_cost(Told(method=co.Taylor(p))) for p in (24, 12)]
-    assert costs[0] == pytest.approx(100.0 * (3.0 / 1e-6) ** (1.0 / 24) * 12 / NEAR_KIN)
-    assert costs[1] == pytest.approx(law[1] * 6 / NEAR_KIN)
+    foresight.add_fit(fit_of(20, 100.0 * (3.0 / 1e-6) ** (1.0 / 20), 1e-6))
+    assert foresight.predict_steps(Told(method=co.Taylor(24))) == pytest.approx(100.0 * (3.0 / 1e-6) ** (1.0 / 24))
+    assert foresight.predict_steps(Told(method=co.Taylor(12))) == pytest.approx(law[1])
+    costs = [foresight.cost_lower_bound(Told(method=co.Taylor(p))) for p in (24, 12)]
+    assert costs[0] == pytest.approx(100.0 * (3.0 / 1e-6) ** (1.0 / 24) * 12 / NEAREST_DIVISOR)
+    assert costs[1] == pytest.approx(law[1] * 6 / NEAREST_DIVISOR)
     waiting = [Told(method=m) for m in (co.GaussLegendre(6), co.Taylor(24), co.Taylor(12), co.Splitting())]
     turn = [waiting[k] for k in (2, 1, 0, 3)]
     assert foresight.cheapest_first(waiting) == turn
@@ -89,57 +99,64 @@ def test_what_is_foretold_by_kin(backward):
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_costs_that_are_foretold_are_those_of_a_member(share):
     """In an ensemble a member has its share: of each scheme its own, not that of its kin."""
-    foresight = Foresight(lambda candidate: 1e-6, None)
-    kin = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
-    for fit in [*exact_fits(1e-6), kin]:
-        foresight.learn(fit)
+    foresight = StepPredictor(lambda candidate: 1e-6, None)
+    related = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
+    for fit in [*exact_fits(1e-6), related]:
+        foresight.add_fit(fit)
     for method in (co.Taylor(12), co.Splitting(order=8), co.GaussLegendre(6)):
         alone, among = Told(method=method), Told(method=method, share=share)
-        assert foresight.least_cost(among) == pytest.approx(share * foresight.least_cost(alone))
-        assert foresight.guess(among) == foresight.guess(alone)
+        assert foresight.cost_lower_bound(among) == pytest.approx(share * foresight.cost_lower_bound(alone))
+        assert foresight.predict_steps(among) == foresight.predict_steps(alone)
 
 
 def test_goals_are_those_of_each_scheme():
     """The errors that orders aim at differ; a law, and what is foretold by kin, has that of the scheme in question."""
-    foresight = Foresight(lambda candidate: 1e-6 / candidate.method.order**2, None)
+    foresight = StepPredictor(lambda candidate: 1e-6 / candidate.method.order**2, None)
     for fit in exact_fits(1e-6):
-        foresight.learn(fit)
+        foresight.add_fit(fit)
 
     def law(p):
         return 50.0 * (3.0 * p**2 / 1e-6) ** (1.0 / p)
 
-    foresight.learn(fit_of(16, 2.0 * law(16), 1e-6 / 256, co.GaussLegendre(8)))
-    assert foresight.guess(Told(method=co.GaussLegendre(4))) == pytest.approx(2.0 * law(8))
-    assert foresight.least_cost(Told(method=co.GaussLegendre(4))) == pytest.approx(2.0 * law(8) * 4 / KIN)
-    assert foresight.least_cost(Told(method=co.Splitting(order=4))) == pytest.approx(law(4) / AHEAD * 4 * 2)
+    foresight.add_fit(fit_of(16, 2.0 * law(16), 1e-6 / 256, co.GaussLegendre(8)))
+    assert foresight.predict_steps(Told(method=co.GaussLegendre(4))) == pytest.approx(2.0 * law(8))
+    assert foresight.cost_lower_bound(Told(method=co.GaussLegendre(4))) == pytest.approx(
+        2.0 * law(8) * 4 / RELATED_DIVISOR
+    )
+    assert foresight.cost_lower_bound(Told(method=co.Splitting(order=4))) == pytest.approx(
+        law(4) / MAX_ADVANTAGE * 4 * 2
+    )
 
 
 def test_errors_as_large_as_the_motion_tell_nothing():
-    foresight = Foresight(lambda candidate: 1e-6, None)
+    foresight = StepPredictor(lambda candidate: 1e-6, None)
     for fit in exact_fits(1e-6):
         fit.end = 1.0
-        assert not foresight.learn(fit)
-    assert foresight.guess(Told(method=co.Taylor(12))) is None
+        assert not foresight.add_fit(fit)
+    assert foresight.predict_steps(Told(method=co.Taylor(12))) is None
 
 
 def test_a_look_at_steps_of_its_own_tells_how_many_a_series_needs():
     """Both have errors c (h / r)^p; constant steps are some more."""
     goal = 1e-9
     look = fit_of(20, 40.0 * goal ** (-1.0 / 20), goal, co.Taylor(20, tolerance=1e-10))
-    foresight = Foresight(lambda candidate: goal, look)
-    assert 1.0 < foresight.guess(Told(method=co.Taylor(16))) / (40.0 * goal ** (-1.0 / 16)) < 1.5
-    assert foresight.guess(Told(method=co.Taylor(8))) is None
-    assert foresight.guess(Told(method=co.GaussLegendre(8))) is None
+    foresight = StepPredictor(lambda candidate: goal, look)
+    assert 1.0 < foresight.predict_steps(Told(method=co.Taylor(16))) / (40.0 * goal ** (-1.0 / 16)) < 1.5
+    assert foresight.predict_steps(Told(method=co.Taylor(8))) is None
+    assert foresight.predict_steps(Told(method=co.GaussLegendre(8))) is None
 
 
 def test_two_series_far_enough_apart_make_it():
     near = [fit_of(16, 100, 1e-9), fit_of(14, 110, 1e-9)]
-    assert law_of(near) is None and law_of(near[:1]) is None
+    assert series_error_model(near) is None and series_error_model(near[:1]) is None
     others = [fit_of(16, 100, 1e-9, co.GaussLegendre(8)), fit_of(8, 300, 1e-9, co.GaussLegendre(4))]
-    assert law_of(others) is None
-    assert law_of([*others, near[0], fit_of(8, 300, 0.0)]) is not None
+    assert series_error_model(others) is None
+    assert series_error_model([*others, near[0], fit_of(8, 300, 0.0)]) is not None
     own = fit_of(8, 300, 1e-9, co.Taylor(8, tolerance=1e-6))
-    assert law_of([near[0], own]) is None and law_of([near[0], own, fit_of(8, 300, 1e-9)]) is not None
+    assert (
+        series_error_model([near[0], own]) is None
+        and series_error_model([near[0], own, fit_of(8, 300, 1e-9)]) is not None
+    )
 
 
 def some_problems():
@@ -171,7 +188,7 @@ def test_what_goes_untried_is_no_cheaper(monkeypatch):
         for wanted in (1e-3, 1e-10):
             chosen = co.choose(system, x0, (0.0, span), wanted)
             with monkeypatch.context() as all_tried:
-                all_tried.setattr(Foresight, "least_cost", lambda self, candidate: 0.0)
+                all_tried.setattr(StepPredictor, "cost_lower_bound", lambda self, candidate: 0.0)
                 thorough = co.choose(system, x0, (0.0, span), wanted)
             assert chosen.cost <= 1.35 * thorough.cost
             assert chosen.error <= wanted
@@ -197,8 +214,8 @@ def test_series_that_are_given_up_spare_the_trials_of_others(monkeypatch):
 
 def test_a_law_by_any_two_series_that_are_far_enough_apart():
     fits = [fit_of(p, 50.0 * 1e6 ** (1.0 / p), 1e-6) for p in (6, 8, 10, 12)]
-    assert law_of(fits[:2]) is None and law_of([fits[0], fits[0], fits[1]]) is None
-    assert law_of(fits).steps(16, 1e-6) == pytest.approx(50.0 * 1e6 ** (1.0 / 16))
+    assert series_error_model(fits[:2]) is None and series_error_model([fits[0], fits[0], fits[1]]) is None
+    assert series_error_model(fits).steps(16, 1e-6) == pytest.approx(50.0 * 1e6 ** (1.0 / 16))
 
 
 def test_kin_differ_in_their_order_alone():
@@ -208,10 +225,10 @@ def test_kin_differ_in_their_order_alone():
         """A series of one's own."""
 
     def foretold(known, other):
-        foresight = Foresight(lambda candidate: 1e-6, None)
+        foresight = StepPredictor(lambda candidate: 1e-6, None)
         for fit in [*exact_fits(1e-6), fit_of(known.order, 1e5, 1e-6, known)]:
-            foresight.learn(fit)
-        return bool(foresight._kin_of(Told(method=other)))
+            foresight.add_fit(fit)
+        return bool(foresight._related_fits(Told(method=other)))
 
     assert foretold(co.GaussLegendre(8), co.GaussLegendre(6)) and foretold(
         co.Splitting(order=10), co.Splitting(order=4)
@@ -229,19 +246,19 @@ def test_kin_differ_in_their_order_alone():
 def test_kin_that_was_extrapolated_far_is_believed_less():
     costs = []
     for times in (1.0, 4.0):
-        foresight = Foresight(lambda candidate: 1e-6, None)
-        kin = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
-        kin.extrapolated = times
-        for fit in [*exact_fits(1e-6), kin]:
-            foresight.learn(fit)
-        costs.append(foresight.least_cost(Told(method=co.Splitting(order=8))))
+        foresight = StepPredictor(lambda candidate: 1e-6, None)
+        related = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
+        related.extrapolated = times
+        for fit in [*exact_fits(1e-6), related]:
+            foresight.add_fit(fit)
+        costs.append(foresight.cost_lower_bound(Told(method=co.Splitting(order=8))))
     assert costs[1] == pytest.approx(costs[0] / 2.0) and costs[1] > 0.0
 
 
 def test_of_few_steps_a_look_tells_nothing():
     """One more or less is a large part of them."""
     look = fit_of(20, 3, 1e-9, co.Taylor(20, tolerance=1e-10))
-    assert Foresight(lambda candidate: 1e-9, look).guess(Told(method=co.Taylor(16))) is None
+    assert StepPredictor(lambda candidate: 1e-9, look).predict_steps(Told(method=co.Taylor(16))) is None
     for span, wanted in ((0.3, 1e-13), (1.0, 1e-14)):
         choice = co.choose(co.systems.rigid_body((1, 2, 3)), (1.0, 0.2, 0.5), (0, span), wanted)
         assert round(span / choice.step) <= 2
@@ -288,12 +305,12 @@ def test_what_is_remembered_changes_nothing():
 
 def test_so_much_is_remembered(monkeypatch):
     made = []
-    monkeypatch.setattr(remembered, "MOST", 3)
+    monkeypatch.setattr(remembered, "MAX_ENTRIES", 3)
     for key in (1, 2, 3, 4, 4, 1):
-        remembered.remembered(BODY, ("test", key), lambda key=key: made.append(key))
+        remembered.cached_for_system(BODY, ("test", key), lambda key=key: made.append(key))
     assert made[-2:] == [4, 1]
-    assert len(remembered._known_of(BODY)) <= 3
+    assert len(remembered._cache_of(BODY)) <= 3
     made.clear()
     for _ in range(2):
-        remembered.remembered(BODY, ("test", []), lambda: made.append(0))
+        remembered.cached_for_system(BODY, ("test", []), lambda: made.append(0))
     assert made == [0, 0]

@@ -178,9 +178,9 @@ def test_the_natural_step_is_the_largest_half_of_the_span_that_is_right(span):
 
     h = math.copysign(pilot.natural_step, span)
     assert math.log2(span / h) == round(math.log2(span / h)) >= 0
-    assert apart(h) <= pilots.SETTLED
+    assert apart(h) <= pilots.STEP_AGREEMENT
     rate = np.linalg.norm(BODY.vector_field(X0)) / np.linalg.norm(X0)
-    assert h == span or 2 * abs(h) * rate > pilots.AT_ONCE or apart(2 * h) > pilots.SETTLED
+    assert h == span or 2 * abs(h) * rate > pilots.MAX_INITIAL_ANGLE or apart(2 * h) > pilots.STEP_AGREEMENT
 
 
 @pytest.mark.thinned(2)

@@ -6,7 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import tolerances
 from coadjoint.choosing.accuracy import SCHEMES
-from coadjoint.choosing.candidates import admitted
+from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.pilot import Pilot
 
 pytestmark = pytest.mark.thinned(3)
@@ -102,8 +102,8 @@ def test_steps_of_its_own_that_are_dear_are_looked_at_once(monkeypatch):
 def test_the_steps_that_are_told_are_those_that_are_taken(name, goal):
     system, x0, time = systems()[name]
     pilot = Pilot(system, np.array([x0], dtype=float), 0.0, time)
-    (candidate,) = admitted(system, OWN, x0, False, strict=True)
-    look = tolerances.first_look(pilot, candidate, goal)
+    (candidate,) = supported_candidates(system, OWN, x0, False, strict=True)
+    look = tolerances.first_tolerance_trial(pilot, candidate, goal)
     found = tolerances.fit_of_tolerance(pilot, candidate, goal, np.inf, look)
     for fit in (look, found):
         taken = tolerances.own_steps_of(pilot, fit.candidate)
@@ -115,7 +115,7 @@ def test_where_all_tolerances_fail_few_are_tried(monkeypatch):
     monkeypatch.setattr(tolerances, "own_steps_of", lambda pilot, candidate: tried.append(candidate.method.tolerance))
     system, x0, time = systems()["body"]
     pilot = Pilot(system, np.array([x0], dtype=float), 0.0, time)
-    (candidate,) = admitted(system, OWN, x0, False, strict=True)
+    (candidate,) = supported_candidates(system, OWN, x0, False, strict=True)
     assert tolerances.fit_of_tolerance(pilot, candidate, 1e-9, np.inf) is None
     assert len(tried) == len(set(tried)) <= 3
 
@@ -135,6 +135,6 @@ def test_a_first_look_that_is_near_enough_is_kept_as_it_is():
     """It costs nothing more, and what seems cheaper before it was tried once more may not be."""
     system, x0, time = systems()["body"]
     pilot = Pilot(system, np.array([x0], dtype=float), 0.0, time)
-    (candidate,) = admitted(system, OWN, x0, False, strict=True)
+    (candidate,) = supported_candidates(system, OWN, x0, False, strict=True)
     found = tolerances.fit_of_tolerance(pilot, candidate, 1e-6, np.inf)
     assert tolerances.fit_of_tolerance(pilot, candidate, 1e-6, 0.01 * found.cost, found) is found

@@ -129,7 +129,7 @@ def test_a_wrong_order_is_noticed(monkeypatch):
             return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
 
     monkeypatch.setattr(checks, "more_schemes", lambda: [Boasting()])
-    monkeypatch.setattr(checks, "served", lambda method: {"so(3)": subjects.systems()["so(3)"]})
+    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
     assert failing(checks.orders) == ["order of Boasting()"]
 
 
@@ -146,7 +146,7 @@ def test_a_property_that_is_not_kept_is_noticed(monkeypatch):
             return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
 
     monkeypatch.setattr(checks, "schemes", lambda: [Boasting()])
-    monkeypatch.setattr(checks, "served", lambda method: {"so(3)": subjects.systems()["so(3)"]})
+    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
     found = {one.what: one for one in checks.certificates() if not one.passed}
     assert "Casimirs, 1 times" in found and "Casimir |x|^2" in found["of 1 certificates fail"].where
 
@@ -174,7 +174,7 @@ def test_kernels_that_differ_from_python_are_noticed(monkeypatch):
 
     monkeypatch.setattr(checks, "integrate", other)
     monkeypatch.setattr(checks, "more_schemes", lambda: [co.Splitting(), co.GaussLegendre(2)])
-    assert failing(checks.plain_reading) == ["compiled steps beside Python: 10"]
+    assert failing(checks.interpreted_steps) == ["compiled steps beside Python: 10"]
 
 
 def test_a_run_that_goes_on_otherwise_is_noticed(monkeypatch):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from coadjoint.experiments.statement import FAILS, HOLDS, LIMITED, judged, markdown, write_csv
+from coadjoint.experiments.statement import FAILS, HOLDS, LIMITED, judge, markdown, write_csv
 
 WORDS = {"paper": "p", "criterion": "|x| < 1", "measured": "m, 0.5"}
 
@@ -15,13 +15,13 @@ WORDS = {"paper": "p", "criterion": "|x| < 1", "measured": "m, 0.5"}
     [(True, False, HOLDS), (True, True, LIMITED), (False, False, FAILS), (False, True, FAILS)],
 )
 def test_verdict(holds: bool, limited: bool, verdict: str) -> None:
-    assert judged("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
+    assert judge("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
 
 
 def test_csv_returns_the_rows(tmp_path: Path) -> None:
     rows = [
-        judged("a", "1", "first, with a comma", holds=True, **WORDS),
-        judged("b", "2", 'a "word"', holds=False, **WORDS),
+        judge("a", "1", "first, with a comma", holds=True, **WORDS),
+        judge("b", "2", 'a "word"', holds=False, **WORDS),
     ]
     write_csv(rows, tmp_path / "t.csv")
     with (tmp_path / "t.csv").open(newline="") as file:
@@ -31,7 +31,7 @@ def test_csv_returns_the_rows(tmp_path: Path) -> None:
 
 
 def test_markdown_has_one_line_of_six_cells_for_each_row() -> None:
-    rows = [judged("a", "1", "s", holds=True, **WORDS)] * 3
+    rows = [judge("a", "1", "s", holds=True, **WORDS)] * 3
     lines = markdown(rows).splitlines()
     assert len(lines) == 2 + 3
     assert all(line.replace(r"\|", "").count("|") == 7 for line in lines)

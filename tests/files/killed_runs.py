@@ -40,9 +40,9 @@ def in_a_child(work: Callable[[], object]) -> int:
     status = 1
     try:
         # Many small pieces and chunks, so that most kills come while something is written.
-        archived_run.SECONDS_OF_PIECE = archived_run.SHARE_OF_COMMITS = 0
-        archived_run.SECONDS_OF_STRETCH, archived_run.FIRST_STRETCH = 1e-4, 16
-        stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = 64
+        archived_run.COMMIT_INTERVAL = archived_run.COMMIT_RATIO = 0
+        archived_run.ADVANCE_SECONDS, archived_run.FIRST_ADVANCE = 1e-4, 16
+        stored_arrays.MIN_CHUNK_ROWS = stored_arrays.MAX_CHUNK_ROWS = 64
         work()
         status = 0
     finally:

@@ -35,7 +35,7 @@ class Often(WorkerPlugin):
         self.notes = notes
 
     def setup(self, worker: Any) -> None:
-        archived_run.SECONDS_OF_STRETCH = 0.01
+        archived_run.ADVANCE_SECONDS = 0.01
         original, notes = block_run.BlockRun.__init__, self.notes
 
         def noted(run: Any, store: Any, ready: Any, times: Any, block: Any) -> None:
@@ -63,8 +63,8 @@ def killed(seed: int, folder: Path) -> tuple[int, int]:
     x0 = np.random.default_rng(seed).standard_normal((MEMBERS, 3))
     run = body, x0, (0.0, STEPS * STEP), STEP, co.Splitting(order=2)
     notes, stop, pids = folder / "notes.txt", threading.Event(), list[int]()
-    rows = stored_arrays.FEWEST_ROWS, stored_arrays.MOST_ROWS
-    stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = ROWS
+    rows = stored_arrays.MIN_CHUNK_ROWS, stored_arrays.MAX_CHUNK_ROWS
+    stored_arrays.MIN_CHUNK_ROWS = stored_arrays.MAX_CHUNK_ROWS = ROWS
     try:
         with local_cluster(2) as client:
             client.register_plugin(Often(notes))
@@ -78,7 +78,7 @@ def killed(seed: int, folder: Path) -> tuple[int, int]:
                 stop.set()
                 killer.join()
     finally:
-        stored_arrays.FEWEST_ROWS, stored_arrays.MOST_ROWS = rows
+        stored_arrays.MIN_CHUNK_ROWS, stored_arrays.MAX_CHUNK_ROWS = rows
     whole = co.integrate(*run, save_every=EVERY)
     assert found.finished and np.array_equal(found.x, whole.x) and np.array_equal(found.energy, whole.energy)
     assert all(np.array_equal(own.tenths, whole.drift()[name].tenths) for name, own in found.drift().items())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.archives.metadata_checks import check_archive, reading
+from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive
 from coadjoint.files.archives.resume import archive_run
 from coadjoint.files.archives.store import ArchiveError, read_root
 from coadjoint.runs.prepared_run import PreparedRun
@@ -183,10 +183,10 @@ def test_a_failed_run_has_the_points_before_its_failure(archives):
 )
 def test_errors_of_damaged_content_are_one_sentence(error):
     with pytest.raises(ArchiveError, match=r"^run.zarr: the archive is damaged \((first second|\w+)\)$"):
-        with reading("run.zarr"):
+        with as_archive_errors("run.zarr"):
             raise error("first\nsecond") if error is not KeyError else error
     for other in (ArchiveError("said"), co.IntegrationError("said", step=1, time=0.0, residual=0.0), OSError("said")):
-        with pytest.raises(type(other), match="said"), reading("run.zarr"):
+        with pytest.raises(type(other), match="said"), as_archive_errors("run.zarr"):
             raise other
 
 
@@ -194,14 +194,14 @@ def test_numbers_of_a_state_fit_the_invariants(tmp_path):
     """A state of another run, with the digest that fits, is refused when the archive is opened."""
     archive_run(PreparedRun(DAMPED, co.GaussLegendre(1), STEP), [X, X], SPAN[::-1], 2, tmp_path / "run", until=13)
     from coadjoint.files.archives.archived_run import states_of
-    from coadjoint.files.archives.archived_solution import REPORTED
+    from coadjoint.files.archives.archived_solution import REPORTED_ARRAYS
     from coadjoint.files.archives.metadata_checks import check_reported
-    from coadjoint.files.archives.store import read_kept
+    from coadjoint.files.archives.store import read_state
 
     arrays, attributes = read_root(tmp_path / "run")
-    stored = read_kept(tmp_path / "run", states_of(attributes)[-1])
+    stored = read_state(tmp_path / "run", states_of(attributes)[-1])
     check_reported(stored, arrays)
-    for name in REPORTED:
+    for name in REPORTED_ARRAYS:
         values = stored[name]
         for other in (values[:1], values[..., :1], np.float32(values), values[..., None], np.zeros(())):
             with pytest.raises(ValueError, match=f"{name} of the state has the shape"):

@@ -12,15 +12,15 @@ import xarray
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.store import (
     FORMAT,
-    ROOT,
+    ROOT_FILE,
     ArchiveError,
     ArchiveMoved,
     ArchiveReplaced,
     ArchiveStore,
-    Kept,
+    StoredState,
     read_array,
-    read_kept,
     read_root,
+    read_state,
 )
 from coadjoint.files.archives.stored_arrays import StoredArray
 
@@ -40,7 +40,7 @@ def arrays():
 
 @pytest.fixture
 def store(tmp_path):
-    found = ArchiveStore.begun(tmp_path / "run.zarr", arrays())
+    found = ArchiveStore.create_archive(tmp_path / "run.zarr", arrays())
     found.write("component", ["e1", "é2", "e3"])
     found.write("failed", [True, False])
     found.write("tenth", np.arange(10))
@@ -52,7 +52,7 @@ def store(tmp_path):
 def written(store, first, last):
     store.write("x", X[first:last], (first,))
     store.write("time", T[first:last], (first,))
-    return store.keep({"momenta": X[:last]}, {"number": last})
+    return store.store_state({"momenta": X[:last]}, {"number": last})
 
 
 @pytest.mark.filterwarnings("error")
@@ -72,7 +72,7 @@ def test_a_peer_reads_all_that_was_committed_and_nothing_else(store, consolidate
                 range(10)
             )
             assert found.attrs == {"archive_format": FORMAT, "mood": "calm", "steps": last}
-        assert np.array_equal(read_kept(store.path, kept)["momenta"], X[:last])
+        assert np.array_equal(read_state(store.path, kept)["momenta"], X[:last])
 
 
 def test_own_readers_see_what_was_committed_when_the_root_was_read(store):
@@ -99,21 +99,21 @@ def test_who_goes_on_writes_again_what_did_not_count(store):
     (store.path / "x" / ".c.5.0.writing").write_bytes(b"half of a chunk")
     (store.path / ".coadjoint" / "state-lost.npz").write_bytes(b"nobody's")
     store.close()
-    again = ArchiveStore.opened(store.path)
+    again = ArchiveStore.open_existing(store.path)
     written(again, 10, 40)
     again.commit({}, {"time": 40})
     with xarray.open_zarr(store.path, chunks=None) as found:
         assert np.array_equal(found["x"], X[:40])
-    assert sorted(os.listdir(store.path / ".coadjoint")) == ["lock", ROOT]
+    assert sorted(os.listdir(store.path / ".coadjoint")) == ["lock", ROOT_FILE]
     assert [name for name in os.listdir(store.path / "x") if name.endswith(".writing")] == []
     again.close()
 
 
 def test_the_second_writer_is_refused(store):
     with pytest.raises(ArchiveError, match="another process is writing to this archive; wait until it has ended"):
-        ArchiveStore.opened(store.path)
+        ArchiveStore.open_existing(store.path)
     store.close()
-    ArchiveStore.opened(store.path).close()
+    ArchiveStore.open_existing(store.path).close()
 
 
 def contents(folder):
@@ -126,7 +126,7 @@ def test_a_folder_that_was_moved_is_noticed_and_has_all(store, tmp_path, other):
     written(store, 0, 10)
     store.path.rename(tmp_path / "aside")
     if other:
-        ArchiveStore.begun(store.path, arrays()).close()
+        ArchiveStore.create_archive(store.path, arrays()).close()
     before = contents(store.path)
     kept = written(store, 10, 20)
     with pytest.raises(ArchiveReplaced, match="its folder was moved or replaced"):
@@ -134,7 +134,7 @@ def test_a_folder_that_was_moved_is_noticed_and_has_all(store, tmp_path, other):
     assert store.path.exists() == other and contents(store.path) == before
     known, _ = read_root(tmp_path / "aside")
     assert np.array_equal(read_array(tmp_path / "aside", "x", known["x"]), X[:20])
-    assert np.array_equal(read_kept(tmp_path / "aside", kept)["momenta"], X[:20])
+    assert np.array_equal(read_state(tmp_path / "aside", kept)["momenta"], X[:20])
 
 
 def test_a_folder_that_was_removed_is_not_made_again(store):
@@ -149,7 +149,7 @@ def test_a_lock_that_was_replaced_is_noticed(store):
     """Somebody has removed the lock file, and another process writes by a lock of its own."""
     written(store, 0, 10)
     (store.path / ".coadjoint" / "lock").unlink()
-    second = ArchiveStore.opened(store.path)
+    second = ArchiveStore.open_existing(store.path)
     before = contents(store.path)
     for write in (lambda: written(store, 10, 20), lambda: store.commit({}, {"time": 10})):
         with pytest.raises(ArchiveReplaced, match="its lock file was replaced"):
@@ -163,11 +163,11 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
     kept = written(store, 0, 20)
     store.commit({}, {"time": 20}, [kept])
 
-    opened = open
+    open_existing = open
 
     def full(*given, **options):
         if given[1:] == ("rb",):
-            return opened(*given, **options)
+            return open_existing(*given, **options)
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
@@ -181,7 +181,7 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
             store.commit({}, {"time": 30})
     with xarray.open_zarr(store.path, chunks=None) as found:
         assert np.array_equal(found["x"], X[:20])
-    assert np.array_equal(read_kept(store.path, kept)["momenta"], X[:20])
+    assert np.array_equal(read_state(store.path, kept)["momenta"], X[:20])
     assert not list(store.path.rglob("*.writing"))
 
 
@@ -217,7 +217,7 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
     ],
 )
 def test_what_is_no_archive_is_refused(tmp_path, content, message):
-    (tmp_path / ROOT).write_bytes(content)
+    (tmp_path / ROOT_FILE).write_bytes(content)
     with pytest.raises(ArchiveError, match=message):
         read_root(tmp_path)
 
@@ -227,7 +227,7 @@ def test_what_was_damaged_is_noticed(store):
     store.commit({}, {"time": 20}, [kept])
     for file, read in (
         (store.path / "x" / "c.0.1", lambda: read_array(store.path, "x", store.arrays["x"])),
-        (store.path / ".coadjoint" / kept.file, lambda: read_kept(store.path, kept)),
+        (store.path / ".coadjoint" / kept.file, lambda: read_state(store.path, kept)),
     ):
         content = bytearray(file.read_bytes())
         content[len(content) // 2] ^= 1
@@ -239,14 +239,14 @@ def test_what_was_damaged_is_noticed(store):
 def test_regions_of_members_are_written_by_themselves(tmp_path):
     """As several processes would: each writes chunks of its own, and one commits."""
     grid = {"x": StoredArray(("time", "member"), "float64", (0, 7), (4, 3), {})}
-    store, values = ArchiveStore.begun(tmp_path / "run.zarr", grid), np.arange(42.0).reshape(6, 7)
+    store, values = ArchiveStore.create_archive(tmp_path / "run.zarr", grid), np.arange(42.0).reshape(6, 7)
     for first in (6, 0, 3):
         store.write("x", values[:, first : first + 3], (0, first))
     store.commit({}, {"time": 6})
     store.close()
     with xarray.open_zarr(store.path, chunks=None) as found:
         assert np.array_equal(found["x"], values)
-    assert json.loads((store.path / ROOT).read_text())["consolidated_metadata"]["metadata"]["x"]["shape"] == [6, 7]
+    assert json.loads((store.path / ROOT_FILE).read_text())["consolidated_metadata"]["metadata"]["x"]["shape"] == [6, 7]
 
 
 def open_descriptors():
@@ -261,14 +261,14 @@ def test_attributes_are_merged_and_removed(store):
 
 
 def test_states_that_are_kept_stay_and_others_go(store):
-    kept = [store.keep({"k": k}, {"number": k}) for k in range(4)]
+    kept = [store.store_state({"k": k}, {"number": k}) for k in range(4)]
     store.commit({}, {"time": 0}, [kept[1], None, kept[3]])
     files = {name for name in os.listdir(store.path / ".coadjoint") if name.startswith("state-")}
     assert files == {kept[1].file, kept[3].file}
-    assert read_kept(store.path, kept[3])["k"] == 3
+    assert read_state(store.path, kept[3])["k"] == 3
     for one in (kept[0], kept[2]):
         with pytest.raises(ArchiveMoved, match=f"the state {one.file} is missing"):
-            read_kept(store.path, one)
+            read_state(store.path, one)
 
 
 @pytest.mark.parametrize(
@@ -277,14 +277,14 @@ def test_states_that_are_kept_stay_and_others_go(store):
 )
 def test_names_of_states_are_plain(store, file):
     with pytest.raises(ArchiveError, match=r"a state is called .*, which is no plain name"):
-        read_kept(store.path, Kept(file, "0", {}))
+        read_state(store.path, StoredState(file, "0", {}))
 
 
 def test_a_chunk_is_no_longer_than_its_array_allows(store):
     """It is not read, however long it is."""
     written(store, 0, 20)
     store.commit({}, {"time": 20})
-    most = store.arrays["x"].most_bytes
+    most = store.arrays["x"].max_encoded_bytes
     (store.path / "x" / "c.0.0").write_bytes(bytes(most + 1))
     with pytest.raises(ArchiveError, match=rf"it has {most + 1} bytes, and at most {most} belong there"):
         read_array(store.path, "x", store.arrays["x"])
@@ -314,7 +314,7 @@ def test_files_of_a_folder(tmp_path, monkeypatch):
             folder.read("in", "file", most=9)
         assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
         with monkeypatch.context() as patched:
-            patched.setattr("coadjoint.memory.SMALL", 0)
+            patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
             patched.setattr("coadjoint.memory.available", lambda: 19)
             assert folder.read("in", "file", head=9) == b"012345678"
             with pytest.raises(ValueError, match="it needs about"):
@@ -335,9 +335,9 @@ def test_what_killed_processes_have_left_is_removed_everywhere(store):
     for place in places:
         for name in (".zarr.json.writing", ".c.0.writing", "own.writing", ".writing.txt"):
             (store.path / place / name).write_bytes(b"half")
-    metadata = store.path / "x" / ROOT
+    metadata = store.path / "x" / ROOT_FILE
     metadata.write_text(metadata.read_text().replace("[10, 3]", "[0, 3]"))
-    ArchiveStore.opened(store.path).close()
+    ArchiveStore.open_existing(store.path).close()
     for place in places:
         left = {name for name in os.listdir(store.path / place) if "writing" in name}
         assert left == {"own.writing", ".writing.txt"}, place
@@ -356,7 +356,7 @@ def test_what_was_committed_before_the_lock_is_seen(store, monkeypatch):
         return lock(self, *given)
 
     monkeypatch.setattr(ArchiveFolder, "lock", later)
-    again = ArchiveStore.opened(store.path)
+    again = ArchiveStore.open_existing(store.path)
     assert again.attributes["steps"] == 10 and again.arrays["x"].shape == (10, 3)
     again.close()
 
@@ -369,17 +369,17 @@ def test_nothing_stays_open_or_locked(store, tmp_path, monkeypatch):
     before = open_descriptors()
     with monkeypatch.context() as patched, pytest.raises(ArchiveError, match="cannot be written"):
         patched.setattr(ArchiveStore, "_write_arrays", lambda *given: (_ for _ in ()).throw(OSError(28, "full")))
-        ArchiveStore.opened(store.path)
+        ArchiveStore.open_existing(store.path)
     with monkeypatch.context() as patched, pytest.raises(OSError, match="full"):
         patched.setattr(ArchiveFolder, "write", lambda *given: (_ for _ in ()).throw(OSError(28, "full")))
-        ArchiveStore.begun(tmp_path / "other.zarr", arrays())
-    moved = ArchiveStore.begun(tmp_path / "moved.zarr", arrays())
+        ArchiveStore.create_archive(tmp_path / "other.zarr", arrays())
+    moved = ArchiveStore.create_archive(tmp_path / "moved.zarr", arrays())
     with pytest.raises(OSError):
         moved.moved(store.path)
     with pytest.raises(ArchiveError):
         read_root(tmp_path / "none.zarr")
     assert open_descriptors() == before
-    again = ArchiveStore.opened(store.path)
+    again = ArchiveStore.open_existing(store.path)
     again.moved(tmp_path / "there.zarr")
     written(again, 10, 20)
     again.commit({}, {"time": 20})
@@ -409,7 +409,7 @@ def test_the_order_in_which_a_commit_reaches_the_disk(store, monkeypatch):
     monkeypatch.setattr(os, "replace", replaced)
     kept = written(store, 0, 20)
     store.commit({}, {"time": 20}, [kept])
-    root = events.index(("name", ROOT))
+    root = events.index(("name", ROOT_FILE))
     named = [name for kind, name in events if kind == "name"]
     assert {f".coadjoint/{kept.file}", "x/c.0.0", "x/c.1.1", "time/c.1"} <= {n for k, n in events[:root] if k == "name"}
     for name in named:

@@ -302,7 +302,7 @@ def test_it_is_opened_like_any_solution(tmp_path):
 
 def test_a_large_array_is_refused_before_memory_is_taken(tmp_path, monkeypatch):
     found = co.integrate(BODY, X, (0, 4000), 0.125, archive=tmp_path / "run.zarr")
-    monkeypatch.setattr("coadjoint.memory.SMALL", 0)
+    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**6)
     with pytest.raises(
         ValueError, match=r"x of the archive .* needs about 2 MB; .* read a part of to_xarray\(\)\['x'\]"
@@ -331,7 +331,7 @@ def test_an_archive_that_cannot_be_made_is_refused_before_the_run(tmp_path, monk
 @pytest.mark.parametrize("rows", [2, 8])
 def test_a_last_point_of_its_own_behind_whole_chunks(tmp_path, monkeypatch, rows):
     """It comes sooner than save_every steps after the one before, and that one may have filled the memory."""
-    for name in ("FEWEST_ROWS", "MOST_ROWS"):
+    for name in ("MIN_CHUNK_ROWS", "MAX_CHUNK_ROWS"):
         monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{name}", rows)
     for steps in range(4 * rows - 5, 4 * rows + 5):
         run, path = (BODY, X, (0, steps * STEP), STEP, co.GaussLegendre(2)), tmp_path / f"{steps}.zarr"
@@ -427,11 +427,11 @@ def test_a_link_at_the_place_of_an_archive_stays(tmp_path):
 
 
 def test_a_new_archive_removes_what_a_killed_run_has_left(tmp_path):
-    from coadjoint.files.output.atomic_output import LOCK, _prefix
+    from coadjoint.files.output.atomic_output import LOCK_FILE, _prefix
 
     left = tmp_path / f"{_prefix(tmp_path / 'run.zarr')}01234567"
     left.mkdir()
-    (left / LOCK).touch()
+    (left / LOCK_FILE).touch()
     co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
     assert os.listdir(tmp_path) == ["run.zarr"]
 
@@ -443,7 +443,7 @@ def test_a_run_that_commits_while_it_is_opened(tmp_path, monkeypatch, commits):
     from coadjoint.files.archives.store import ArchiveMoved
 
     cut(tmp_path / "run.zarr")
-    read, moved = archived_solution.read_kept, []
+    read, moved = archived_solution.read_state, []
 
     def gone(path, kept):
         moved.append(kept)
@@ -451,7 +451,7 @@ def test_a_run_that_commits_while_it_is_opened(tmp_path, monkeypatch, commits):
             raise ArchiveMoved(f"{path}: the state {kept.file} is missing")
         return read(path, kept)
 
-    monkeypatch.setattr(archived_solution, "read_kept", gone)
+    monkeypatch.setattr(archived_solution, "read_state", gone)
     if commits < archived_solution.ATTEMPTS:
         assert co.open_archive(tmp_path / "run.zarr").reached == 5 and len(moved) == commits + 1
     else:
@@ -463,7 +463,7 @@ def test_a_run_that_commits_while_it_is_opened(tmp_path, monkeypatch, commits):
 @pytest.mark.parametrize("name", ["x", "casimir_x_2"])
 def test_committed_chunks_are_all_looked_for_before_a_run_goes_on(tmp_path, monkeypatch, name):
     """Any of them may be missing; the last ones, to which the run adds, may be damaged as well."""
-    for each in ("FEWEST_ROWS", "MOST_ROWS"):
+    for each in ("MIN_CHUNK_ROWS", "MAX_CHUNK_ROWS"):
         monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{each}", 2)
     path = tmp_path / "run.zarr"
     cut(path, until=9, every=1)
@@ -549,7 +549,7 @@ def test_a_later_end_of_every_kind_of_run(tmp_path, monkeypatch, system, x0, met
     Steps 1 to 4 lie in one tenth of 31, and those of the other pieces in several; or each step is a piece.
     """
     ready, path, every = PreparedRun(system, method, STEP, **options), tmp_path / "run.zarr", rows or 3
-    for name in ("FEWEST_ROWS", "MOST_ROWS") if rows else ():
+    for name in ("MIN_CHUNK_ROWS", "MAX_CHUNK_ROWS") if rows else ():
         monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{name}", rows)
     first, last = (0.7 + direction * STEP * steps for steps in (16, 31))
     archive_run(ready, x0, (0.7, first), every, path, until=None if rows else 4)
@@ -572,7 +572,7 @@ def test_states_that_fill_a_chunk(tmp_path, monkeypatch, every):
         advance(self, until)
 
     monkeypatch.setattr(PiecewiseRun, "advance", bounded)
-    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.BYTES", 8)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.CHUNK_BYTES", 8)
     x0 = np.multiply.outer([1.0, 0.5, -0.25], X)
     for name, start in (("one", X), ("members", x0)):
         whole = co.integrate(BODY, start, SPAN, STEP, co.GaussLegendre(2), save_every=every)

@@ -121,7 +121,7 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_one_line_with_file_and_key(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
+    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.mark_failed("it ran"))
     text, said = CASES[name]
     (tmp_path / "run.toml").write_text(text)
     with bounded_work():  # less than a second where it is bounded
@@ -134,7 +134,7 @@ def test_one_line_with_file_and_key(name, tmp_path, monkeypatch, capsys):
 
 
 def test_file_without_an_end(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("coadjoint.files.configuration.parsing.MOST_BYTES", 1000)
+    monkeypatch.setattr("coadjoint.files.configuration.parsing.MAX_BYTES", 1000)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.toml").write_text("#" * 1001)
     assert cli.main(["run", "run.toml"]) == 2

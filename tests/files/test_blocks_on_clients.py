@@ -12,7 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
 from coadjoint.files.archives.block_run import BUSY
-from coadjoint.files.archives.run_in_blocks import Team, run_in_blocks
+from coadjoint.files.archives.run_in_blocks import WorkerPool, run_in_blocks
 from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 
@@ -64,15 +64,15 @@ class Inline:
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
-    monkeypatch.setattr(on_workers, "_done", lambda client, tasks: list(tasks))
-    monkeypatch.setattr(on_workers, "_answers", lambda client: True)
-    monkeypatch.setattr(on_workers, "SECONDS_BETWEEN_TRIES", 0.0)
+    monkeypatch.setattr(on_workers, "_wait_for_tasks", lambda client, tasks: list(tasks))
+    monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: True)
+    monkeypatch.setattr(on_workers, "RETRY_SECONDS", 0.0)
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def ensemble(client, path, system=BODY, span=(0.0, 2.0), threads=None):
     ready = PreparedRun(system, co.Splitting(), 0.125)
-    return run_in_blocks(ready, X, span, 1, path, Team(client, None, threads), size=3)
+    return run_in_blocks(ready, X, span, 1, path, WorkerPool(client, None, threads), size=3)
 
 
 @pytest.mark.parametrize("system", [BODY, BATCH], ids=["one system", "batch"])
@@ -127,4 +127,4 @@ def test_what_a_worker_says_of_the_archive_is_raised(tmp_path, error):
 @pytest.mark.parametrize(("span", "step"), [("[0.0, 2.0]", 0.5), ("[2.0, 0.5]", -0.5), ("[-1.0, -3.0]", -0.5)])
 def test_tables_are_made_for_the_direction_of_the_run(span, step):
     store = SimpleNamespace(attributes={"t_span": span})
-    assert on_workers._signed(store, SimpleNamespace(step=0.5)) == step
+    assert on_workers._signed_step(store, SimpleNamespace(step=0.5)) == step

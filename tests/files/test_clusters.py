@@ -22,12 +22,12 @@ from distributed.comm import CommClosedError
 
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
-from coadjoint.files.archives.blocks import read_about
+from coadjoint.files.archives.blocks import read_head
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.local_cluster import local_cluster
-from coadjoint.files.archives.run_in_blocks import team_of
+from coadjoint.files.archives.run_in_blocks import read_worker_pool
 from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
-from coadjoint.files.output.atomic_output import locked
+from coadjoint.files.output.atomic_output import open_locked
 from long import long_between, long_beyond
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -132,7 +132,7 @@ def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client,
         with monkeypatch.context() as lost:
             lost.setattr("coadjoint.files.archives.run_in_blocks.run_block", lambda *given: {"busy": True})
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
-    lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
+    lock = open_locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
     began = time.monotonic()
     Timer(1.0, os.close, [lock]).start()
     found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
@@ -177,7 +177,7 @@ def until(condition, seconds=300.0):
 def done(archive):
     """Return the numbers of the blocks that are done."""
     with ArchiveFolder(archive) as folder:
-        return {k for k in range(11) if (read_about(folder, k) or {}).get("archive_finished")}
+        return {k for k in range(11) if (read_head(folder, k) or {}).get("archive_finished")}
 
 
 def written(archive):
@@ -213,13 +213,13 @@ def test_a_worker_is_lost_before_its_result_is_asked_for(monkeypatch, there):
         def result(self):
             raise CancelledError("already forgotten")
 
-    monkeypatch.setattr(on_workers, "_answers", lambda client: there)
+    monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: there)
     if there:
-        ended, reason = on_workers._ended(None, Task())
+        ended, reason = on_workers._task_result(None, Task())
         assert ended is None and isinstance(reason, CancelledError), "the block is to be computed again"
     else:
         with pytest.raises(CancelledError):
-            on_workers._ended(None, Task())
+            on_workers._task_result(None, Task())
 
 
 @pytest.mark.long
@@ -459,7 +459,7 @@ def test_a_client_without_credentials_on_another_machine(address, warned):
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("default")
         for _ in range(3):
-            assert team_of(client, None, None).client is client
+            assert read_worker_pool(client, None, None).client is client
     assert [warning.category for warning in found] == [RuntimeWarning] * warned
     assert all(address in str(warning.message) for warning in found)
 
@@ -475,7 +475,7 @@ def test_workers_that_end_while_they_receive_tables(tmp_path, client, monkeypatc
         return scatter(*given, **more)
 
     monkeypatch.setattr(client, "scatter", failing)
-    monkeypatch.setattr(on_workers, "_answers", lambda client: len(tries) != 1)
+    monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: len(tries) != 1)
     with pytest.raises(ArchiveUnwritten, match="the scheduler of the cluster is lost"):
         co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
     found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)

@@ -7,9 +7,9 @@ import pytest
 from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
-from coadjoint.algebra.bracket_parser import read_brackets
+from coadjoint.algebra.bracket_parser import parse_brackets
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.polynomials import read_polynomial
+from coadjoint.files.configuration.polynomials import parse_polynomial
 from coadjoint.methods import registry
 
 
@@ -217,11 +217,11 @@ def test_text_that_is_none(tmp_path):
     ids=repr,
 )
 def test_polynomials_are_read_as_they_are_printed(polynomial):
-    assert read_polynomial(repr(polynomial), 3) == polynomial
+    assert parse_polynomial(repr(polynomial), 3) == polynomial
 
 
 def test_whole_and_rational_coefficients_stay_exact():
-    assert read_polynomial("1/3*x1 + 2*x2*x1*3 - 0.5", 2) == co.Polynomial(
+    assert parse_polynomial("1/3*x1 + 2*x2*x1*3 - 0.5", 2) == co.Polynomial(
         {(1, 0): Fraction(1, 3), (1, 1): 6, (0, 0): -0.5}
     )
 
@@ -231,18 +231,18 @@ def test_whole_and_rational_coefficients_stay_exact():
 )
 def test_no_other_polynomials(text):
     with pytest.raises(ValueError, match=r"cannot be read|divides by zero|there are x1 to x2"):
-        read_polynomial(text, 2)
+        parse_polynomial(text, 2)
 
 
 @pytest.mark.parametrize("term", [[1.0, [2]], [1.0, 2], ["a", [1, 0]], [1.0, [1, -1]], 3])
 def test_no_other_terms(term):
     with pytest.raises((ValueError, TypeError), match=r"exponents|coefficient"):
-        read_polynomial([term], 2)
+        parse_polynomial([term], 2)
 
 
 def test_brackets_in_all_their_forms():
     basis = ["e1", "e12", "e2"]
-    assert read_brackets(["[e1,e12]= -1/2*e12 + .5e2 + e12", "[ e1 , e2 ] = 0", "[e12, e2] = 2e1"], basis) == {
+    assert parse_brackets(["[e1,e12]= -1/2*e12 + .5e2 + e12", "[ e1 , e2 ] = 0", "[e12, e2] = 2e1"], basis) == {
         (0, 1): {1: 0.5, 2: 0.5},
         (0, 2): {},
         (1, 2): {0: 2.0},

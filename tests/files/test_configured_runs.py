@@ -353,19 +353,19 @@ def test_a_plan_of_a_chosen_step_and_of_forces(read):
 def test_the_trial_looks_for_events_too(read):
     found = read(READY_MADE + '[events.zero]\ng = "x1 - 0.99"\n')
     ready, times = found.ready(), times_of(found.t_span, found.step, found.save_every)
-    assert planning._short(found, ready, times, 4, 1).events.names == ("zero",)
+    assert planning._trial_run(found, ready, times, 4, 1).events.names == ("zero",)
 
 
 def test_a_trial_grows_until_it_is_long_enough(read, monkeypatch):
     """Trials of 0.15 s, of which each has at least twice the steps of the one before, and one of a second."""
     clock, tried = [0.0], []
 
-    def short_run(configuration, ready, times, steps, every, short=planning._short):
+    def short_run(configuration, ready, times, steps, every, short=planning._trial_run):
         clock[0] += 0.15 if len(tried) < 3 else 1.0
         tried.append(steps)
         return short(configuration, ready, times, steps, every)
 
-    monkeypatch.setattr(planning, "_short", short_run)
+    monkeypatch.setattr(planning, "_trial_run", short_run)
     monkeypatch.setattr(planning, "time", types.SimpleNamespace(perf_counter=lambda: clock[0]))
     found = plan(read(READY_MADE, ("[0, 1]", "[0, 100]")))
     assert tried[:4] == [1, 2, 4, 8] and found.tried == 8

@@ -16,7 +16,7 @@ from coadjoint.files.configuration.configuration import load as load_configurati
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of, with_checksum
 from coadjoint.files.datasets.export import mark_failed
 from coadjoint.files.output.output_files import write_dataset
-from coadjoint.interruption import Told
+from coadjoint.interruption import Interrupted
 
 PIECE, LENGTH = 4, 11
 VALUES = {
@@ -37,7 +37,7 @@ def dataset(**changed):
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("coadjoint.files.datasets.content_checksum.PIECE", PIECE)
+    monkeypatch.setattr("coadjoint.files.datasets.content_checksum.BUFFER_BYTES", PIECE)
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -141,7 +141,7 @@ def written_by_the_command(text, status, path, monkeypatch):
     (path.parent / "run.toml").write_text(text)
     with monkeypatch.context() as patch:
         if status == 130:
-            told = Told(signal.SIGINT)
+            told = Interrupted(signal.SIGINT)
             told.partial = load_configuration(path.parent / "run.toml").integrate()
             patch.setattr(Configuration, "integrate", lambda *given, **more: (_ for _ in ()).throw(told))
         assert cli.main(["run", str(path.parent / "run.toml"), "--out", str(path), "--quiet"]) == status

@@ -16,17 +16,17 @@ from coadjoint.files.archives.blocks import (
     blocks_of,
     lock_file,
     marker_file,
-    read_about,
+    read_head,
     read_marker,
     size_of_blocks,
     write_marker,
 )
-from coadjoint.files.archives.ensemble_archive import left_of
+from coadjoint.files.archives.ensemble_archive import unfinished_blocks
 from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.metadata_checks import CROSSINGS, RESERVED, SERIES
-from coadjoint.files.archives.run_in_blocks import Team
+from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES
+from coadjoint.files.archives.run_in_blocks import WorkerPool
 from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
-from coadjoint.files.output.atomic_output import locked
+from coadjoint.files.output.atomic_output import open_locked
 from coadjoint.files.output.output_files import write_dataset
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.times import times_of
@@ -101,7 +101,7 @@ def prepared(archive):
 def cut(archive, monkeypatch, steps, size=4, **options):
     """Begin an ensemble whose process is lost after so many steps of each block."""
     with monkeypatch.context() as lost:
-        lost.setattr(ensembles, "_here", lambda *given: (_ for _ in ()).throw(KeyboardInterrupt))
+        lost.setattr(ensembles, "_run_serially", lambda *given: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             co.ensemble(BODY, X, (0, 4), 0.125, archive=archive, members_per_block=size, **options)
     store, blocks = prepared(archive)
@@ -190,10 +190,10 @@ def test_what_is_damaged_or_removed_is_computed_again(tmp_path, what):
     if what == "numbers":
         # Its first line is whole, and says that the block is done. Nothing has to go on from its numbers.
         with ArchiveFolder(archive) as folder:
-            assert read_marker(folder, 1) is None and read_about(folder, 1) is not None
+            assert read_marker(folder, 1) is None and read_head(folder, 1) is not None
     else:
         store, _ = prepared(archive)
-        assert [block.number for block in left_of(store)] == {"folder": [0, 1, 2]}.get(what, [1])
+        assert [block.number for block in unfinished_blocks(store)] == {"folder": [0, 1, 2]}.get(what, [1])
     assert_same(co.ensemble(BODY, X, (0, 4), 0.125, archive=archive), co.integrate(BODY, X, (0, 4), 0.125))
 
 
@@ -267,11 +267,11 @@ def test_functions_that_are_not_stored_are_told_by_their_fingerprints(tmp_path):
 def test_two_calls_at_once(tmp_path, monkeypatch):
     archive = tmp_path / "many.zarr"
     cut(archive, monkeypatch, (8,))
-    store = ArchiveStore.opened(archive)
+    store = ArchiveStore.open_existing(archive)
     with pytest.raises(ArchiveError, match="another process is writing to this archive"):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
     store.close()
-    lock = locked(archive / ".coadjoint" / lock_file(1), os.O_CREAT)
+    lock = open_locked(archive / ".coadjoint" / lock_file(1), os.O_CREAT)
     with pytest.raises(ArchiveUnwritten, match="another process is still running some members"):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
     os.close(lock)
@@ -365,8 +365,8 @@ def test_names_with_a_meaning_are_not_those_of_coordinates(tmp_path):
     datasets = [sol.to_xarray() for sol in runs]
     names = {str(name) for data in datasets for name in (*data.variables, *data.dims)} - {"member"}
     assert {"drift", "change", "work", "attitude0", "observed_q", "event_x", "part", "crossing", "status"} < names
-    prefixes = (*SERIES, CROSSINGS)
-    assert {name for name in names if not name.startswith(prefixes)} <= RESERVED
+    prefixes = (*SERIES_PREFIXES, CROSSING_PREFIX)
+    assert {name for name in names if not name.startswith(prefixes)} <= RESERVED_NAMES
     for name in ("attitude", "layer", "casimir_", "observed_rate", "event_rate"):
         with pytest.raises(ValueError, match=f"coordinates has the name '{name}', which is reserved"):
             co.ensemble(
@@ -398,7 +398,7 @@ def test_the_attributes_say_what_was_run(tmp_path):
 def small_chunks(monkeypatch):
     """Chunks of eight points, so that a block of a run of 33 points has five; nobody waits for the disk."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-    for name in ("FEWEST_ROWS", "MOST_ROWS"):
+    for name in ("MIN_CHUNK_ROWS", "MAX_CHUNK_ROWS"):
         monkeypatch.setattr(f"coadjoint.files.archives.stored_arrays.{name}", 8)
 
 
@@ -423,8 +423,8 @@ def test_a_cut_between_chunks_of_a_block(tmp_path, monkeypatch, small_chunks, st
             np.testing.assert_array_equal(found.to_xarray()["x"][: done + 1, own], whole.x[: done + 1, own])
             assert np.isnan(found.x[done + 1 :, own]).all()
             assert (found.status[own] == (done == 32)).all()
-    assert [block.number for block in left_of(store)] == [k for k, done in enumerate(steps) if done < 32]
-    abouts = [read_about(store.folder, block.number) for block in blocks]
+    assert [block.number for block in unfinished_blocks(store)] == [k for k, done in enumerate(steps) if done < 32]
+    abouts = [read_head(store.folder, block.number) for block in blocks]
     for name in ("evaluations", "iterations", "seconds"):
         # Not exact for seconds, which are added in another order elsewhere.
         assert getattr(found.stats, name) == pytest.approx(sum(about[name] for about in abouts), rel=1e-12)
@@ -438,7 +438,7 @@ def test_any_chunk_that_is_missing_is_computed_again(tmp_path, small_chunks, row
     x = first.x.copy()
     (archive / "x" / f"c.{row}.1.0").unlink()
     store, _ = prepared(archive)
-    assert [block.number for block in left_of(store)] == [1]
+    assert [block.number for block in unfinished_blocks(store)] == [1]
     np.testing.assert_array_equal(co.ensemble(BODY, X, (0, 4), 0.125, archive=archive).x, x)
 
 
@@ -453,7 +453,7 @@ def test_work_of_all_blocks_is_added(tmp_path):
     for own in (found.stats, whole.stats):
         assert (attributes["evaluations"], attributes["iterations"]) == (own.evaluations, own.iterations)
     store, blocks = prepared(tmp_path / "many.zarr")
-    abouts = [read_about(store.folder, block.number) for block in blocks]
+    abouts = [read_head(store.folder, block.number) for block in blocks]
     each = {about["iterations"] / (block.last - block.first) for about, block in zip(abouts, blocks, strict=True)}
     assert len(each) == 3
     assert sum(about["iterations"] for about in abouts) == found.stats.iterations > found.stats.evaluations / 10
@@ -606,7 +606,7 @@ def test_nothing_stays_open(tmp_path, monkeypatch):
     store, _ = cut(archive, monkeypatch, (3, 5))
     store.close()
     gc.collect()
-    lock = locked(archive / ".coadjoint" / lock_file(1), os.O_CREAT)
+    lock = open_locked(archive / ".coadjoint" / lock_file(1), os.O_CREAT)
     with pytest.raises(ArchiveUnwritten):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
     os.close(lock)
@@ -622,4 +622,9 @@ def test_the_number_of_workers():
         def __init__(self, count):
             self.scheduler_info = lambda n_workers: {"workers": dict.fromkeys(range(count))}
 
-    assert [Team().hands, Team(None, 3).hands, Team(Cluster(4)).hands, Team(Cluster(0)).hands] == [1, 3, 4, 1]
+    assert [
+        WorkerPool().worker_count,
+        WorkerPool(None, 3).worker_count,
+        WorkerPool(Cluster(4)).worker_count,
+        WorkerPool(Cluster(0)).worker_count,
+    ] == [1, 3, 4, 1]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.records.fingerprints import fingerprint_of, functions_in, made_of_system, same_fingerprint
+from coadjoint.files.records.fingerprints import fingerprint_of, functions_in, same_fingerprint, system_contents
 from coadjoint.systems.matrices.streams import Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
@@ -247,8 +247,8 @@ def systems():
 
 
 def test_every_part_of_a_system_counts():
-    found = [fingerprint_of(made_of_system(system)) for system in systems()]
-    again = [fingerprint_of(made_of_system(system)) for system in systems()]
+    found = [fingerprint_of(system_contents(system)) for system in systems()]
+    again = [fingerprint_of(system_contents(system)) for system in systems()]
     for (j, one), (k, other) in itertools.product(enumerate(found), enumerate(again)):
         # Those of functions are made once more with the functions.
         assert same_fingerprint(one, other) == (j == k), (j, k)

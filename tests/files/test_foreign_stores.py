@@ -13,7 +13,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 import coadjoint as co
 from coadjoint.files.datasets.loaded_solution import LoadError
 from coadjoint.files.output.file_validation import check_zarr
-from coadjoint.memory import SMALL
+from coadjoint.memory import UNCHECKED_BYTES
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning"),
@@ -147,7 +147,7 @@ def test_text_that_does_not_declare_its_length_is_not_unpacked(tmp_path, monkeyp
     (file,) = stored(tmp_path, version, "zstd", str, (3,), (3,), random.Random(0))
     assert len(bytes(numcodecs.Zstd().decode(endless(3)))) == 3 * 2**17
     file.write_bytes(endless(3))
-    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *given: pytest.fail("it is unpacked"))
+    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *given: pytest.mark_failed("it is unpacked"))
     with pytest.raises(ValueError, match="another length"):
         check_zarr(tmp_path)
 
@@ -157,14 +157,14 @@ def test_text_that_does_not_declare_its_length_is_not_unpacked(tmp_path, monkeyp
 def test_text_that_declares_too_much_is_not_unpacked(tmp_path, monkeypatch, version, packer):
     """The declared length alone is read."""
     (file,) = stored(tmp_path, version, packer, str, (3,), (3,), random.Random(0))
-    length = SMALL + 1
+    length = UNCHECKED_BYTES + 1
     head = {
         "blosc": b"\x02\x01\x21\x01" + length.to_bytes(4, "little"),
         "zstd": b"\x28\xb5\x2f\xfd\xa0" + length.to_bytes(4, "little"),
     }
     file.write_bytes(head[packer] + bytes(24))
-    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *given: pytest.fail("it is unpacked"))
-    monkeypatch.setattr(numcodecs.Blosc, "decode", lambda *given: pytest.fail("it is unpacked"))
+    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *given: pytest.mark_failed("it is unpacked"))
+    monkeypatch.setattr(numcodecs.Blosc, "decode", lambda *given: pytest.mark_failed("it is unpacked"))
     with pytest.raises(ValueError, match="another length"):
         check_zarr(tmp_path)
     with pytest.raises(LoadError):
@@ -174,7 +174,7 @@ def test_text_that_declares_too_much_is_not_unpacked(tmp_path, monkeypatch, vers
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_large_array_may_be_one_chunk(tmp_path, version):
     """A chunk is no longer than its array, beyond a size that is not checked; nothing of it need be stored."""
-    group, count = zarr.open_group(tmp_path, mode="w", zarr_format=version), SMALL // 8 + 1
+    group, count = zarr.open_group(tmp_path, mode="w", zarr_format=version), UNCHECKED_BYTES // 8 + 1
     group.create_array("x", shape=(count,), chunks=(count,), dtype="f8")
     check_zarr(tmp_path)
     group.create_array("energy", shape=(count - 1,), chunks=(count,), dtype="f8")

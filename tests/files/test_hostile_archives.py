@@ -221,7 +221,7 @@ def test_a_missing_chunk_is_named_and_not_read_as_nothing(tmp_path, name, finish
     chunk.unlink()
     found = co.open_archive(path)
     said = rf"{name}/{chunk.name} is missing"
-    for read in (lambda: found.to_xarray().load(), lambda: found._whole(name)):
+    for read in (lambda: found.to_xarray().load(), lambda: found._read_entire(name)):
         with pytest.raises(ArchiveError, match=said):
             read()
     if not finished:
@@ -251,8 +251,8 @@ def test_parts_are_read_as_of_any_array(tmp_path):
     """By xarray: slices in both directions, single entries and lists, over several chunks."""
     path = tmp_path / "run.zarr"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("coadjoint.files.archives.stored_arrays.FEWEST_ROWS", 5)
-        patched.setattr("coadjoint.files.archives.stored_arrays.MOST_ROWS", 5)
+        patched.setattr("coadjoint.files.archives.stored_arrays.MIN_CHUNK_ROWS", 5)
+        patched.setattr("coadjoint.files.archives.stored_arrays.MAX_CHUNK_ROWS", 5)
         found = co.integrate(BODY, X, SPAN, STEP, archive=path).to_xarray()["x"]
     x = co.integrate(BODY, X, SPAN, STEP).x
     rng = np.random.default_rng(1)

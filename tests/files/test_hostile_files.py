@@ -15,7 +15,7 @@ from numcodecs import Blosc, Pickle, Zstd
 import coadjoint as co
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.loaded_solution import LoadError
-from coadjoint.files.output.file_validation import _length, check_hdf5, check_zarr
+from coadjoint.files.output.file_validation import _decompressed_length, check_hdf5, check_zarr
 from coadjoint.files.output.output_files import write_dataset
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 2.5))
@@ -249,8 +249,8 @@ def test_the_length_of_a_chunk_is_read_from_its_header(length):
     content = np.random.default_rng(1).integers(0, 4, length, dtype=np.uint8).tobytes()
     for codec, name in ((Blosc("zstd", 1), "blosc"), (Blosc("lz4", 0), "blosc"), (Zstd(1), "zstd")):
         packed = bytes(codec.encode(content))
-        assert len(bytes(codec.decode(packed))) == _length(packed[:32], name) == length
-    assert _length(content[:32], "") is None
+        assert len(bytes(codec.decode(packed))) == _decompressed_length(packed[:32], name) == length
+    assert _decompressed_length(content[:32], "") is None
 
 
 @pytest.mark.parametrize("single", [0, 1])
@@ -265,8 +265,8 @@ def test_every_header_of_a_frame(single, width, dictionary):
     head = b"\x28\xb5\x2f\xfd" + bytes([width << 6 | single << 5 | dictionary])
     head += b"\x77" * (1 - single) + b"\x66" * (0, 1, 2, 4)[dictionary]
     head += (length - (256 if size == 2 else 0)).to_bytes(size, "little") if size else b""
-    assert _length((head + b"\x55" * 32)[:32], "zstd") == (length if size else -1)
-    assert _length(b"\x29" + head[1:], "zstd") == -1 and _length(head[:4], "zstd") == -1
+    assert _decompressed_length((head + b"\x55" * 32)[:32], "zstd") == (length if size else -1)
+    assert _decompressed_length(b"\x29" + head[1:], "zstd") == -1 and _decompressed_length(head[:4], "zstd") == -1
 
 
 def hdf5_with(path, filters, chunk=None, mask=0):
@@ -334,7 +334,7 @@ def test_texts_and_sizes_of_hdf5(tmp_path, monkeypatch):
         file.create_dataset("x", (10**6,), "f8")  # no byte of it is stored
     check_hdf5(path)
     with monkeypatch.context() as patched:
-        patched.setattr("coadjoint.memory.SMALL", 0)
+        patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
         patched.setattr("coadjoint.memory.available", lambda: 10**7)
         with pytest.raises(ValueError, match="the content needs about 16 MB"):
             check_hdf5(path)

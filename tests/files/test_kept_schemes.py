@@ -13,7 +13,7 @@ from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.models import File, HamiltonianTable, RunTable
 from coadjoint.files.datasets.export import rebuild, solution_inputs
 from coadjoint.methods import registry
-from coadjoint.runs.solution import PARTS
+from coadjoint.runs.solution import PICKLED_ATTRIBUTES
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
@@ -35,7 +35,7 @@ def in_a_file(tmp_path, **tables):
 
 
 def assert_same_run(sol, again):
-    for part in PARTS:
+    for part in PICKLED_ATTRIBUTES:
         if part not in ("system", "stats", "observed", "casimirs", "initial", "choice", "_began", "events"):
             mine, other = getattr(sol, part), getattr(again, part)
             assert np.array_equal(mine, other) and type(mine) is type(other), part

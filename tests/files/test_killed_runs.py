@@ -30,13 +30,13 @@ def test_killed_at_random_moments(tmp_path, seed):
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("coadjoint.files.archives.archived_run.SECONDS_OF_PIECE", 0)
-    monkeypatch.setattr("coadjoint.files.archives.archived_run.SHARE_OF_COMMITS", 0)
-    monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_STRETCH", 10)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.COMMIT_INTERVAL", 0)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.COMMIT_RATIO", 0)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_ADVANCE", 10)
     monkeypatch.setattr("coadjoint.files.archives.archived_run.BLOCKS", 2)
-    monkeypatch.setattr("coadjoint.files.archives.archived_run.SECONDS_OF_STRETCH", 0.0)
-    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.FEWEST_ROWS", 8)
-    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MOST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.ADVANCE_SECONDS", 0.0)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MIN_CHUNK_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MAX_CHUNK_ROWS", 8)
 
 
 FULL = "No space left on device"
@@ -108,7 +108,7 @@ def test_no_room_for_a_later_end(tmp_path, monkeypatch):
     path = tmp_path / "run.zarr"
     co.integrate(*RUN, archive=path)
     with monkeypatch.context() as patched:
-        patched.setattr("coadjoint.files.archives.extended_runs.ArchiveStore.keep", from_then_on(1, None))
+        patched.setattr("coadjoint.files.archives.extended_runs.ArchiveStore.store_state", from_then_on(1, None))
         with pytest.raises(ArchiveError, match=re.escape(f"cannot be written ({FULL}); what it holds stays")):
             co.resume(path, 10.0)
     assert co.open_archive(path).finished

@@ -300,7 +300,7 @@ def test_a_run_that_does_not_fit_into_memory_is_refused(tmp_path, monkeypatch):
     sol = RUNS["one member"]()
     write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
     size = sol.to_xarray().nbytes
-    monkeypatch.setattr("coadjoint.memory.SMALL", 0)
+    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
     monkeypatch.setattr("coadjoint.memory.available", lambda: size)
     with pytest.raises(ValueError, match=r"run\.zarr: the run in it needs about .*; read parts of it with xarray"):
         co.load(tmp_path / "run.zarr")

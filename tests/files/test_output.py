@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 import coadjoint
 from coadjoint.files.datasets.content_checksum import with_checksum
-from coadjoint.files.datasets.netcdf_file import LARGEST_KEPT, PAGE, SteadfastFile
-from coadjoint.files.output.atomic_output import Stopped, Unfinished
+from coadjoint.files.datasets.netcdf_file import MAX_CACHED_BYTES, PAGE_BYTES, DeferredErrorFile
+from coadjoint.files.output.atomic_output import OutputAbandoned, PendingOutput
 from coadjoint.files.output.output_files import OutputError, check_target, write_dataset, write_figure
 from coadjoint.optional_packages import MissingPackageError
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.thinned(3)
 ENGINE = {".nc": "h5netcdf", ".zarr": "zarr"}
 SMALL = xarray.Dataset({"x": ("time", np.arange(3.0))}, {"time": [0.0, 1.0, 2.0]}, {"about": "three numbers"})
 # The last variable is longer than what is kept in memory of a file that cannot be written.
-LARGE = SMALL.assign(y=("point", np.arange(2.0 * LARGEST_KEPT / 8)))
+LARGE = SMALL.assign(y=("point", np.arange(2.0 * MAX_CACHED_BYTES / 8)))
 
 # A disk on which files may have so many bytes, for any user: what is written beyond fails as on a full one.
 LIMITED = """
@@ -74,7 +74,7 @@ def test_result_is_replaced_whole_and_survives_a_failure(tmp_path, monkeypatch, 
         yield
 
     with monkeypatch.context() as patch:
-        patch.setattr(Unfinished, "writing", full)
+        patch.setattr(PendingOutput, "writing", full)
         with pytest.raises(OSError, match="no space left"):
             write_dataset(xarray.Dataset(), target)
     with xarray.open_dataset(target, engine=engine) as kept:
@@ -92,10 +92,10 @@ def test_file_in_which_no_write_fails_reads_what_was_written(tmp_path):
             raise OSError("no space left")
         yield
 
-    file = SteadfastFile(tmp_path / "image", failing_from_the_middle_on)
+    file = DeferredErrorFile(tmp_path / "image", failing_from_the_middle_on)
     for turn in range(200):
         broken = turn >= 100
-        at, length = int(rng.integers(0, 4 * PAGE)), int(rng.integers(1, 2 * PAGE))
+        at, length = int(rng.integers(0, 4 * PAGE_BYTES)), int(rng.integers(1, 2 * PAGE_BYTES))
         piece = rng.bytes(length)
         wanted.extend(bytes(max(0, at + length - len(wanted))))
         wanted[at : at + length] = piece
@@ -103,9 +103,9 @@ def test_file_in_which_no_write_fails_reads_what_was_written(tmp_path):
         assert file.seek(0, os.SEEK_END) == len(wanted)
         at = int(rng.integers(0, len(wanted)))
         file.seek(at)
-        assert file.read(PAGE) == wanted[at : at + PAGE]
+        assert file.read(PAGE_BYTES) == wanted[at : at + PAGE_BYTES]
     file.seek(0)
-    file.write(b"1" * (LARGEST_KEPT + 1))  # numbers: dropped, so that memory does not grow
+    file.write(b"1" * (MAX_CACHED_BYTES + 1))  # numbers: dropped, so that memory does not grow
     assert file.seek(0) == 0 and file.read(len(wanted)) == wanted
     assert file.truncate(10) == 10 and file.seek(0) == 0 and file.read() == wanted[:10]
     with pytest.raises(OSError, match="no space left"):
@@ -120,37 +120,37 @@ def test_a_disk_may_take_a_piece_in_parts(tmp_path, monkeypatch):
     monkeypatch.undo()
     with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as found:
         xarray.testing.assert_identical(found.load(), with_checksum(LARGE.isel(point=slice(5000))))
-    with SteadfastFile(tmp_path / "image", nullcontext) as file:
+    with DeferredErrorFile(tmp_path / "image", nullcontext) as file:
         monkeypatch.setattr(os, "pread", lambda file, length, at: real[1](file, min(length, 700), at))
         assert file.write(bytes(range(256)) * 10) == 2560 and file.seek(0) == 0
         assert file.read() == bytes(range(256)) * 10
 
 
 def test_nothing_is_written_once_it_is_given_up(tmp_path):
-    with Unfinished(tmp_path / "run.nc") as unfinished:
-        unfinished.give_up()
-        with pytest.raises(Stopped), unfinished.writing():
+    with PendingOutput(tmp_path / "run.nc") as unfinished:
+        unfinished.abandon()
+        with pytest.raises(OutputAbandoned), unfinished.writing():
             pass
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_given_up_waits_for_the_piece_that_is_written(tmp_path):
-    with Unfinished(tmp_path / "run.nc") as unfinished, ThreadPoolExecutor(1) as pool:
+    with PendingOutput(tmp_path / "run.nc") as unfinished, ThreadPoolExecutor(1) as pool:
         begun, ended = threading.Event(), threading.Event()
 
         def write():
             with unfinished.writing():
                 begun.set()
                 # Whoever gives up meanwhile is let in only after this; a file that is made then would stay.
-                assert not given_up.wait(timeout=0.2)
+                assert not abandoned.wait(timeout=0.2)
                 unfinished.place.write_text("a piece")
                 ended.set()
 
-        given_up = threading.Event()
+        abandoned = threading.Event()
         written = pool.submit(write)
         assert begun.wait(timeout=60)
-        unfinished.give_up()
-        given_up.set()
+        unfinished.abandon()
+        abandoned.set()
         assert ended.is_set() and written.exception(timeout=60) is None
     assert list(tmp_path.iterdir()) == []
 
@@ -292,7 +292,7 @@ def test_nothing_stays_open(tmp_path, monkeypatch, name, full):
         yield
 
     if full:
-        monkeypatch.setattr(Unfinished, "writing", failing)
+        monkeypatch.setattr(PendingOutput, "writing", failing)
         with pytest.raises(OSError, match="no space left"):
             write_dataset(SMALL, tmp_path / name)
     else:
@@ -301,7 +301,7 @@ def test_nothing_stays_open(tmp_path, monkeypatch, name, full):
 
 
 def test_positions_in_a_file(tmp_path):
-    with SteadfastFile(tmp_path / "image", nullcontext) as file:
+    with DeferredErrorFile(tmp_path / "image", nullcontext) as file:
         file.write(b"0123456789")
         assert file.seek(-3, os.SEEK_CUR) == 7 and file.read() == b"789" and file.tell() == 10
         assert file.seek(-4, os.SEEK_END) == 6 and file.read(2) == b"67"

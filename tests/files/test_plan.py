@@ -103,11 +103,11 @@ def test_output_times_are_counted_one_by_one(folder, monkeypatch, kind, system, 
     """
     times, tried = output_times(kind, end), []
 
-    def short_run(*given, short=planning._short):
+    def short_run(*given, short=planning._trial_run):
         tried.append(short(*given))
         return tried[-1]
 
-    monkeypatch.setattr(planning, "_short", short_run)
+    monkeypatch.setattr(planning, "_trial_run", short_run)
     found = planned(
         folder,
         f"[system]\nname = {system!r}\n[initial]\nx = {x0 if len(x0) > 1 else x0[0]}\n[method]\n{method}\n"
@@ -145,16 +145,16 @@ def test_the_time_is_estimated_from_a_trial(folder, monkeypatch):
     """On a clock that counts steps: what a call takes beside them is a small part of a trial that is long enough."""
     clock, a_call, a_step = [0.0], 1e-3, 1e-4
 
-    def short_run(configuration, ready, times, steps, every, short=planning._short):
+    def short_run(configuration, ready, times, steps, every, short=planning._trial_run):
         clock[0] += a_call + a_step * steps
         return short(configuration, ready, times, steps, every)
 
-    monkeypatch.setattr(planning, "_short", short_run)
+    monkeypatch.setattr(planning, "_trial_run", short_run)
     monkeypatch.setattr(planning, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     text = READY_MADE.replace("[0, 1]", "[0, 1000000]").replace("step = 0.1", "step = 0.1\nsave_every = 1000")
     found = planned(folder, text)
     taken = a_step * found.steps
-    assert taken < found.seconds <= taken * (1 + a_call / (planning.TRIAL - a_call)) * (1 + 1e-12)
+    assert taken < found.seconds <= taken * (1 + a_call / (planning.TRIAL_SECONDS - a_call)) * (1 + 1e-12)
     assert found.ready == 0.0 and 0 < found.tried < found.steps
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.records.entries import DEEPEST, LARGEST_WHOLE, MOST_LETTERS, Entry, made_of, parsed
+from coadjoint.files.records.entries import MAX_CHARACTERS, MAX_DEPTH, MAX_INTEGER, Entry, as_value_errors, parsed
 from coadjoint.files.records.records import record_of, safe_name, system_of
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
@@ -18,8 +18,9 @@ from served import state_of
 INFINITE, NAN = float("inf"), float("nan")
 STRANGE = (
     None, True, False, -1, 0, 1, 2, 3, 2.5, -2.5, 1e308, INFINITE, -INFINITE, NAN, 2**62, 2**62 + 1, -(2**62), 10**400,
-    np.int64(2), np.float64(2.5), np.bool_(True), "", "a", "1/3", "-2/7", "1/0", "1e5", "1/3x", "x" * MOST_LETTERS,
-    "x" * (MOST_LETTERS + 1), [], {}, [0, 1], [0, 1, 2], [0, 1, 3], [0, True, 2], [0, 1, -1], [0.5, 1, 2], [0, 1, NAN],
+    np.int64(2), np.float64(2.5), np.bool_(True), "", "a", "1/3", "-2/7", "1/0", "1e5", "1/3x", "x" * MAX_CHARACTERS,
+    "x" * (MAX_CHARACTERS + 1), [], {}, [0, 1], [0, 1, 2], [0, 1, 3], [0, True, 2], [0, 1, -1], [0.5, 1, 2],
+    [0, 1, NAN],
     [0, 1, INFINITE], [0, 1, -INFINITE], ["a", 1, 2], [[0, 1], [2, 3]], [0, [1], 2], (0, 1, 2), {"a": 1}, [None, 1, 2],
 )  # fmt: skip
 WHOLE, REAL = (int, np.int64), (int, float, np.int64, np.float64)
@@ -39,20 +40,20 @@ def is_list(value, length=None):
 
 # What an entry is asked for: how, and for which values and with which result it is accepted.
 ASKED = {
-    "a whole number": (lambda e: e.whole(), lambda v: is_whole(v) and 0 <= v <= LARGEST_WHOLE, int),
-    "from 1 up": (lambda e: e.whole(1), lambda v: is_whole(v) and 1 <= v <= LARGEST_WHOLE, int),
-    "from -1 to 1": (lambda e: e.whole(-1, 1), lambda v: is_whole(v) and -1 <= v <= 1, int),
+    "a whole number": (lambda e: e.integer(), lambda v: is_whole(v) and 0 <= v <= MAX_INTEGER, int),
+    "from 1 up": (lambda e: e.integer(1), lambda v: is_whole(v) and 1 <= v <= MAX_INTEGER, int),
+    "from -1 to 1": (lambda e: e.integer(-1, 1), lambda v: is_whole(v) and -1 <= v <= 1, int),
     "a number": (lambda e: e.number(), is_number, float),
     "a flag": (lambda e: e.flag(), lambda v: isinstance(v, (bool, np.bool_, *WHOLE)) and v in (0, 1), bool),
-    "text": (lambda e: e.text(), lambda v: isinstance(v, str) and len(v) <= MOST_LETTERS, str),
+    "text": (lambda e: e.text(), lambda v: isinstance(v, str) and len(v) <= MAX_CHARACTERS, str),
     "a table": (lambda e: list(e.table()), lambda v: isinstance(v, dict), list),
     "a list": (lambda e: [one.value for one in e.entries()], is_list, list),
     "a list of three": (lambda e: [one.value for one in e.entries(3)], lambda v: is_list(v, 3), list),
     "three up to 2": (
-        lambda e: e.wholes(2, 3), lambda v: is_list(v, 3) and all(type(k) is int and 0 <= k <= 2 for k in v), list
+        lambda e: e.integers(2, 3), lambda v: is_list(v, 3) and all(type(k) is int and 0 <= k <= 2 for k in v), list
     ),
     "any up to 2": (
-        lambda e: e.wholes(2), lambda v: is_list(v) and all(type(k) is int and 0 <= k <= 2 for k in v), list
+        lambda e: e.integers(2), lambda v: is_list(v) and all(type(k) is int and 0 <= k <= 2 for k in v), list
     ),
     "three numbers": (
         lambda e: e.numbers(3).tolist(),
@@ -111,9 +112,9 @@ def nested(depth, kind):
 
 @pytest.mark.parametrize("kind", ["list", "table"])
 def test_depth_is_bounded(kind):
-    assert Entry(nested(DEEPEST, kind), "place").plain() == nested(DEEPEST, kind)
-    with pytest.raises(ValueError, match=f"is nested deeper than {DEEPEST} lists and tables"):
-        Entry(nested(DEEPEST + 1, kind), "place").plain()
+    assert Entry(nested(MAX_DEPTH, kind), "place").plain() == nested(MAX_DEPTH, kind)
+    with pytest.raises(ValueError, match=f"is nested deeper than {MAX_DEPTH} lists and tables"):
+        Entry(nested(MAX_DEPTH + 1, kind), "place").plain()
 
 
 def test_plain_values_are_unconverted():
@@ -121,7 +122,7 @@ def test_plain_values_are_unconverted():
     found = Entry(value, "place").plain()
     assert found == value and json.dumps(found) == json.dumps(value)
     for wrong, place in (({"a": [1, NAN]}, "a[1]"), ({"a": {"b": 10**30}}, "a.b"), ({"a": [[], -INFINITE]}, "a[1]"),
-                         ({"a": "x" * (MOST_LETTERS + 1)}, "a"), ({"a": (1,)}, "a")):  # fmt: skip
+                         ({"a": "x" * (MAX_CHARACTERS + 1)}, "a"), ({"a": (1,)}, "a")):  # fmt: skip
         with pytest.raises(ValueError) as refused:
             Entry(wrong, "place").plain()
         assert str(refused.value).startswith(f"place.{place} is ")
@@ -138,10 +139,10 @@ def test_plain_values_are_unconverted():
     ],
 )
 def test_errors_of_the_library_have_the_place(error, said):
-    with pytest.raises(ValueError) as raised, made_of(Entry({}, "s.a")):
+    with pytest.raises(ValueError) as raised, as_value_errors(Entry({}, "s.a")):
         raise error
     assert str(raised.value) == said
-    with np.errstate(all="raise"), made_of(Entry({}, "s.a")):
+    with np.errstate(all="raise"), as_value_errors(Entry({}, "s.a")):
         assert np.float64(1e308) * 10 == INFINITE
 
 
@@ -349,11 +350,11 @@ def test_memory_is_asked_for_before_it_is_taken(monkeypatch, kind):
 
     asked = {}
 
-    def check_room(size, what):
+    def check_available_memory(size, what):
         asked[what.partition(" of ")[0] + (" of" if " of " in what else "")] = size
 
-    monkeypatch.setattr(record_reading, "check_room", check_room)
-    monkeypatch.setattr(matrix_records, "check_room", check_room)
+    monkeypatch.setattr(record_reading, "check_available_memory", check_available_memory)
+    monkeypatch.setattr(matrix_records, "check_available_memory", check_available_memory)
     system_of(through_json(SYSTEMS["matrices"]))
     system_of(through_json(SYSTEMS["quadratic"]))
     least = {"an algebra": 3 * 8, "a representation": 3 * 3 * 3 * 8, "matrices of": 3 * 3 * 8}

@@ -5,7 +5,7 @@ import pytest
 from coadjoint import cli
 from coadjoint.errors import in_one_line
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.error_collector import LETTERS, told_together
+from coadjoint.files.configuration.error_collector import MAX_LINE_LENGTH, join_messages
 
 FILE = """
 [system]
@@ -69,10 +69,12 @@ def test_one_mistake_is_told_as_it_is(tmp_path, wrong):
 
 
 def test_many_and_long_ones_stay_in_one_line():
-    said = told_together([f"key{k}: " + "long " * 100 for k in range(7)])
-    assert len(said) <= LETTERS + 30 and said.endswith("; and 3 more") and all(f"key{k}" in said for k in range(4))
+    said = join_messages([f"key{k}: " + "long " * 100 for k in range(7)])
+    assert (
+        len(said) <= MAX_LINE_LENGTH + 30 and said.endswith("; and 3 more") and all(f"key{k}" in said for k in range(4))
+    )
     assert in_one_line(said) == said
-    assert told_together(["a", "a"]) == "a"
+    assert join_messages(["a", "a"]) == "a"
 
 
 MANY = """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray
 
-from coadjoint.files.datasets.state_arrays import DIMENSIONS, in_parts, state_dimensions, state_of
+from coadjoint.files.datasets.state_arrays import STATE_DIMENSIONS, split_complex, state_dimensions, state_of
 
 SHAPES = {"component": (3,), "matrix": (2, 4), "layers": (3, 2, 4)}
 
@@ -18,14 +18,14 @@ def test_a_state_is_read_as_it_was(shape, members, kind):
     if kind is complex:
         states += 1j * rng.standard_normal(states.shape)
     dims = (*("member",)[: len(member)], *state_dimensions(states, len(member)))
-    dataset = xarray.Dataset({"x0": (dims, in_parts(states))})
+    dataset = xarray.Dataset({"x0": (dims, split_complex(states))})
     assert dims[-1:] == ("part",) * (kind is complex) or kind is float
-    found = state_of(dataset, "x0", DIMENSIONS)
+    found = state_of(dataset, "x0", STATE_DIMENSIONS)
     assert found.dtype == states.dtype and found.tobytes() == states.tobytes() and found.shape == states.shape
 
 
 def test_whole_numbers_become_floats():
-    found = state_of(xarray.Dataset({"x0": ("component", np.arange(3))}), "x0", DIMENSIONS)
+    found = state_of(xarray.Dataset({"x0": ("component", np.arange(3))}), "x0", STATE_DIMENSIONS)
     assert found.dtype == np.float64 and found.tolist() == [0.0, 1.0, 2.0]
 
 
@@ -49,6 +49,6 @@ def test_whole_numbers_become_floats():
 )
 def test_damaged_states_are_refused(dims, values, said):
     with pytest.raises(ValueError, match=said):
-        state_of(xarray.Dataset({"x0": (dims, values)}), "x0", DIMENSIONS)
+        state_of(xarray.Dataset({"x0": (dims, values)}), "x0", STATE_DIMENSIONS)
     with pytest.raises(ValueError, match="no variable 'x1'"):
-        state_of(xarray.Dataset({"x0": (dims, values)}), "x1", DIMENSIONS)
+        state_of(xarray.Dataset({"x0": (dims, values)}), "x1", STATE_DIMENSIONS)

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from coadjoint.files.archives.stored_numbers import numbers_from, numbers_to
+from coadjoint.files.archives.stored_numbers import deserialize_numbers, serialize_numbers
 
 GRID = np.arange(24.0).reshape(2, 3, 4)
 ARRAYS = {
@@ -25,14 +25,14 @@ ARRAYS = {
 
 
 def test_every_layout_is_read_back():
-    found = numbers_from(numbers_to(ARRAYS))
+    found = deserialize_numbers(serialize_numbers(ARRAYS))
     assert list(found) == list(ARRAYS)
     for name, values in ARRAYS.items():
         wanted = np.asarray(values)
         assert found[name].shape == wanted.shape and found[name].dtype == wanted.dtype, name
         np.testing.assert_array_equal(found[name], wanted, err_msg=name)
         found[name][...] = 0  # one's own memory, which a resumed run changes
-    assert np.signbit(numbers_from(numbers_to(ARRAYS))["special"][2])
+    assert np.signbit(deserialize_numbers(serialize_numbers(ARRAYS))["special"][2])
 
 
 def archive(write, **options):
@@ -77,14 +77,14 @@ ENTRIES = {
 def test_entries_that_are_refused(name):
     content, said = ENTRIES[name]
     with pytest.raises(ValueError, match=said):
-        numbers_from(archive(lambda file: file.writestr("x.npy", content)))
+        deserialize_numbers(archive(lambda file: file.writestr("x.npy", content)))
 
 
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_nothing_is_unpacked(compression):
     """A few bytes could become any number of them."""
     with pytest.raises(ValueError, match="compressed or encrypted"):
-        numbers_from(archive(lambda file: file.writestr("x.npy", raw(np.zeros(6))), compression=compression))
+        deserialize_numbers(archive(lambda file: file.writestr("x.npy", raw(np.zeros(6))), compression=compression))
 
 
 def test_entries_do_not_share_bytes():
@@ -97,17 +97,17 @@ def test_entries_do_not_share_bytes():
     for at, number, size in ((8, count, 2), (10, count, 2), (12, count * len(entry), 4), (16, begin, 4)):
         tail[at : at + size] = number.to_bytes(size, "little")
     with pytest.raises(ValueError, match="its entries are longer than the file"):
-        numbers_from(content[:begin] + entry * count + bytes(tail))
+        deserialize_numbers(content[:begin] + entry * count + bytes(tail))
 
 
-@pytest.mark.parametrize("content", [b"", b"PK", b"nothing" * 100, numbers_to(ARRAYS)[:-30]])
+@pytest.mark.parametrize("content", [b"", b"PK", b"nothing" * 100, serialize_numbers(ARRAYS)[:-30]])
 def test_what_is_no_archive_is_refused(content):
     with pytest.raises(ValueError, match="BadZipFile while it was read"):
-        numbers_from(content)
+        deserialize_numbers(content)
 
 
 def test_a_flipped_bit_is_refused():
-    content = bytearray(numbers_to({"x": GRID}))
+    content = bytearray(serialize_numbers({"x": GRID}))
     content[content.index(GRID[1, 1].tobytes()) + 3] ^= 1
     with pytest.raises(ValueError, match="BadZipFile while it was read"):
-        numbers_from(bytes(content))
+        deserialize_numbers(bytes(content))

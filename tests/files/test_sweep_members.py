@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.sweeps import with_values
-from coadjoint.files.configuration.swept_settings import as_coordinates, drawn, moved_on_orbit
+from coadjoint.files.configuration.sweeps import replace_values
+from coadjoint.files.configuration.swept_settings import as_coordinates, move_on_orbit, random_settings
 
 BODY = """
 [system]
@@ -81,11 +81,11 @@ KEYS = (
 
 @pytest.mark.parametrize(("kind", "spread"), [("uniform", [0.0, 1.0]), ("normal", [0.0, 1.0])])
 def test_random_numbers_of_different_keys_are_independent(kind, spread):
-    found = [drawn(kind, spread, key, 5, 64, ()) for key in KEYS]
+    found = [random_settings(kind, spread, key, 5, 64, ()) for key in KEYS]
     assert len(set(np.concatenate(found).tolist())) == 64 * len(KEYS), "no number occurs twice"
     # Correlations of 64 independent pairs have the deviation 1/8; five of them are exceeded once in a million.
     assert np.all(abs(np.corrcoef(found) - np.eye(len(KEYS))) < 5 / 8)
-    vectors = drawn(kind, spread, "initial.x", 5, 64, (3,))
+    vectors = random_settings(kind, spread, "initial.x", 5, 64, (3,))
     assert len(set(vectors.ravel().tolist())) == 3 * 64
 
 
@@ -106,7 +106,7 @@ def test_settings_that_are_zero_are_given(swept, tmp_path):
         found = swept(over + column, f"samples = 2\nseed = {seed}")
         states[seed] = found.x0.reshape(2, 3, 2, 3)
         for place, (kind, spread) in enumerate((("normal", [0.0, 1.0]), ("uniform", [0.0, 2.0]))):
-            wanted = drawn(kind, spread, f"initial.x[{place}]", seed, 2, ())
+            wanted = random_settings(kind, spread, f"initial.x[{place}]", seed, 2, ())
             np.testing.assert_array_equal(states[seed][:, 0, 0, place], wanted)
         assert states[seed][0, :, 0, 2].tolist() == [0.0, 5.0, 0.0]
         assert [body.parameters["inertia"][2] for body in found.system] == [2.5, 2.75] * 6
@@ -115,13 +115,14 @@ def test_settings_that_are_zero_are_given(swept, tmp_path):
 
 
 def test_orbits_and_spheres_are_made_of_the_normal_numbers():
-    normal = drawn("normal", [0.0, 1.0], "initial.x", 7, 5, (4,))
-    np.testing.assert_array_equal(drawn("orbit", 0.5, "initial.x", 7, 5, (4,)), 0.5 * normal)
-    sphere = drawn("sphere", 3.0, "initial.x", 7, 5, (4,))
+    normal = random_settings("normal", [0.0, 1.0], "initial.x", 7, 5, (4,))
+    np.testing.assert_array_equal(random_settings("orbit", 0.5, "initial.x", 7, 5, (4,)), 0.5 * normal)
+    sphere = random_settings("sphere", 3.0, "initial.x", 7, 5, (4,))
     # A norm, a quotient and a product are rounded.
     np.testing.assert_allclose(sphere, 3.0 * normal / np.linalg.norm(normal, axis=1, keepdims=True), rtol=1e-15)
-    np.testing.assert_array_equal(drawn("normal", [[1.0, 2.0, 0.0, 4.0], [0.5, 0, 1.0, 2.0]], "initial.x", 7, 5, (4,)),
-                                  [1.0, 2.0, 0.0, 4.0] + np.array([0.5, 0, 1.0, 2.0]) * normal)  # fmt: skip
+    means, widths = [1.0, 2.0, 0.0, 4.0], [0.5, 0, 1.0, 2.0]
+    drawn = random_settings("normal", [means, widths], "initial.x", 7, 5, (4,))
+    np.testing.assert_array_equal(drawn, means + np.array(widths) * normal)
 
 
 @pytest.mark.parametrize("first", ["samples", "grid"])
@@ -130,7 +131,7 @@ def test_every_member_moves_on_the_orbit_of_its_own_algebra(swept, first):
     lines = ['"initial.x" = { orbit = 0.75 }', '"algebra.parameters.a" = [0.5, 1.5]']
     order = lines if first == "samples" else lines[::-1]
     found = swept("\n".join(order), "samples = 3\nseed = 1", SPIRAL)
-    moves, x = drawn("orbit", 0.75, "initial.x", 1, 3, (3,)), np.array([0.25, 1.0, -0.5])
+    moves, x = random_settings("orbit", 0.75, "initial.x", 1, 3, (3,)), np.array([0.25, 1.0, -0.5])
     assert len(found.system) == len(found.x0) == 6
     for member, (system, state) in enumerate(zip(found.system, found.x0, strict=True)):
         sample, value = (member // 2, member % 2) if first == "samples" else (member % 3, member // 3)
@@ -146,10 +147,10 @@ def test_orbits_of_large_rotations():
         u = axis / np.linalg.norm(axis)
         for angle in (3.0, 40.0):
             exact = math.cos(angle) * x + math.sin(angle) * np.cross(u, x) + (1 - math.cos(angle)) * (u @ x) * u
-            moved = moved_on_orbit(g, x, angle * u)
+            moved = move_on_orbit(g, x, angle * u)
             np.testing.assert_allclose(moved, exact, rtol=0, atol=16 * 2.0**-53 * 2 * angle * np.linalg.norm(x))
     with pytest.raises(ValueError, match="orbit moves a state by exponents of size"):
-        moved_on_orbit(g, x, np.array([1e4, 0.0, 0.0]))
+        move_on_orbit(g, x, np.array([1e4, 0.0, 0.0]))
 
 
 def test_whole_numbers_in_the_file_do_not_truncate_what_is_set(swept):
@@ -233,7 +234,7 @@ def test_random_settings_refused_with_the_key(swept, tmp_path, beside, over, sai
 
 def test_tables_of_the_file_are_not_changed():
     raw = {"initial": {"x": [1.0, 2.0]}, "forces": [{"rate": 1.0}]}
-    found = with_values(raw, {"initial.x[1]": 5.0, "forces[0].rate": 2.0, "system.parameters.a": 3}, "run.toml")
+    found = replace_values(raw, {"initial.x[1]": 5.0, "forces[0].rate": 2.0, "system.parameters.a": 3}, "run.toml")
     assert found == {"initial": {"x": [1.0, 5.0]}, "forces": [{"rate": 2.0}], "system": {"parameters": {"a": 3}}}
     assert raw == {"initial": {"x": [1.0, 2.0]}, "forces": [{"rate": 1.0}]}
 
@@ -259,7 +260,9 @@ FULL = [[2.0, 0.1, 0.0], [0.1, 3.0, 0.0], [0.0, 0.0, 4.0]]
 def test_memory_is_asked_for_all_members(swept, monkeypatch, module, beside, over, least):
     """At least what the numbers need; for bodies, 1000 bytes each."""
     asked = []
-    monkeypatch.setattr(f"coadjoint.files.{module}.check_room", lambda size, what: asked.append(size))
+    monkeypatch.setattr(
+        f"coadjoint.files.configuration.{module}.check_available_memory", lambda size, what: asked.append(size)
+    )
     swept(over, beside, BODY.replace("[1.0, 2.0, 2.5]", str(FULL)) if "[[" in over else BODY)
     assert max(asked) >= least
 

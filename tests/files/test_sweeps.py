@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.swept_settings import as_coordinates, drawn, moved_on_orbit
+from coadjoint.files.configuration.swept_settings import as_coordinates, move_on_orbit, random_settings
 
 BODY = """
 [system]
@@ -101,19 +101,19 @@ def test_a_sample_depends_on_seed_place_and_number_alone(written):
     np.testing.assert_array_equal(states(5, 7)[:2], few)
     np.testing.assert_array_equal(states(2, 7, '"system.parameters.inertia[2]" = { uniform = [2, 3] }\n'), few)
     assert not np.any(states(2, 8) == few)
-    assert not np.any(drawn("normal", [0.0, 1.0], "initial.y", 7, 2, (3,)) == few)
+    assert not np.any(random_settings("normal", [0.0, 1.0], "initial.y", 7, 2, (3,)) == few)
 
 
 def test_distributions():
     """Means of 4000 numbers are within five standard errors of those of the distributions."""
     count = 4000
-    flat = drawn("uniform", [[1.0, -2.0], [3.0, 0.0]], "initial.x", 1, count, (2,))
+    flat = random_settings("uniform", [[1.0, -2.0], [3.0, 0.0]], "initial.x", 1, count, (2,))
     assert np.all((flat >= [1.0, -2.0]) & (flat < [3.0, 0.0]))
     assert np.all(abs(flat.mean(axis=0) - [2.0, -1.0]) < 5 * 2 / math.sqrt(12 * count))
-    bell = drawn("normal", [[1.0, 0.0], 0.5], "initial.x", 1, count, (2,))
+    bell = random_settings("normal", [[1.0, 0.0], 0.5], "initial.x", 1, count, (2,))
     assert np.all(abs(bell.mean(axis=0) - [1.0, 0.0]) < 5 * 0.5 / math.sqrt(count))
     assert np.all(abs(bell.var(axis=0) - 0.25) < 5 * 0.25 * math.sqrt(2 / count))
-    round_ = drawn("sphere", 2.0, "initial.x", 1, count, (3,))
+    round_ = random_settings("sphere", 2.0, "initial.x", 1, count, (3,))
     np.testing.assert_allclose(np.linalg.norm(round_, axis=1), 2.0, rtol=1e-15)
     assert np.all(abs(round_.mean(axis=0)) < 5 * 2 / math.sqrt(3 * count))
 
@@ -124,7 +124,7 @@ def test_orbits_keep_the_casimirs(name):
     g = co.algebras.get(name)
     rng = np.random.default_rng(1)
     x, u = rng.standard_normal(g.dim), 0.5 * rng.standard_normal(g.dim)
-    y = moved_on_orbit(g, x, u)
+    y = move_on_orbit(g, x, u)
     assert np.linalg.norm(y - x) > 0.1
     exact = np.array(expm(g.coadjoint(u)) @ x)
     np.testing.assert_allclose(y, exact, atol=1e-14 * np.linalg.norm(exact) * math.exp(2))

@@ -12,7 +12,13 @@ import pytest
 
 from coadjoint import interruption
 from coadjoint.files.output import atomic_output as unfinished
-from coadjoint.files.output.atomic_output import LOCK, REPLACED, Unfinished, locked, remove_leftovers
+from coadjoint.files.output.atomic_output import (
+    LOCK_FILE,
+    REPLACED_FOLDER,
+    PendingOutput,
+    open_locked,
+    remove_leftovers,
+)
 
 STRANGER = 65534
 AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
@@ -29,7 +35,7 @@ def leftover(target, *, ending="0123abcd", lock=True):
     folder.mkdir()
     (folder / target.name).write_text("half")
     if lock:
-        (folder / LOCK).touch()
+        (folder / LOCK_FILE).touch()
     return folder
 
 
@@ -37,40 +43,40 @@ def leftover(target, *, ending="0123abcd", lock=True):
 def test_nobody_else_sees_what_is_written(tmp_path, mask):
     old = os.umask(mask)
     try:
-        with Unfinished(tmp_path / "run.nc") as own:
+        with PendingOutput(tmp_path / "run.nc") as own:
             assert stat.S_IMODE(own.place.parent.stat().st_mode) == 0o700
-            assert stat.S_IMODE((own.place.parent / LOCK).stat().st_mode) == 0o600
+            assert stat.S_IMODE((own.place.parent / LOCK_FILE).stat().st_mode) == 0o600
     finally:
         os.umask(old)
 
 
 @pytest.mark.parametrize("how", ["finished", "given up", "failed", "not made", "leftovers"])
 def test_nothing_stays_open_or_registered(tmp_path, how):
-    target, before, registered = tmp_path / "run.nc", open_descriptors(), list(interruption._unfinished)
+    target, before, registered = tmp_path / "run.nc", open_descriptors(), list(interruption._cleanups)
     if how == "leftovers":
         leftover(target)
         remove_leftovers(target)
     elif how == "not made":
-        with pytest.raises(FileNotFoundError), Unfinished(tmp_path / "none" / "run.nc"):
+        with pytest.raises(FileNotFoundError), PendingOutput(tmp_path / "none" / "run.nc"):
             pass
     elif how == "failed":
-        with pytest.raises(KeyError), Unfinished(target) as own:
+        with pytest.raises(KeyError), PendingOutput(target) as own:
             own.place.write_text("half")
             raise KeyError
     else:
-        with Unfinished(target) as own:
-            assert interruption._unfinished == [*registered, own.give_up]
+        with PendingOutput(target) as own:
+            assert interruption._cleanups == [*registered, own.abandon]
             own.place.write_text("whole")
-            own.finish() if how == "finished" else own.give_up()
-    assert open_descriptors() == before and interruption._unfinished == registered
+            own.finish() if how == "finished" else own.abandon()
+    assert open_descriptors() == before and interruption._cleanups == registered
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"] * (how == "finished")
 
 
 def test_only_what_is_not_locked_is_removed(tmp_path):
     target = tmp_path / "run.nc"
-    with Unfinished(target) as own:
+    with PendingOutput(target) as own:
         left, begun, other = leftover(target), leftover(target, ending="1"), leftover(tmp_path / "run.zarr")
-        (begun / LOCK).unlink()
+        (begun / LOCK_FILE).unlink()
         (begun / "run.nc").unlink()  # killed before it was locked
         remove_leftovers(target)
         assert not left.exists() and not begun.exists()
@@ -88,7 +94,7 @@ def test_without_a_lock_only_an_empty_folder_is_removed(tmp_path):
 @pytest.mark.parametrize("what", ["folder", "lock alone"])
 def test_what_another_user_has_left_stays(tmp_path, what):
     folder = leftover(tmp_path / "run.nc")
-    os.chown(folder if what == "folder" else folder / LOCK, STRANGER, STRANGER)
+    os.chown(folder if what == "folder" else folder / LOCK_FILE, STRANGER, STRANGER)
     remove_leftovers(tmp_path / "run.nc")
     assert folder.exists() == (what == "folder")
 
@@ -113,14 +119,14 @@ def test_a_lock_is_a_regular_file(tmp_path, kind):
     folder, before = leftover(tmp_path / "run.nc", lock=False), open_descriptors()
     if kind == "link":
         (tmp_path / "kept").write_text("dear")
-        (folder / LOCK).symlink_to(tmp_path / "kept")
+        (folder / LOCK_FILE).symlink_to(tmp_path / "kept")
     elif kind == "fifo":
-        os.mkfifo(folder / LOCK)
+        os.mkfifo(folder / LOCK_FILE)
     else:
-        (folder / LOCK).mkdir()
+        (folder / LOCK_FILE).mkdir()
     for create in (0, os.O_CREAT):
         with pytest.raises(OSError) as refused:
-            locked(folder / LOCK, create)
+            open_locked(folder / LOCK_FILE, create)
         assert refused.value.errno in {"link": (errno.ELOOP,), "fifo": (errno.EINVAL,), "folder": (errno.EISDIR,)}[kind]
     remove_leftovers(tmp_path / "run.nc")
     assert (folder / "run.nc").exists() and open_descriptors() == before
@@ -128,7 +134,7 @@ def test_a_lock_is_a_regular_file(tmp_path, kind):
 
 def test_a_lock_that_was_removed_meanwhile_is_not_held(tmp_path, monkeypatch):
     """Otherwise two processes would hold locks of one name."""
-    place, flock, before = tmp_path / LOCK, fcntl.flock, open_descriptors()
+    place, flock, before = tmp_path / LOCK_FILE, fcntl.flock, open_descriptors()
 
     def removed(descriptor, how):
         flock(descriptor, how)
@@ -136,9 +142,9 @@ def test_a_lock_that_was_removed_meanwhile_is_not_held(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(fcntl, "flock", removed)
-        assert locked(place, os.O_CREAT) is None
-    held = locked(place, os.O_CREAT)
-    assert held is not None and locked(place, os.O_CREAT) is None
+        assert open_locked(place, os.O_CREAT) is None
+    held = open_locked(place, os.O_CREAT)
+    assert held is not None and open_locked(place, os.O_CREAT) is None
     os.close(held)
     assert open_descriptors() == before
 
@@ -153,7 +159,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
     monkeypatch.setattr(fcntl, "flock", unknown)
     target = tmp_path / "run.nc"
     folder = leftover(target)
-    with Unfinished(target) as own:
+    with PendingOutput(target) as own:
         own.place.write_text("whole")
         own.finish()
     remove_leftovers(target)
@@ -164,8 +170,8 @@ def test_a_replaced_store_comes_back_only_where_no_other_is(tmp_path):
     target = tmp_path / "run.zarr"
     for there in ("folder", "link to nothing", None):
         folder = leftover(target)
-        (folder / REPLACED).mkdir()
-        (folder / REPLACED / "old").touch()
+        (folder / REPLACED_FOLDER).mkdir()
+        (folder / REPLACED_FOLDER / "old").touch()
         if there == "folder":
             target.mkdir()
         elif there:
@@ -194,12 +200,12 @@ def test_a_replaced_store_stays_where_it_cannot_be_put_back(tmp_path, monkeypatc
     with monkeypatch.context() as patched:
         patched.setattr(os, "replace", full)
         if by == "the run":
-            with pytest.raises(OSError, match="No space left"), Unfinished(target) as own:
+            with pytest.raises(OSError, match="No space left"), PendingOutput(target) as own:
                 own.place.mkdir()
                 own.finish()
         else:
-            (leftover(target) / REPLACED).mkdir()
-            target.rename(next(tmp_path.glob(".*")) / REPLACED)
+            (leftover(target) / REPLACED_FOLDER).mkdir()
+            target.rename(next(tmp_path.glob(".*")) / REPLACED_FOLDER)
         remove_leftovers(target)
         assert not target.exists()
     remove_leftovers(target)
@@ -209,12 +215,12 @@ def test_a_replaced_store_stays_where_it_cannot_be_put_back(tmp_path, monkeypatc
 def cannot_be_removed(folder, kind, monkeypatch):
     """Change a leftover so that it is not removed, by its kind of obstacle."""
     if kind in ("pipe", "link", "folder"):
-        (folder / LOCK).unlink()
+        (folder / LOCK_FILE).unlink()
         {"pipe": os.mkfifo, "link": lambda lock: lock.symlink_to(folder / "run.zarr"), "folder": os.mkdir}[kind](
-            folder / LOCK
+            folder / LOCK_FILE
         )
     elif kind == "without a lock":
-        (folder / LOCK).unlink()
+        (folder / LOCK_FILE).unlink()
     elif kind == "file":
         shutil.rmtree(folder)
         folder.write_text("dear")
@@ -243,9 +249,9 @@ def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at
     target, scandir, before = tmp_path / "run.zarr", os.scandir, open_descriptors()
     folders = [leftover(target, ending=str(k)) for k in range(5)]
     one, last = folders[at], folders[-1 if at < 4 else 0]
-    (last / REPLACED).mkdir()
-    (last / REPLACED / "old").touch()
-    held = locked(one / LOCK) if kind == "running" else None
+    (last / REPLACED_FOLDER).mkdir()
+    (last / REPLACED_FOLDER / "old").touch()
+    held = open_locked(one / LOCK_FILE) if kind == "running" else None
 
     def in_order(place):
         with scandir(place) as entries:
@@ -289,12 +295,12 @@ def test_a_folder_that_another_process_takes_is_not_written_to(tmp_path, monkeyp
             path.parent.rmdir()
             taken.append(path.parent)
             return None
-        return locked(path, *given)
+        return open_locked(path, *given)
 
-    monkeypatch.setattr(unfinished, "locked", lost)
-    with Unfinished(tmp_path / "run.nc") as own:
+    monkeypatch.setattr(unfinished, "open_locked", lost)
+    with PendingOutput(tmp_path / "run.nc") as own:
         folder = own.place.parent
-        assert folder not in taken and os.listdir(tmp_path) == [folder.name] and locked(folder / LOCK) is None
+        assert folder not in taken and os.listdir(tmp_path) == [folder.name] and open_locked(folder / LOCK_FILE) is None
     assert not os.listdir(tmp_path)
 
 
@@ -302,11 +308,11 @@ def test_a_lock_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
     def many(path, *given):
         raise OSError(errno.EMFILE, "Too many open files")
 
-    registered = list(interruption._unfinished)
-    monkeypatch.setattr(unfinished, "locked", many)
-    with pytest.raises(OSError, match="Too many open files"), Unfinished(tmp_path / "run.nc"):
+    registered = list(interruption._cleanups)
+    monkeypatch.setattr(unfinished, "open_locked", many)
+    with pytest.raises(OSError, match="Too many open files"), PendingOutput(tmp_path / "run.nc"):
         pass
-    assert not os.listdir(tmp_path) and interruption._unfinished == registered
+    assert not os.listdir(tmp_path) and interruption._cleanups == registered
 
 
 def test_a_lock_is_removed_last(tmp_path, monkeypatch):
@@ -317,13 +323,13 @@ def test_a_lock_is_removed_last(tmp_path, monkeypatch):
     unlink = Path.unlink
     monkeypatch.setattr(Path, "unlink", lambda self, **more: (removed.append(self.name), unlink(self, **more))[1])
     remove_leftovers(tmp_path / "run.nc")
-    assert sorted(removed) == ["a", LOCK, "run.nc", "z"] and removed[-1] == LOCK
+    assert sorted(removed) == ["a", LOCK_FILE, "run.nc", "z"] and removed[-1] == LOCK_FILE
 
 
 @pytest.mark.parametrize("name", [b"\xff\xfe.nc", "é".encode() * 120 + b".nc", b"a b\n.nc"])
 def test_any_name_of_a_file(tmp_path, name):
     target = tmp_path / os.fsdecode(name)
-    with Unfinished(target) as own:
+    with PendingOutput(target) as own:
         own.place.write_text("whole")
         own.finish()
     leftover(target)
@@ -338,7 +344,7 @@ def test_what_cannot_be_removed_does_not_hide_an_error(tmp_path, monkeypatch):
     def busy(path, **more):
         raise OSError(errno.EBUSY, "Device or resource busy")
 
-    with monkeypatch.context() as patched, pytest.raises(KeyError, match="first"), Unfinished(target) as own:
+    with monkeypatch.context() as patched, pytest.raises(KeyError, match="first"), PendingOutput(target) as own:
         own.place.write_text("half")
         patched.setattr(Path, "unlink", busy)
         raise KeyError("first")

@@ -136,7 +136,7 @@ def test_an_ensemble_that_cannot_be_marked_as_finished(tmp_path, monkeypatch):
     )
     assert open_descriptors() == before
     assert co.open_archive(path).status.tolist() == [1] * MEMBERS and read_root(path)[1][FINISHED] == 0
-    monkeypatch.setattr(ensembles, "run_block", lambda *given: pytest.fail("a block is run again"))
+    monkeypatch.setattr(ensembles, "run_block", lambda *given: pytest.mark_failed("a block is run again"))
     check_whole(path, "a37", 3)
     assert read_root(path)[1][FINISHED] == 1
 

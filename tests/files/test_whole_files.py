@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from coadjoint.files.output import atomic_files as whole_files
-from coadjoint.files.output.atomic_files import settle, write_whole
+from coadjoint.files.output.atomic_files import sync_to_disk, write_atomically
 
 NEW, OLD = b"new" * 100, b"old"
 
 
 @pytest.fixture(params=["path", "descriptor", "working folder"])
 def place(request, tmp_path, monkeypatch):
-    """A folder, and what `write_whole` is given for a file in it, by each way to name it."""
+    """A folder, and what `write_atomically` is given for a file in it, by each way to name it."""
     folder = tmp_path / "folder"
     folder.mkdir()
     if request.param == "path":
@@ -57,7 +57,7 @@ def test_what_is_there_is_replaced_and_not_followed(place, there, name):
     THERE[there](folder / name)
     old = os.umask(0o007)
     try:
-        write_whole(*given())
+        write_atomically(*given())
     finally:
         os.umask(old)
     found = os.lstat(folder / "file")
@@ -80,7 +80,7 @@ def test_a_write_that_fails_changes_nothing(place, monkeypatch, call, error, bef
 
     with monkeypatch.context() as patched, pytest.raises(type(error)) as raised:
         patched.setattr(os, call, failing)
-        write_whole(*given())
+        write_atomically(*given())
     assert raised.value is error
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == ({} if before is None else {"file": before})
 
@@ -100,13 +100,13 @@ def test_the_content_is_on_disk_before_it_has_its_name(place, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", replaced)
-    write_whole(*given())
+    write_atomically(*given())
     assert events == [("synced", len(NEW), True), "named"]
 
 
 def test_a_missing_folder_is_not_made(tmp_path):
     with pytest.raises(FileNotFoundError):
-        write_whole(tmp_path / "none" / "file", NEW)
+        write_atomically(tmp_path / "none" / "file", NEW)
     assert not os.listdir(tmp_path)
 
 
@@ -116,7 +116,7 @@ def test_a_folder_in_the_place_of_a_file_stays(place, name):
     (folder / name).mkdir()
     (folder / name / "inside").write_bytes(OLD)
     with pytest.raises(OSError):
-        write_whole(*given())
+        write_atomically(*given())
     assert os.listdir(folder) == [name] and (folder / name / "inside").read_bytes() == OLD
 
 
@@ -130,7 +130,7 @@ def test_folders_that_a_file_system_cannot_sync(tmp_path, monkeypatch, number):
     try:
         with monkeypatch.context() as patched:
             patched.setattr(whole_files.os, "fsync", synced.append)
-            settle(descriptor)
+            sync_to_disk(descriptor)
         assert synced == [descriptor]
 
         def failing(descriptor):
@@ -138,10 +138,10 @@ def test_folders_that_a_file_system_cannot_sync(tmp_path, monkeypatch, number):
 
         monkeypatch.setattr(os, "fsync", failing)
         if number in UNKNOWN:
-            settle(descriptor)
+            sync_to_disk(descriptor)
         else:
             with pytest.raises(OSError) as raised:
-                settle(descriptor)
+                sync_to_disk(descriptor)
             assert raised.value.errno == number
     finally:
         os.close(descriptor)

@@ -7,8 +7,8 @@ from fractions import Fraction
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.bracket_parser import read_brackets
-from coadjoint.files.configuration.polynomials import read_polynomial
+from coadjoint.algebra.bracket_parser import parse_brackets
+from coadjoint.files.configuration.polynomials import parse_polynomial
 from guards import bounded_work
 
 
@@ -17,41 +17,42 @@ def test_long_polynomials_are_read_in_time_that_grows_with_them():
     monomials = {(i % 50, i // 50 % 50, i // 2500): i + 1 for i in range(6000)}
     text = " + ".join(f"{c}*x1^{a}*x2^{b}*x3^{d}" for (a, b, d), c in monomials.items())
     with bounded_work():
-        assert read_polynomial(text, 3) == co.Polynomial(monomials)
-        assert read_polynomial([[c, list(e)] for e, c in monomials.items()], 3) == co.Polynomial(monomials)
+        assert parse_polynomial(text, 3) == co.Polynomial(monomials)
+        assert parse_polynomial([[c, list(e)] for e, c in monomials.items()], 3) == co.Polynomial(monomials)
 
 
 def test_terms_add_up_in_the_order_in_which_they_are_written():
-    assert read_polynomial("0.1*x1 + 0.2*x1 + 0.3*x1 - 1e16*x2 + x2 + 1e16*x2", 2) == co.Polynomial(
+    assert parse_polynomial("0.1*x1 + 0.2*x1 + 0.3*x1 - 1e16*x2 + x2 + 1e16*x2", 2) == co.Polynomial(
         {(1, 0): 0.1 + 0.2 + 0.3, (0, 1): -1e16 + 1 + 1e16}
     )
-    assert read_polynomial("x1 - x1 + 2*x2 - 1/3*x2", 2) == co.Polynomial({(0, 1): Fraction(5, 3)})
+    assert parse_polynomial("x1 - x1 + 2*x2 - 1/3*x2", 2) == co.Polynomial({(0, 1): Fraction(5, 3)})
 
 
 def test_highest_degree_and_largest_coefficient():
-    assert read_polynomial("x1^1000*x2^24", 2).degree == 1024
+    assert parse_polynomial("x1^1000*x2^24", 2).degree == 1024
     with pytest.raises(ValueError, match="'x1\\^1000\\*x2\\^25' has the degree 1025; there are degrees up to 1024"):
-        read_polynomial("x1^1000*x2^25", 2)
-    assert read_polynomial([[1, [1000, 24]]], 2).degree == 1024
+        parse_polynomial("x1^1000*x2^25", 2)
+    assert parse_polynomial([[1, [1000, 24]]], 2).degree == 1024
     for exponents in ([1000, 25], [25, 1000], [1025, 0], [0, 1025], [600, 425]):
         with pytest.raises(ValueError, match="has the degree 1025; there are degrees up to 1024"):
-            read_polynomial([[1, exponents]], 2)
+            parse_polynomial([[1, exponents]], 2)
     largest = int(1.7976931348623157e308)
-    assert read_polynomial(f"{largest}*x1", 1).monomials == {(1,): largest}
+    assert parse_polynomial(f"{largest}*x1", 1).monomials == {(1,): largest}
     for text in (f"{largest + 10**300}*x1", f"{largest}*x1 + {largest}*x1", f"{largest}*2*x1", f"1/{largest}*1/2*x1"):
         if text.startswith("1/"):
-            assert read_polynomial(text, 1).monomials == {(1,): Fraction(1, 2 * largest)}
+            assert parse_polynomial(text, 1).monomials == {(1,): Fraction(1, 2 * largest)}
         else:
             with pytest.raises(ValueError, match="is too large for float64"):
-                read_polynomial(text, 1)
+                parse_polynomial(text, 1)
 
 
 def test_more_terms_than_memory(monkeypatch):
     monkeypatch.setattr(
-        "coadjoint.algebra.polynomials.formula_parser.check_room", lambda count, what: wanted.append((count, what))
+        "coadjoint.algebra.polynomials.formula_parser.check_available_memory",
+        lambda count, what: wanted.append((count, what)),
     )
     wanted = []
-    read_polynomial(" + ".join(f"x{i + 1}" for i in range(1100)), 1100)
+    parse_polynomial(" + ".join(f"x{i + 1}" for i in range(1100)), 1100)
     assert [what for _, what in wanted] == ["a polynomial of 1024 terms or more in 1100 coordinates"]
     assert 1024 * 1100 * 8 < wanted[0][0] < 10 * 1024 * 1100 * 8
 
@@ -61,7 +62,7 @@ def test_brackets_of_many_elements_are_read_in_time_that_grows_with_them():
     basis = [f"e{i + 1}" for i in range(n)]
     lines = [f"[e{i}, e{i + 1}] = {i} e{i + 2} - 1/2*e{n}" for i in range(1, n - 2)]
     with bounded_work():
-        found = read_brackets(lines, basis)
+        found = parse_brackets(lines, basis)
     assert len(found) == n - 3 and found[10, 11] == {12: 11.0, n - 1: -0.5}
 
 
@@ -92,7 +93,7 @@ def test_any_names(basis):
         wanted = {k: -c if s == "-" else c for s, (k, c) in zip(signs, terms.items(), strict=True)}
         space = rng.choice(["", " ", "  "])
         line = f"{space}[{space}{basis[i]}{space},{space}{basis[j]}{space}]{space}={space}{right.removeprefix('+ ')}"
-        assert read_brackets([line], basis) == {(i, j): wanted}, line
+        assert parse_brackets([line], basis) == {(i, j): wanted}, line
 
 
 @pytest.mark.parametrize(
@@ -112,7 +113,7 @@ def test_any_names(basis):
 )
 def test_no_other_brackets(right, said):
     with pytest.raises(ValueError) as refused:
-        read_brackets([f"[e1, e2] = {right}"], ["e1", "e2", "e3"])
+        parse_brackets([f"[e1, e2] = {right}"], ["e1", "e2", "e3"])
     assert said in str(refused.value) and len(str(refused.value)) < 300
 
 
@@ -130,12 +131,12 @@ def test_no_other_brackets(right, said):
     ],
 )
 def test_powers_and_quotients_as_python_and_physicists_write_them(text, same):
-    assert read_polynomial(text, 2) == read_polynomial(same, 2)
+    assert parse_polynomial(text, 2) == parse_polynomial(same, 2)
 
 
 def test_a_quotient_by_a_decimal_number_is_rounded_once():
-    assert read_polynomial("0.3*x1/3", 1).monomials[1,] == 0.3 / 3
-    assert read_polynomial("x1/3", 1).monomials[1,] == Fraction(1, 3)
+    assert parse_polynomial("0.3*x1/3", 1).monomials[1,] == 0.3 / 3
+    assert parse_polynomial("x1/3", 1).monomials[1,] == Fraction(1, 3)
 
 
 @pytest.mark.parametrize(
@@ -151,4 +152,4 @@ def test_a_quotient_by_a_decimal_number_is_rounded_once():
 )
 def test_quotients_that_are_none(text, said):
     with pytest.raises(ValueError, match=re.escape(said)):
-        read_polynomial(text, 2)
+        parse_polynomial(text, 2)

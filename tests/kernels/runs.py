@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.kernels import runge_kutta
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.loop import Crew, Stop, remembered
+from coadjoint.kernels.loop import MemberBatch, StopFlag, scheme_memory
 from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
@@ -25,7 +25,7 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
     watches = [watch_tables(system, system.casimirs) for system in systems]
     members, n = x0.shape
     d = found[0].tables.group.size
-    memory = remembered(runge_kutta.RUNGE_KUTTA_LOOP, found[0].tables)
+    memory = scheme_memory(runge_kutta.RUNGE_KUTTA_LOOP, found[0].tables)
     layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), memory))
     saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state["momenta"][:], state["groups"][:] = x0, np.eye(d).ravel()
@@ -34,8 +34,8 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
         stride = len(systems) + PADDING
         tables = spread([each.tables for each in found])
         watch = spread([each.tables for each in watches])
-    crew = Crew(runge_kutta.RUNGE_KUTTA_LOOP, tables, watch, 0, members, stride)
-    return crew, (layout, schedule_of(0.0, h, steps, steps, True)), (saved, state), (found, watches)
+    member_batch = MemberBatch(runge_kutta.RUNGE_KUTTA_LOOP, tables, watch, 0, members, stride)
+    return member_batch, (layout, schedule_of(0.0, h, steps, steps, True)), (saved, state), (found, watches)
 
 
 def spread(tables):
@@ -56,9 +56,9 @@ def run(systems, method, x0, h, steps, *, cuts=(), keep=None, **how):
     """Return the state at the end and what was saved; `keep` is called with the state between calls, and returns the
     one that the next call works with.
     """
-    crew, given, (saved, state), alive = begin(systems, method, x0, h, steps, **how)
+    member_batch, given, (saved, state), alive = begin(systems, method, x0, h, steps, **how)
     for k0, k1 in pairwise([0, *cuts, steps]):
-        crew.advance(*given, saved, state, k0, k1, Stop())
+        member_batch.advance(*given, saved, state, k0, k1, StopFlag())
         if keep is not None:
             state = keep(state)
     assert alive

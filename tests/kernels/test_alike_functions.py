@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.function_contents import key_of
+from coadjoint.kernels.function_contents import compilation_key
 
 numba = pytest.importorskip("numba")
 
@@ -49,7 +49,11 @@ def test_what_is_alike():
         (with_module(), with_module()),
         (times((1, "a"))[0], times((1, "a"))[0]),
     ):
-        assert one is not other and key_of(one) == key_of(other) and hash(key_of(one)) == hash(key_of(other))
+        assert (
+            one is not other
+            and compilation_key(one) == compilation_key(other)
+            and hash(compilation_key(one)) == hash(compilation_key(other))
+        )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +81,7 @@ def test_what_is_alike():
     ],
 )
 def test_what_is_not_alike(one, other):
-    assert key_of(one) != key_of(other)
+    assert compilation_key(one) != compilation_key(other)
 
 
 class Holder:
@@ -219,10 +223,10 @@ def test_whatever_an_object_holds_is_in_its_key(name):
         return make(**call) if isinstance(call, dict) else make(*call)
 
     for around in (lambda value: value, lambda value: times(value)[0], lambda value: [Holder((value, 0.0))]):
-        keys = [key_of(around(made(call))) for call in calls]
+        keys = [compilation_key(around(made(call))) for call in calls]
         assert all(isinstance(key, str) for key in keys)
         assert len(set(keys)) == len(calls)
-        assert keys == [key_of(around(made(call))) for call in calls]
+        assert keys == [compilation_key(around(made(call))) for call in calls]
 
 
 def with_local(y):
@@ -243,7 +247,7 @@ def test_options_of_compilation_are_in_the_key():
         made += [numba.njit(signature)(inlined) for signature in ("f8(f8)", "f4(f4)")]
         made += [numba.njit(**DISPATCHERS[1])(inner), numba.cfunc("f8(f8)")(inner)]
         return [
-            key_of(one)
+            compilation_key(one)
             for one in (*made, *(numba.cfunc(signature, **given)(inlined) for signature, given in CALLBACKS))
         ]
 
@@ -254,15 +258,15 @@ def test_options_of_compilation_are_in_the_key():
 def test_a_value_that_is_met_again_is_another_than_an_equal_one():
     """[a, b] with a is b, and with a equal to b, can differ in what a function does to them."""
     one, other = Holder(1.0), Holder(1.0)
-    assert key_of([one, one]) != key_of([one, other]) == key_of([other, one])
-    assert key_of([one, other, one]) != key_of([one, other, other])
+    assert compilation_key([one, one]) != compilation_key([one, other]) == compilation_key([other, one])
+    assert compilation_key([one, other, one]) != compilation_key([one, other, other])
 
 
 def test_functions_that_call_themselves():
     def power(y, k=3):
         return 1.0 if k == 0 else y * power(y, k - 1)
 
-    assert key_of(power) == key_of(power)
+    assert compilation_key(power) == compilation_key(power)
 
 
 def spins(functions):
@@ -314,7 +318,7 @@ def test_a_module_that_has_changed_is_compiled_again():
 
 @pytest.mark.long
 def test_many_functions_are_told_of_beforehand(monkeypatch):
-    monkeypatch.setattr(callbacks, "MANY", 4)
+    monkeypatch.setattr(callbacks, "WARNING_COUNT", 4)
     system = spins([times(5.0 + k) for k in range(4)])
     with pytest.warns(UserWarning, match="4 different Python functions are compiled one by one, about 0 s in all"):
         co.prepare(system, co.Splitting(), 0.1)
@@ -327,7 +331,7 @@ def test_many_functions_are_told_of_beforehand(monkeypatch):
 
 def test_what_is_kept_is_bounded(monkeypatch):
     monkeypatch.setattr(fresh_code, "_COMPILED", {})
-    monkeypatch.setattr(fresh_code, "MOST_KEPT", 3)
+    monkeypatch.setattr(fresh_code, "MAX_CACHED", 3)
     for k in range(5):
         co.prepare(spins([times(90.0 + k)]), co.Splitting(), 0.1)
     assert len(fresh_code._COMPILED) == 3
@@ -346,7 +350,7 @@ def made(monkeypatch):
 
         __hash__, __eq__ = object.__hash__, object.__eq__
 
-    for module, name in ((callbacks, "_compiled"), (matrix_functions, "_made"), (numba_steps, "_compiled")):
+    for module, name in ((callbacks, "_compiled"), (matrix_functions, "_adapted"), (numba_steps, "_compiled")):
         monkeypatch.setattr(module, name, lambda *given: Made(given))
     monkeypatch.setattr(fresh_code, "_COMPILED", {})
 

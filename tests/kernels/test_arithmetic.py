@@ -13,7 +13,7 @@ from coadjoint.kernels.structures import address
 U = 2.0**-53
 
 
-def tabulated(what, values):
+def has_compiled_bracket(what, values):
     """Return pairs of numbers by the compiled functions: 0, sine and cosine minus one; 1, their hyperbolic kin."""
     values = np.array(values, dtype=float)
     out = np.empty((values.size, 2))
@@ -63,7 +63,7 @@ def ulps(value, exact):
 def test_sine_and_cosine_minus_one_within_3_ulp(where):
     angles = ANGLES[where]
     with mpmath.workdps(50):
-        for angle, (sine, lowered) in zip(angles, tabulated(rotations, angles), strict=True):
+        for angle, (sine, lowered) in zip(angles, has_compiled_bracket(rotations, angles), strict=True):
             phi = mpmath.mpf(float(angle))
             assert ulps(sine, mpmath.sin(phi)) <= 3, angle
             assert ulps(lowered, -2 * mpmath.sin(phi / 2) ** 2) <= 3, angle
@@ -83,12 +83,12 @@ GROWTHS = {
 def test_exponentials_within_2_ulp_and_hyperbolic_sines_within_4(where):
     values = GROWTHS[where][GROWTHS[where] != 0.0]
     with mpmath.workdps(400 if where == "every magnitude" else 50):
-        for value, (whole, beyond) in zip(values, tabulated(3, values), strict=True):
+        for value, (whole, beyond) in zip(values, has_compiled_bracket(3, values), strict=True):
             x = mpmath.mpf(float(value))
             assert ulps(whole, mpmath.exp(x)) <= 2, value
             assert ulps(beyond, mpmath.expm1(x)) <= 2, value
         kept = values[np.abs(values) > 1e-150]  # below, the square of half of it underflows
-        for value, (sine, lowered) in zip(kept, tabulated(4, kept), strict=True):
+        for value, (sine, lowered) in zip(kept, has_compiled_bracket(4, kept), strict=True):
             x = mpmath.mpf(float(value))
             assert ulps(sine, mpmath.sinh(x)) <= 4, value
             assert ulps(lowered, 2 * mpmath.sinh(x / 2) ** 2) <= 8, value
@@ -97,25 +97,25 @@ def test_exponentials_within_2_ulp_and_hyperbolic_sines_within_4(where):
 def test_exponentials_beyond_all_numbers():
     inf = np.inf
     assert np.array_equal(
-        tabulated(3, [0.0, 710.0, inf, -750.0, -inf]), [[1, 0], [inf, inf], [inf, inf], [0, -1], [0, -1]]
+        has_compiled_bracket(3, [0.0, 710.0, inf, -750.0, -inf]), [[1, 0], [inf, inf], [inf, inf], [0, -1], [0, -1]]
     )
-    assert np.all(np.isnan(tabulated(3, [np.nan])))
+    assert np.all(np.isnan(has_compiled_bracket(3, [np.nan])))
 
 
 def test_rotations_of_zero_and_of_no_number():
-    assert np.array_equal(tabulated(rotations, [0.0]), [[0.0, 0.0]])
-    assert np.all(np.isnan(tabulated(rotations, [np.nan, np.inf, -np.inf])))
+    assert np.array_equal(has_compiled_bracket(rotations, [0.0]), [[0.0, 0.0]])
+    assert np.all(np.isnan(has_compiled_bracket(rotations, [np.nan, np.inf, -np.inf])))
 
 
 def test_rotations_are_odd_and_even():
     angles = np.concatenate([ANGLES["one turn"], ANGLES["every magnitude"]])
-    there, back = tabulated(rotations, angles), tabulated(rotations, -angles)
+    there, back = has_compiled_bracket(rotations, angles), has_compiled_bracket(rotations, -angles)
     assert np.array_equal(there[:, 0], -back[:, 0]) and np.array_equal(there[:, 1], back[:, 1])
 
 
 def test_rotations_have_no_bias_in_their_length():
     """(1 + c)^2 + s^2 - 1 = 2c + c^2 + s^2 is rounding: at most 8 u, and its mean is that of unbiased errors."""
-    out = tabulated(rotations, np.random.default_rng(5).uniform(-0.2, 0.2, 20000))
+    out = has_compiled_bracket(rotations, np.random.default_rng(5).uniform(-0.2, 0.2, 20000))
     with mpmath.workdps(40):
         excess = np.array([float(2 * mpmath.mpf(c) + mpmath.mpf(c) ** 2 + mpmath.mpf(s) ** 2) for s, c in out.tolist()])
     assert abs(excess).max() <= 8 * U
@@ -134,7 +134,7 @@ def test_rotations_have_no_bias_in_their_length():
 def test_entire_pair(arguments):
     """sinh(w)/w and cosh(w) - 1: 8 u relative to the largest terms, and what rounding of w = sqrt z moves, u w each."""
     with mpmath.workdps(50):
-        for z, (s, c) in zip(arguments, tabulated(hyperbolics, arguments), strict=True):
+        for z, (s, c) in zip(arguments, has_compiled_bracket(hyperbolics, arguments), strict=True):
             w = mpmath.sqrt(mpmath.mpf(float(z)))
             exact_s = mpmath.re(mpmath.sinh(w) / w) if z else mpmath.mpf(1)
             exact_c = 2 * mpmath.re(mpmath.sinh(w / 2) ** 2)
@@ -148,7 +148,7 @@ def test_entire_pair(arguments):
 @pytest.mark.parametrize("edge", [0.25, -0.25])
 def test_entire_pair_is_continuous_where_the_formula_changes(edge):
     """Neighbours on both sides differ by rounding only: 4 u."""
-    inside, outside = tabulated(hyperbolics, [np.nextafter(edge, 0), edge])
+    inside, outside = has_compiled_bracket(hyperbolics, [np.nextafter(edge, 0), edge])
     assert np.all(abs(inside - outside) <= 4 * U * abs(outside))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from coadjoint.runs.times import Times
 from verification.carried import finished_vectors, run_with
@@ -119,11 +119,11 @@ def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
     x0, h, n = np.random.default_rng(6).standard_normal(system.dim), 0.25, system.dim
     method = by_bonds()
     run = co.integrate(system, x0, (0.0, h), h, method, attitude="coadjoint")
-    read = Reading(build_program(system, method))
+    read = Interpreter(build_program(system, method))
     x, P = read.steps(x0, h, 1, tangent=np.eye(n))
     size = max(1.0, np.abs(x).max())
     np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**8 * U * size)
-    times = Times(0.0, h, 2, 2).marking([2])
+    times = Times(0.0, h, 2, 2).with_saved_steps([2])
     found = finished_vectors(run_with(system, method, x0, times, np.eye(n)), np.eye(n))
     _, expected = read.steps(x0, h, 2, tangent=np.eye(n))
     assert np.abs(found - expected).max() <= 2.0**10 * U * np.abs(expected).max() ** 2 * size

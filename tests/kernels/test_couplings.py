@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.bandwidth import MOST_COUPLINGS, WIDEST, narrow_band
+from coadjoint.kernels.bandwidth import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band
 
 SITES = 40
 
@@ -52,9 +52,9 @@ def test_wide_patterns_have_no_band():
     # With more stages the same band is too wide.
     system = chain(1)
     band, _ = narrow_band(system, 2, "implicit")
-    most = (WIDEST + 1) // (band + 1)
+    most = (MAX_HALF_BANDWIDTH + 1) // (band + 1)
     assert narrow_band(system, most, "implicit")[0] == band and narrow_band(system, most + 1, "implicit")[0] == -1
-    n = MOST_COUPLINGS + 20
+    n = MAX_MEAN_COUPLINGS + 20
     g = co.algebras.copies(co.algebras.heisenberg(1), n // 3)
     full = co.LiePoissonSystem(g, co.Quadratic(np.ones((g.dim, g.dim)) + np.eye(g.dim)), casimirs={})
     assert narrow_band(full, 1, "implicit")[0] == -1

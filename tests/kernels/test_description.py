@@ -17,7 +17,7 @@ from coadjoint.methods.numerics.projection import independent, project
 
 
 def text():
-    return description.text_of_kernels()
+    return description.interface_text()
 
 
 # What is changed in the description, and what the refusal names: the constant, our value and theirs.
@@ -55,27 +55,27 @@ CHANGES = {
 def test_kernels_of_another_mind_are_refused(change, monkeypatch):
     old, new, said = CHANGES[change]
     assert text().count(old) == 1
-    described = text().replace(old, new)
-    monkeypatch.setattr(description, "text_of_kernels", lambda: described)
+    kernel_interface = text().replace(old, new)
+    monkeypatch.setattr(description, "interface_text", lambda: kernel_interface)
     with pytest.raises(ImportError) as refusal:
-        description.described.__wrapped__()
+        description.kernel_interface.__wrapped__()
     message = str(refusal.value)
     assert message.startswith(said) and "built for another version; build them again" in message
     assert "\n" not in message
 
 
 def test_a_package_of_another_mind_is_refused(monkeypatch):
-    ours = {**description.WRITTEN, "Limit": {"CUBIC_HEADER": 6, "MOST_SUBSTEPS": 2048}}
-    monkeypatch.setattr(description, "WRITTEN", MappingProxyType(ours))
+    ours = {**description.PYTHON_CODES, "Limit": {"CUBIC_HEADER": 6, "MOST_SUBSTEPS": 2048}}
+    monkeypatch.setattr(description, "PYTHON_CODES", MappingProxyType(ours))
     with pytest.raises(ImportError, match=r"Limit\.MOST_SUBSTEPS is 2048 in this package and 4096 in the compiled"):
-        description.described.__wrapped__()
+        description.kernel_interface.__wrapped__()
 
 
 def test_fields_of_another_table_are_refused(monkeypatch):
-    described = description.parsed(
+    kernel_interface = description.parse_description(
         text().replace("table GroupField:integer size;integer entries;", "table GroupField:")
     )
-    monkeypatch.setattr(description, "described", lambda: described)
+    monkeypatch.setattr(description, "kernel_interface", lambda: kernel_interface)
     with pytest.raises(ImportError, match="table GroupField: fields: entries, size only in this package, nothing"):
         structures.structure_of_table.__wrapped__(GroupField)
 
@@ -83,7 +83,7 @@ def test_fields_of_another_table_are_refused(monkeypatch):
 def test_kernels_without_a_description_are_refused(monkeypatch):
     monkeypatch.setattr(description, "kernels", lambda: object())
     with pytest.raises(ImportError, match="do not describe themselves: they were built for another version"):
-        description.described.__wrapped__()
+        description.kernel_interface.__wrapped__()
 
 
 def test_a_run_hears_the_refusal():
@@ -105,10 +105,10 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
     """Another order in the description is another order in Python, without a line changed."""
     first, second = "numbers x points * members * size;", "numbers group points * members * square;"
     assert first + second in text()
-    described = description.parsed(text().replace(first + second, second + first))
+    kernel_interface = description.parse_description(text().replace(first + second, second + first))
     extent = Extent(members=3, points=2, size=4, square=9, invariants=2, remembered=5)
     before = Layout(extent)
-    monkeypatch.setattr("coadjoint.kernels.arrays.described", lambda: described)
+    monkeypatch.setattr("coadjoint.kernels.arrays.kernel_interface", lambda: kernel_interface)
     after = Layout(extent)
     assert list(before.saved.shapes) == ["x", "group", "values"] and next(iter(after.saved.shapes)) == "group"
     assert before.saved.shapes["x"] == after.saved.shapes["x"] == (2, 3, 4)
@@ -118,9 +118,9 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
 
 
 def with_limits(monkeypatch, **values):
-    said = description.parsed(text())
+    said = description.parse_description(text())
     changed = {**said.codes, "Limit": {**said.codes["Limit"], **values}}
-    monkeypatch.setattr(description, "described", lambda: said._replace(codes=changed))
+    monkeypatch.setattr(description, "kernel_interface", lambda: said._replace(codes=changed))
 
 
 def test_the_plain_reading_of_a_projection_has_the_limits_of_the_kernels(monkeypatch):
@@ -155,4 +155,4 @@ class Pair(NamedTuple):
 
 def test_a_table_that_the_kernels_do_not_have_is_refused():
     with pytest.raises(ImportError, match="have no table Pair: they were built for another version"):
-        structures.pointed(Pair(1))
+        structures.as_structure(Pair(1))

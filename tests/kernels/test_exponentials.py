@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.kernels.casimir_shift import Unshifting
+from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
 from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.program.shifts.group_correction import Turn, unshift_tables
 from coadjoint.program.shifts.shift import quadratic_casimirs
@@ -83,7 +83,7 @@ def moved(algebra, carried, shift, x, time):
     tables = unshift_tables(algebra, carried, -1, shift)
     d = tables.size
     held, out = np.tile(np.eye(d).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, d, d))
-    Unshifting(tables, 1.0).fill(
+    CompiledShiftCorrection(tables, 1.0).fill(
         out, held.ctypes.data, np.array([x]), np.eye(d)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
     )
     assert np.array_equal(out[0, 0], np.eye(d))

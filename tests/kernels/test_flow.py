@@ -8,9 +8,9 @@ from scipy.linalg import expm
 from scipy.sparse import coo_array
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
-from coadjoint.runs.shifted_attitude import Unshift
+from coadjoint.runs.shifted_attitude import ShiftCorrection
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 
@@ -89,11 +89,13 @@ def compare(s, method, h, steps):
     x0 = np.linspace(-0.5, 0.7, s.dim)
     program = build_program(s, method, group="coadjoint")
     sol = co.integrate(s, x0, (0.5, 0.5 + steps * h), abs(h), method, attitude="coadjoint", save_every=steps)
-    x, K = Reading(program).steps(x0, h, steps, t0=0.5, group=np.eye(s.dim))
+    x, K = Interpreter(program).steps(x0, h, steps, t0=0.5, group=np.eye(s.dim))
     if program.shift:
         held, out = np.stack([np.eye(s.dim), K.T]), np.empty((2, 1, s.dim, s.dim))
         start = Start(x0[None], np.eye(s.dim)[None], "coadjoint", True, x0.shape)
-        Unshift(s, program.shift, "coadjoint").fill(out, start, Times(0.5, h, steps, steps), held.ctypes.data, 0, 1)
+        ShiftCorrection(s, program.shift, "coadjoint").fill(
+            out, start, Times(0.5, h, steps, steps), held.ctypes.data, 0, 1
+        )
         K = out[1, 0]
     bound = U * steps * operations(program)
     assert np.abs(sol.x[-1] - x).max() <= bound * np.linalg.norm(K) * np.linalg.norm(x)
@@ -160,7 +162,7 @@ def test_every_kind_of_block_at_any_angle(name, theta):
     s = co.LiePoissonSystem(acting(D), co.Quadratic([0.0] * n + [1.0]))
     x = np.append(np.linspace(-0.5, 0.7, n), theta)
     compiled = co.stepper(s, co.Splitting(order=1), 1.0)(x)
-    plain = Reading(build_program(s, co.Splitting(order=1))).steps(x, 1.0, 1)
+    plain = Interpreter(build_program(s, co.Splitting(order=1))).steps(x, 1.0, 1)
     ends = [np.linalg.norm(expm(k * theta / 8 * D)) for k in range(9)]
     spread = max(a * b for a, b in zip(ends, ends[::-1], strict=True))
     moved = 1.0 + abs(theta) * np.linalg.norm(D)

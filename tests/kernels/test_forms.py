@@ -10,7 +10,7 @@ import pytest
 import coadjoint as co
 from coadjoint.algebra.invariants import logarithmic
 from coadjoint.algebra.invariants.logarithmic import ANGLE, LOGARITHM, QUOTIENT, LogarithmicInvariant, LogarithmicSum
-from coadjoint.kernels.functions import CompiledFunction, TabledFunction
+from coadjoint.kernels.functions import CompiledFunction, FormulaFunction
 from coadjoint.kernels.recording_tables import values_along
 from coadjoint.kernels.tables import invariants_table
 from long import long_between
@@ -68,7 +68,7 @@ def test_values_have_the_bits_of_the_reading(casimir, monkeypatch):
     # Some of the polynomials vanish there, and with them some of the formulas are undefined.
     points = np.concatenate([points, np.zeros((1, n)), *(points[:3] * (np.arange(n) != i) for i in range(n))])
     compiled = invariants_table([("it", casimir)], n)
-    assert [type(kept) for kept in compiled.keep] == [TabledFunction]
+    assert [type(kept) for kept in compiled.keepalive] == [FormulaFunction]
     read = np.array([casimir(point) for point in points])
     assert np.array_equal(values(compiled, points), read, equal_nan=True)
     assert np.isfinite(read[:100]).all() and math.isnan(read[100])
@@ -80,7 +80,7 @@ def test_the_function_alone_compiled_by_numba_agrees_to_rounding(casimir):
     n = casimir.formula.dim
     points = np.random.default_rng(6).normal(size=(50, n))
     mine = invariants_table([("it", co.Invariant(casimir.value))], n)
-    assert [type(kept) for kept in mine.keep] == [CompiledFunction]
+    assert [type(kept) for kept in mine.keepalive] == [CompiledFunction]
     compiled = invariants_table([("it", casimir)], n)
     terms = casimir.formula.terms
     each = [[LogarithmicSum(n, (term,)).invariant()(point) for term in terms] for point in points]

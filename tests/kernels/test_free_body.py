@@ -7,7 +7,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.tangents import vectors_in
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from coadjoint.runs.times import Times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
@@ -133,7 +133,7 @@ def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
     x0, h = np.random.default_rng(6).standard_normal(system.dim), 0.25
     method = free_body()
     run = co.integrate(system, x0, (0.0, h), h, method, attitude="coadjoint")
-    read = Reading(build_program(system, method, group="coadjoint"))
+    read = Interpreter(build_program(system, method, group="coadjoint"))
     x, g, P = read.steps(x0, h, 1, group=np.eye(system.dim), tangent=np.eye(system.dim))
     size = max(1.0, np.abs(x).max())
     np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**8 * U * size)

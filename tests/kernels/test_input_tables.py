@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.input_tables import InputTables, NotPlaced, fields_of
+from coadjoint.kernels.input_tables import InputsNotLocated, InputTables, fields_of
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import watch_tables
 from verification.systems_under_test import full_matrix
 
@@ -31,16 +31,16 @@ def test_lanes_beyond_the_last_member_read_the_last_member_again():
         _, watch, columns = made(method, np.diag([1.0, 1.5, 2.0]), np.diag([1.0, 1.5, 2.0])).each(linear)
         assert columns == limit("LARGEST_CROWD")
         numbers = np.ctypeslib.as_array((ctypes.c_double * (3 * columns)).from_address(watch.terms.offset))
-        held = numbers.reshape(3, columns)
-        assert np.array_equal(held[:, :5], linear.T)
-        assert np.array_equal(held[:, 5:], np.repeat(linear[-1:].T, columns - 5, axis=1))
+        referenced = numbers.reshape(3, columns)
+        assert np.array_equal(referenced[:, :5], linear.T)
+        assert np.array_equal(referenced[:, 5:], np.repeat(linear[-1:].T, columns - 5, axis=1))
 
 
 def test_a_copy_is_the_table_but_for_the_inputs():
     M = np.diag([1.0, 2.0, 3.0])
     loop = co.GaussLegendre(2).loop(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=DRAWN[0])), 0.1)
     tables, _ = made(co.GaussLegendre(2), M, M).shared(np.array([5.0, 6.0, 7.0]))
-    structure = pointed(loop.tables)
+    structure = as_structure(loop.tables)
     numbers = {field.name: field.value for field in fields_of(loop.tables, type(structure))}
     assert numbers["field.terms.offset"].tolist() == DRAWN[0].tolist()
     found = (ctypes.c_double * 3).from_address(tables.field.terms.offset)
@@ -49,11 +49,11 @@ def test_a_copy_is_the_table_but_for_the_inputs():
 
 def test_what_is_no_input_is_refused_by_name():
     one, other = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 2.0, 3.5])
-    with pytest.raises(NotPlaced, match=r"field\.terms\.weight that are neither inputs nor exact sums"):
+    with pytest.raises(InputsNotLocated, match=r"field\.terms\.weight that are neither inputs nor exact sums"):
         made(co.GaussLegendre(2), one, other)
-    with pytest.raises(NotPlaced, match=r"field\.terms\.offset that are neither"):
+    with pytest.raises(InputsNotLocated, match=r"field\.terms\.offset that are neither"):
         made(co.GaussLegendre(2), one, one, inputs=DRAWN + 1.0)
-    with pytest.raises(NotPlaced, match=r"field\.terms\.\w+ that depend on them"):
+    with pytest.raises(InputsNotLocated, match=r"field\.terms\.\w+ that depend on them"):
         made(co.GaussLegendre(2), one, np.ones((3, 3)))
 
 

@@ -124,14 +124,14 @@ def test_a_signal_is_heard_and_leaves_nothing_behind(name):
 
 def test_other_threads_hear_that_they_are_to_stop(monkeypatch):
     """A run in a thread of its own hears no signal, but what is said to it."""
-    monkeypatch.setattr(loop.Stop, "__init__", lambda self: _said(self))
+    monkeypatch.setattr(loop.StopFlag, "__init__", lambda self: _flag(self))
     with pytest.raises(KeyboardInterrupt):
         co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0, 1e6), 0.001, watch=False, save_every=10**9)
 
 
-def _said(stop):
-    stop._said = loop.ctypes.c_int64(1)
-    stop.address = loop.ctypes.byref(stop._said)
+def _flag(stop):
+    stop._flag = loop.ctypes.c_int64(1)
+    stop.address = loop.ctypes.byref(stop._flag)
 
 
 def test_no_memory_is_said_and_does_not_end_the_process(monkeypatch):

@@ -114,7 +114,7 @@ INDEX = np.zeros(2, dtype=np.uint32)
 )
 def test_arrays_that_the_kernels_do_not_read(value, was):
     with pytest.raises(TypeError) as refusal:
-        structures.pointed(GroupField(1, 2, INDEX, INDEX, INDEX, value))
+        structures.as_structure(GroupField(1, 2, INDEX, INDEX, INDEX, value))
     assert str(refusal.value) == f"GroupField.value is {was}, not a contiguous float64"
 
 
@@ -124,7 +124,7 @@ class Unknown(NamedTuple):
 
 def test_tables_of_another_version():
     assert "have no table Unknown: they were built for another version" in refusal_of(
-        lambda: structures.pointed(Unknown(1))
+        lambda: structures.as_structure(Unknown(1))
     )
 
 

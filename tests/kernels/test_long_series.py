@@ -6,7 +6,7 @@ import scipy.linalg
 
 import coadjoint as co
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 
 TURNS = scipy.linalg.block_diag([[0, 1], [-1, 0]], [[0, 2], [-2, 0]])
@@ -37,7 +37,7 @@ def test_up_to_the_limit_a_flow_is_exact_and_beyond_it_is_refused(members, direc
     system = moved_by(TURNS)
     limit = MOST_SUBSTEPS / norm_of(system)
     x0 = X0 * (1.0 + 0.1 * np.arange(members)[:, None])
-    read = Reading(build_program(system, co.Splitting(order=1)))
+    read = Interpreter(build_program(system, co.Splitting(order=1)))
 
     near = limit * (1.0 - 2.0**-30)
     found = co.integrate(system, x0, (0.0, direction * near), near, co.Splitting(order=1)).x[-1]

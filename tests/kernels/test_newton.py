@@ -73,7 +73,7 @@ def test_large_systems_take_newton_by_a_band_or_without_a_matrix(banded, monkeyp
     """120 spins, 360 coordinates and 720 unknowns: h f' is about 6."""
     system, x0 = spin_chain(120)
     if not banded:
-        monkeypatch.setattr(couplings, "WIDEST", 0)
+        monkeypatch.setattr(couplings, "MAX_HALF_BANDWIDTH", 0)
     assert (runge_kutta_tables(system, co.GaussLegendre(2)).tables.band >= 0) == banded
     method, h = co.GaussLegendre(2), 2.0
     run = co.integrate(system, x0, (0.0, 10 * h), h, method)

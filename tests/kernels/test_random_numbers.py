@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import address
-from coadjoint.systems.forces.normal_deviates import normal_deviates, words_of
+from coadjoint.systems.forces.normal_deviates import normal_deviates, random_words
 
 U = 2.0**-53
 
@@ -99,7 +99,7 @@ def test_the_plain_reading_draws_the_same():
     for seed, stream, moment, part, count in ((0, 0, 0.0, 0, 1), (2**63 - 1, 5, -1.75, 1, 7), (12, 2**62, 1e300, 1, 4)):
         drawn = deviates(seed, stream, moment, count, part)
         assert np.max(np.abs(drawn - normal_deviates(seed, stream, moment, part, count))) < 64 * U
-    assert words_of(7, 3, -0.0, 0, 4).tolist() == words_of(7, 3, 0.0, 0, 4).tolist()
+    assert random_words(7, 3, -0.0, 0, 4).tolist() == random_words(7, 3, 0.0, 0, 4).tolist()
     assert deviates(7, 3, -0.0, 4).tolist() == deviates(7, 3, 0.0, 4).tolist()
     assert deviates(7, 3, 0.5, 9)[:4].tolist() == deviates(7, 3, 0.5, 4).tolist()
     every = [

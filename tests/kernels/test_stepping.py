@@ -12,7 +12,7 @@ import coadjoint as co
 from coadjoint.kernels import stepping
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.loop import MemberBatch, StopFlag
 from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.kernels.step_tables import step_tables
 from coadjoint.kernels.tables import watch_tables
@@ -30,9 +30,9 @@ def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
     layout = Layout(Extent(members, 2, n, 0, 1 + len(system.casimirs), 0))
     saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state["momenta"][:] = momenta
-    crew = Crew(stepping.STEP_LOOP, prepared.tables, watch.tables, 0, members)
+    member_batch = MemberBatch(stepping.STEP_LOOP, prepared.tables, watch.tables, 0, members)
     for k0, k1 in pairwise([0, *cuts, steps]):
-        crew.advance(layout, schedule_of(t0, h, steps, steps, True), saved, state, k0, k1, Stop())
+        member_batch.advance(layout, schedule_of(t0, h, steps, steps, True), saved, state, k0, k1, StopFlag())
     return state["momenta"], state["worst"].max(axis=1), state
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.structures import varied_fields
+from coadjoint.kernels.structures import per_member_fields
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.varied_tables import stacked, structure_of
 from coadjoint.runs.batch_loops import groups_of
@@ -38,7 +38,7 @@ def picked(varied, member):
     def own(name, item):
         if isinstance(item, tuple):
             return picked(item, member)
-        return item[:, member].copy() if name in varied_fields(type(varied)) else item
+        return item[:, member].copy() if name in per_member_fields(type(varied)) else item
 
     return varied._replace(**{name: own(name, item) for name, item in zip(varied._fields, varied, strict=True)})
 

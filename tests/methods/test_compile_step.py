@@ -90,7 +90,7 @@ def test_another_process_finds_what_was_compiled(step, monkeypatch):
     def refused(*given):
         raise AssertionError("compiled again")
 
-    for known in ("_LOADED", "_LIBRARIES", "_LAST"):
+    for known in ("_LOADED", "_LIBRARIES", "_LAST_COMPILATIONS"):
         monkeypatch.setattr(step_compiler, known, {})
     monkeypatch.setattr(step_compiler, "_build", refused)
     assert co.methods.compile_step(SOURCE) == step and step.address != 0
@@ -127,7 +127,7 @@ class Project:
         self.write("compiler", '#!/bin/sh\nexec c++ "$@"\n')
         (folder / "compiler").chmod(0o755)
         self.options()
-        patch.setattr(step_compiler, "_LAST", {})
+        patch.setattr(step_compiler, "_LAST_COMPILATIONS", {})
         patch.setattr(step_compiler, "_LOADED", {})
         self.library = step_compiler._LIBRARIES[step.path, step.digest]
         patch.setattr(step_compiler, "cached_library", self.loaded)
@@ -185,7 +185,7 @@ EDITS = {
 )
 def test_an_edit_is_noticed_in_the_same_process(step, tmp_path, monkeypatch, edit, trusting):
     """From the stamps of files and folders alone, where all are old enough, and from the preprocessed text."""
-    monkeypatch.setattr(preprocessed_source, "SETTLED", -(10**18) if trusting else 10**18)
+    monkeypatch.setattr(preprocessed_source, "TIMESTAMP_GRANULARITY", -(10**18) if trusting else 10**18)
     project = Project(tmp_path, step, monkeypatch)
     project.write("other.hpp", "int other;\n")
     first, count = project.compile()
@@ -207,14 +207,16 @@ def test_time_stamps_of_files_that_have_just_changed_are_not_trusted(tmp_path, m
     stamps = preprocessed_source.stamps_of([os.fsencode(tmp_path / name) for name in ("file", "none")])
     newest = max((tmp_path / "file").stat().st_mtime_ns, (tmp_path / "file").stat().st_ctime_ns)
     for later, trusted in ((0, False), (1, True), (-1, False), (-(10**18), False)):
-        monkeypatch.setattr(time, "time_ns", lambda later=later: newest + preprocessed_source.SETTLED + later)
-        assert preprocessed_source.settled(stamps) == trusted
-    assert not preprocessed_source.settled({})
+        monkeypatch.setattr(
+            time, "time_ns", lambda later=later: newest + preprocessed_source.TIMESTAMP_GRANULARITY + later
+        )
+        assert preprocessed_source.stamps_are_final(stamps) == trusted
+    assert not preprocessed_source.stamps_are_final({})
 
 
 def test_a_compiler_that_does_not_list_its_folders(step, tmp_path, monkeypatch):
     """Then a header may appear anywhere, and each call preprocesses."""
-    monkeypatch.setattr(preprocessed_source, "SETTLED", -(10**18))
+    monkeypatch.setattr(preprocessed_source, "TIMESTAMP_GRANULARITY", -(10**18))
     project = Project(tmp_path, step, monkeypatch)
     project.write("compiler", '#!/bin/sh\nexec c++ "$@" 2>/dev/null\n')
     first, _ = project.compile()
@@ -260,7 +262,7 @@ def test_compilers_that_do_not_work(tmp_path, monkeypatch, command, said):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("CXX", command(tmp_path))
     if "did not end" in said:
-        monkeypatch.setattr(step_compiler, "SECONDS", 0.1)
+        monkeypatch.setattr(step_compiler, "COMPILER_TIMEOUT", 0.1)
     with pytest.raises((RuntimeError, ValueError), match=said) as refused:
         co.methods.compile_step(SOURCE)
     assert "\n" not in str(refused.value) and refused.value.__suppress_context__ | (refused.value.__context__ is None)
@@ -269,7 +271,7 @@ def test_compilers_that_do_not_work(tmp_path, monkeypatch, command, said):
 
 def test_no_compiler_is_installed(monkeypatch):
     monkeypatch.delenv("CXX", raising=False)
-    monkeypatch.setattr(step_compiler, "_LAST", {})
+    monkeypatch.setattr(step_compiler, "_LAST_COMPILATIONS", {})
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(RuntimeError, match="no C\\+\\+ compiler is installed"):
         co.methods.compile_step(SOURCE)

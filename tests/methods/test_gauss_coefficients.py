@@ -8,13 +8,13 @@ import mpmath
 import numpy as np
 import pytest
 
-from coadjoint.methods.gauss_legendre import MOST
+from coadjoint.methods.gauss_legendre import MAX_STAGES
 from coadjoint.methods.numerics.gauss_coefficients import (
     DIGITS,
-    FEW,
+    MAX_DECIMAL_STAGES,
     _collocation,
     _gauss_roots,
-    _in_whole_numbers,
+    _in_integers,
     _radau_roots,
     _rounded,
     extrapolation,
@@ -94,17 +94,17 @@ def test_the_polynomial_of_a_step_is_continued_to_the_nodes_of_the_next(stages, 
     assert np.max(np.abs(found - x(1.0))) > 2.0**-10
 
 
-@pytest.mark.parametrize("stages", [FEW + 1, 33, 64])
+@pytest.mark.parametrize("stages", [MAX_DECIMAL_STAGES + 1, 33, 64])
 @pytest.mark.parametrize("roots_of", [_gauss_roots, _radau_roots])
 def test_sums_in_integers_have_the_bits_of_sums_in_decimals(roots_of, stages):
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = roots_of(stages, decimal.Decimal)
-        slow, quick = _rounded(_collocation(roots)), _rounded(_in_whole_numbers(roots))
+        slow, quick = _rounded(_collocation(roots)), _rounded(_in_integers(roots))
     assert all(np.array_equal(a, b) for a, b in zip(slow, quick, strict=True))
 
 
 @pytest.mark.parametrize("family", [gauss_legendre, radau])
 def test_the_most_stages_are_made_in_seconds(family):
     with bounded_work(300.0):  # sums in decimals take a quarter of a minute on a good machine
-        c, b, mu = family(MOST)
-    assert abs(b.sum() - 1.0) <= MOST * U and np.max(np.abs((mu * b).sum(axis=1) - c)) <= MOST * U
+        c, b, mu = family(MAX_STAGES)
+    assert abs(b.sum() - 1.0) <= MAX_STAGES * U and np.max(np.abs((mu * b).sum(axis=1) - c)) <= MAX_STAGES * U

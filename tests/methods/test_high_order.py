@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_where
 
@@ -82,7 +82,7 @@ def test_the_step_section_is_the_kernel_alone(name):
 def test_start_steps_and_finish_are_single_steps_in_a_row(name):
     """P K^N P^-1 = (P K P^-1)^N, in 40 digits."""
     with mpmath.workdps(40):
-        read = Reading(build_program(TOP, co.Splitting(scheme=name), number=mpmath.mpf))
+        read = Interpreter(build_program(TOP, co.Splitting(scheme=name), number=mpmath.mpf))
         x = np.array([mpmath.mpf(v) for v in X0], dtype=object)
         together, single, h = read.steps(x, mpmath.mpf(0.25), 4), x, mpmath.mpf(0.25)
         for _ in range(4):
@@ -153,7 +153,7 @@ def test_a_composition_of_a_high_order():
     with mpmath.workdps(40):
         c = 1 / (2 - mpmath.mpf(2) ** (mpmath.mpf(1) / 7))
         base = build_program(TOP, co.Splitting(order=6), number=mpmath.mpf)
-        read, x0 = Reading(base), np.array([mpmath.mpf(v) for v in X0], dtype=object)
+        read, x0 = Interpreter(base), np.array([mpmath.mpf(v) for v in X0], dtype=object)
 
         def step(x, h):
             for fraction in (c, 1 - 2 * c, c):
@@ -161,7 +161,7 @@ def test_a_composition_of_a_high_order():
             return x
 
         h = mpmath.mpf(0.125)
-        x = Reading(method.program(TOP, number=mpmath.mpf)).steps(x0, h, 1)
+        x = Interpreter(method.program(TOP, number=mpmath.mpf)).steps(x0, h, 1)
         assert np.max(np.abs(x - step(x0, h))) < 1e-13  # the coefficients of a Composition are floats
 
 

@@ -10,7 +10,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import address
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_where
 
@@ -48,7 +48,7 @@ METHODS = {
 }
 
 
-def tabulated(angles, out):
+def has_compiled_bracket(angles, out):
     pairs = np.empty((angles.size, 2))
     kernels().probe_pairs(ctypes.c_int64(2), address(angles), ctypes.c_int64(angles.size), address(pairs))
     out[:, :2] = pairs
@@ -64,7 +64,7 @@ def test_arithmetic():
     rng = np.random.default_rng(2)
     angles = rng.choice([-1.0, 1.0], 500) * 10 ** rng.uniform(-8, 1, 500)
     out = np.empty((angles.size, 4))
-    tabulated(angles, out)
+    has_compiled_bracket(angles, out)
     with mpmath.workdps(50):
         for phi, (sine, lowered, angle, short) in zip(angles.tolist(), out.tolist(), strict=True):
             half = mpmath.mpf(phi) / 2
@@ -92,7 +92,7 @@ def test_poisson_in_40_digits(name, method):
     """P J P^T = J with the exact tangent, and P against differences: (h^2 of them) in 40 digits."""
     s, h = SYSTEMS[name], 0.5
     with mpmath.workdps(40):
-        read = Reading(build_program(s, METHODS[method], number=mpmath.mpf))
+        read = Interpreter(build_program(s, METHODS[method], number=mpmath.mpf))
         x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
         x, P = read.steps(x0, mpmath.mpf(h), 1, tangent=one(s.dim))
         defect = P @ s.structure_matrix(x0) @ P.T - s.structure_matrix(x)
@@ -100,7 +100,7 @@ def test_poisson_in_40_digits(name, method):
         small = mpmath.mpf(10) ** -12
         ahead, behind = (read.steps(x0 + sign * small * x, mpmath.mpf(h), 1) for sign in (1, -1))
         assert np.max(np.abs((ahead - behind) / (2 * small) - P @ x)) < 1e-18
-        exact = Reading(build_program(s, co.Splitting(order=METHODS[method].order), number=mpmath.mpf))
+        exact = Interpreter(build_program(s, co.Splitting(order=METHODS[method].order), number=mpmath.mpf))
         assert np.max(np.abs(exact.steps(x0, mpmath.mpf(h), 1) - x)) > 1e-8  # it is another map
 
 
@@ -116,7 +116,7 @@ def test_compiled_and_plain_reading_agree(name, method):
             continue
         run = co.integrate(s, x0, (0, 1), 0.1, scheme, attitude=attitude, save_every=10)
         program = build_program(s, scheme, group=matrices)
-        x, g = Reading(program).steps(x0, 0.1, 10, group=one(program.group.size))
+        x, g = Interpreter(program).steps(x0, 0.1, 10, group=one(program.group.size))
         bound = 12 * s.dim * U * run.stats.evaluations * np.linalg.norm(x0) * np.linalg.norm(g)
         assert np.max(np.abs(run.x[-1] - x)) <= bound and np.max(np.abs(run.attitude[-1] - g)) <= bound
     step = co.stepper(s, scheme, 0.1)
@@ -131,7 +131,7 @@ def test_order(name, method):
     """One step against two halves in 40 digits: h^(p+1) (1 + O(h)), h = 1/128."""
     s, scheme = SYSTEMS[name], METHODS[method]
     with mpmath.workdps(40):
-        read = Reading(build_program(s, scheme, number=mpmath.mpf))
+        read = Interpreter(build_program(s, scheme, number=mpmath.mpf))
         x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
         errors = []
         for k in (7, 8):
@@ -207,7 +207,7 @@ def test_a_representation_with_other_frequencies(method):
     assert np.max(np.abs(q.T @ q - one(4))) <= wander
     assert np.max(np.abs(q @ rho[1] @ q.T - rho[0])) <= wander * np.linalg.norm(x0)
     program = build_program(s, METHODS[method], group=QUATERNIONS)
-    _, read = Reading(program).steps(x0, 0.1, 200, group=one(4))
+    _, read = Interpreter(program).steps(x0, 0.1, 200, group=one(4))
     assert np.max(np.abs(read - q)) <= 12 * 4 * U * run.stats.evaluations
     # The rotation matrices of the same run are the squares of the quaternions: the same angles.
     vectors = co.LiePoissonSystem(SO3, co.Quadratic(FULL))

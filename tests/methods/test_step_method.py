@@ -210,7 +210,7 @@ def test_choose_takes_it():
 
 
 def test_what_numba_cannot_compile_runs_in_python_and_says_so_once(monkeypatch):
-    monkeypatch.setattr(step_functions, "_said", set())
+    monkeypatch.setattr(step_functions, "_warned_types", set())
     with pytest.warns(RuntimeWarning, match="the steps of Interpreted are Python calls") as said:
         sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 1), 0.1, Interpreted())
         again = co.integrate(SYSTEMS["so(3)"], np.ones((5, 3)) * 0.3, (0, 1), 0.1, Interpreted(), threads=2)
@@ -339,7 +339,7 @@ def test_steps_that_do_not_compile_are_reported_once_for_each_scheme(monkeypatch
     class Another(Interpreted):
         pass
 
-    monkeypatch.setattr(step_functions, "_said", set())
+    monkeypatch.setattr(step_functions, "_warned_types", set())
     system = SYSTEMS["so(3)"]
     with pytest.warns(RuntimeWarning, match="the steps of") as said:
         for scheme in (Interpreted(), Another(), Interpreted(), Another()):

@@ -8,8 +8,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.numerics import tuned_parts
-from coadjoint.methods.numerics.short_orbit import PART, rate_at, short_orbit
-from coadjoint.methods.numerics.tuned_parts import ErrorsOfOrders
+from coadjoint.methods.numerics.short_orbit import RELATIVE_STEP, rate_at, short_orbit
+from coadjoint.methods.numerics.tuned_parts import PartOrderErrors
 from coadjoint.program.modified_energy.modified_terms import leading_term
 from coadjoint.program.modified_energy.nested_brackets import NestedBrackets
 from coadjoint.program.modified_energy.second_order import Samples
@@ -82,7 +82,7 @@ def test_the_predicted_error_is_the_measured_one(name):
     start = np.random.default_rng(4).standard_normal(system.dim)
     orbit = short_orbit(co.Splitting(order=6), system, start, steps=96)
     parts = decompose(system, "auto")
-    errors = ErrorsOfOrders(system, parts.parts, [orbit])
+    errors = PartOrderErrors(system, parts.parts, [orbit])
     order = tuple(range(len(parts.parts)))
     predicted = errors.along(order)[0]
     chosen, count = co.Splitting(parts=parts.choice), len(orbit.points) - 1
@@ -143,7 +143,7 @@ def test_a_motion_that_leaves_float64_is_refused():
 
 def measured(system, start, methods):
     """Return the squares of the largest errors of short runs, relative to the largest momentum."""
-    spacing = PART / rate_at(system, start)
+    spacing = RELATIVE_STEP / rate_at(system, start)
     given = {"t_span": (0.0, 32 * spacing), "step": spacing / 16, "save_every": 16, "watch": False}
     exact = co.integrate(system, start, method=co.GaussLegendre(6), **given).x
     runs = [co.integrate(system, start, method=method, **given).x for method in methods]
@@ -169,7 +169,7 @@ def test_several_states_have_the_parts_with_the_least_error_of_all_of_them(monke
 
 
 @pytest.mark.parametrize("name", ["body, full", "A3,7"])
-@pytest.mark.parametrize("limit", ["LARGEST_FOLLOWED", "MOST_ORDERED"])
+@pytest.mark.parametrize("limit", ["MAX_ORBIT_DIMENSION", "MAX_ORDERED"])
 def test_several_states_of_systems_that_are_not_searched(monkeypatch, limit, name):
     """The order of the states does not matter, where each of them alone has other parts."""
     monkeypatch.setattr(tuned_parts, "short_orbit", partial(short_orbit, steps=32))

@@ -17,7 +17,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.tangents import Frame
 from coadjoint.methods import FlowMethod, Properties, RungeKuttaMethod
-from coadjoint.methods.forced import WAYS, Forced
+from coadjoint.methods.forced import TANGENT_METHODS, Forced
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.numerics.projection import casimirs_restored, polynomial_casimirs
 from coadjoint.methods.protocol.composed import ComposedFlows, Substeps
@@ -153,7 +153,7 @@ def expected(wrapper: type[Method], base: Method) -> dict[str, Any]:
         found |= {"explicit": False, "symmetric": False, "compensates": False, "known_to": 0.0, "own_steps": False}
         found |= {"offered": True}
     elif wrapper is co.ReversibleSteps:
-        no_step = {"UNDEFINED": co.methods.reversible_steps.NO_STEP}
+        no_step = {"UNDEFINED": co.methods.reversible_steps.NO_STEP_MESSAGE}
         found |= {"failures": no_step | dict(base.failures), "own_steps": True, "known_to": 0.0, "offered": True}
         found |= {"symmetric": False, "compensates": False}
     elif wrapper is Forced:
@@ -389,7 +389,7 @@ def test_a_composition_is_its_substeps(name):
     np.testing.assert_allclose(scheme.tangent(system, np.asarray(x0), 0.5, H)[1], P, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", TANGENT_METHODS)
 def test_the_least_exact_factor_names_the_derivative_of_a_forced_step(way, monkeypatch):
     system, x0, _ = cases()["so(3), diagonal"]
     base = co.GaussLegendre(2)
@@ -397,11 +397,11 @@ def test_the_least_exact_factor_names_the_derivative_of_a_forced_step(way, monke
     forced = system.with_forces(DAMPED[0])
     own = Forced(base).tangent_by(forced, x0, 0.0, H)
     force = co.methods.forced.Forced(base)._with_tangent(forced, x0, 0.0, H)[2]
-    assert WAYS.index(own) == max(map(WAYS.index, force)) >= WAYS.index(way)
+    assert TANGENT_METHODS.index(own) == max(map(TANGENT_METHODS.index, force)) >= TANGENT_METHODS.index(way)
 
 
 @pytest.mark.parametrize("wrapper", [co.Projected, co.ReversibleSteps])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", TANGENT_METHODS)
 def test_how_a_derivative_is_found_passes_through(wrapper, way, monkeypatch):
     system, x0, _ = cases()["so(3), diagonal"]
     monkeypatch.setattr(co.GaussLegendre, "tangent_by", lambda *given: way)

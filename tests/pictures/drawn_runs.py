@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds
 
 
@@ -22,5 +22,5 @@ def made(t: np.ndarray, x: np.ndarray, system: Any, **series: Any) -> Any:
 def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:
     """Return the axes of one picture of a run."""
     axes = Figure().add_subplot(projection=kinds()[name].projection)
-    kinds()[name].prepare(Drawn(run, members), **options)(axes)
+    kinds()[name].prepare(PlottedRun(run, members), **options)(axes)
     return axes

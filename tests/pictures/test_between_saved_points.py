@@ -8,8 +8,14 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.plot_data import Drawn
-from coadjoint.pictures.refinement_times import MOST_BETWEEN, SMOOTH, TURN, few_times, times_between
+from coadjoint.pictures.plot_data import PlottedRun
+from coadjoint.pictures.refinement_times import (
+    MAX_REFINED_POINTS,
+    REFINED_TOLERANCE,
+    REFINED_TURN,
+    coarse_times,
+    times_between,
+)
 from coadjoint.pictures.site_positions import places_of_sites
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.gallery_entry import Picture
@@ -41,7 +47,7 @@ def test_chords_stay_by_the_motion_however_sparse_the_saved_points_are(span, eve
     size = np.linalg.norm(np.ptp(x, axis=0))
     exact = BODY.exact(np.array(X0), middle - span[0])
     # The turning of the path is looked at in 64 places; between them it may be larger, here by less than a half.
-    assert np.linalg.norm(0.5 * (x[1:] + x[:-1]) - exact, axis=1).max() < 1.5 * SMOOTH * size
+    assert np.linalg.norm(0.5 * (x[1:] + x[:-1]) - exact, axis=1).max() < 1.5 * REFINED_TOLERANCE * size
     path = np.array(orbit.lines[0].get_data_3d()).T
     assert orbit.lines[0].get_linestyle() == "-" and np.array_equal(path, x)
 
@@ -49,23 +55,23 @@ def test_chords_stay_by_the_motion_however_sparse_the_saved_points_are(span, eve
 def test_a_run_that_ends_where_it_began_is_a_circle_all_the_same():
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 2 * np.pi / 10]))
     run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 10.0), 0.1, save_every=100)
-    filled = Drawn(run).between
+    filled = PlottedRun(run).between
     assert len(run.t) == 2 and len(filled.t) >= 40 and filled.joined
 
 
 def test_saved_points_that_are_close_stay_as_they_are():
     run = co.integrate(BODY, X0, (0.0, 20.0), 0.05)
-    drawn = Drawn(run)
+    drawn = PlottedRun(run)
     assert drawn.between is drawn
 
 
 def test_runs_for_an_accuracy_have_smooth_paths_of_their_axes():
     top = co.systems.heavy_top()
     run = co.integrate(top, (0.3, 0.2, 3.0, 0.6, 0.0, 0.8), (0.0, 20.0), accuracy=1e-8, attitude=True)
-    filled = Drawn(run).between
+    filled = PlottedRun(run).between
     path = filled.rotation[0] @ np.array([0.0, 0.0, 1.0])
     turned = np.arccos(np.clip(np.sum(path[1:] * path[:-1], axis=1), -1.0, 1.0))
-    assert turned.max() <= 1.05 * TURN
+    assert turned.max() <= 1.05 * REFINED_TURN
     assert np.isin(run.t, filled.t).all()
     at_saved = filled.rotation[0][np.isin(filled.t, run.t)]
     np.testing.assert_array_equal(at_saved, run.attitude[:, :3, :3])
@@ -74,11 +80,11 @@ def test_runs_for_an_accuracy_have_smooth_paths_of_their_axes():
 def test_an_attitude_turns_where_the_momentum_rests():
     """A body that spins about its axis has a momentum that never moves, and an attitude that always does."""
     run = co.integrate(BODY, (0.0, 0.0, 3.0), (0.0, 20.0), 0.1, save_every=20, attitude=True)
-    filled = Drawn(run).between
+    filled = PlottedRun(run).between
     first = filled.rotation[0][:, :, 0]
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     # It turns by one radian in a unit of time.
-    assert 0.9 * TURN < turned.max() <= TURN * (1 + 1e-9)
+    assert 0.9 * REFINED_TURN < turned.max() <= REFINED_TURN * (1 + 1e-9)
 
 
 def test_noise_leaves_dots():
@@ -90,29 +96,29 @@ def test_noise_leaves_dots():
 def test_members_that_failed_leave_dots_where_the_others_went_far():
     fast = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 3]))
     run = co.integrate(fast, [[1.0, 0.0, 0.5]] * 2, (0.0, 20.0), 0.5, save_every=4)
-    assert Drawn(run).between is not Drawn(run) and len(Drawn(run).between.t) > 400
+    assert PlottedRun(run).between is not PlottedRun(run) and len(PlottedRun(run).between.t) > 400
     run.x[3:, 1] = np.nan
-    drawn = Drawn(run)
+    drawn = PlottedRun(run)
     assert drawn.between is drawn and not drawn.close
 
 
 def test_too_many_oscillations_are_not_filled():
     run = co.integrate(BODY, X0, (0.0, 20_000.0), 0.1, save_every=500)
-    assert times_between(Drawn(run), Drawn(run)) is None
+    assert times_between(PlottedRun(run), PlottedRun(run)) is None
     assert styles(run.plot(["components"]).axes[0]) == {"None"}
     # One hundredth of it is.
     short = co.integrate(BODY, X0, (0.0, 200.0), 0.1, save_every=500)
-    assert len(short.t) < len(Drawn(short).between.t) <= MOST_BETWEEN
+    assert len(short.t) < len(PlottedRun(short).between.t) <= MAX_REFINED_POINTS
 
 
 def test_members_of_a_batch_have_their_own_fields():
     """The second member turns fifty times faster, and needs as many more points."""
     slow, fast = (co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, w])) for w in (0.1, 5.0))
     run = co.integrate(co.batch([slow, fast]), [[1.0, 0.0, 0.5]] * 2, (0.0, 20.0), 0.5)
-    filled = Drawn(run).between
+    filled = PlottedRun(run).between
     steps = np.linalg.norm(np.diff(filled.x[1], axis=0), axis=1)
     # A circle of the radius 1, whose range has the size 2 sqrt 2: its chords leave it by their square over 8.
-    assert steps.max() ** 2 / 8 < 1.1 * SMOOTH * 2 * 2**0.5
+    assert steps.max() ** 2 / 8 < 1.1 * REFINED_TOLERANCE * 2 * 2**0.5
 
 
 def test_members_are_chosen():
@@ -170,7 +176,7 @@ def test_the_path_of_an_axis_is_lines_only_where_it_turns_by_little(every, style
     """A body in steady rotation: its momentum stands still in the body, its axis turns by 1/4 or 1/3."""
     monkeypatch.setattr(Solution, "at", not_to_be_had)
     run = co.integrate(BODY, (1.0, 0.0, 0.0), (0.0, 60.0 * sign), 0.05, save_every=every, attitude=True)
-    assert Drawn(run).joined
+    assert PlottedRun(run).joined
     axes = Figure().add_subplot()
     run.plot(Picture("body axis", axis=1), axes=axes)
     circles = 181  # points of the meridians and the equator
@@ -183,7 +189,7 @@ def test_points_of_a_curve_that_closes_make_no_ribbon(monkeypatch):
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1]))
     for every, joined in ((42, False), (18, True)):  # 15 and 35 points each turn
         run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 300.0), 0.01, save_every=every)
-        drawn = Drawn(run)
+        drawn = PlottedRun(run)
         assert drawn.joined is joined and drawn.close
 
 
@@ -192,7 +198,7 @@ def test_states_between_are_not_computed_if_their_steps_take_long() -> None:
     run = co.integrate(co.systems.rigid_body((1.0, 2.0, 3.0)), (1.0, 0.2, 0.5), (0.0, 1.0), 0.25)
     for seconds, steps, enough in ((0.01, 4, True), (1.0, 4, False), (1.0, 4000, True), (1.6, 4000, False)):
         stats = replace(run.stats, seconds=seconds, steps=steps)
-        drawn = Drawn(run)
+        drawn = PlottedRun(run)
         drawn.solution = copy.copy(run)
         object.__setattr__(drawn.solution, "stats", stats)
-        assert (few_times(drawn) is not None) == enough, (seconds, steps)
+        assert (coarse_times(drawn) is not None) == enough, (seconds, steps)

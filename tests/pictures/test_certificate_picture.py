@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.pictures.certificate import BAD, GOOD, OPEN, draw_certificate
+from coadjoint.pictures.certificate import FAIL_COLOUR, PASS_COLOUR, UNDECIDED_COLOUR, draw_certificate
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 
@@ -91,7 +91,7 @@ def test_errors_defects_and_deviations_are_the_evidence(of):
     assert all(high > low for high, low in pairwise(heights)) and 0.0 < heights[-1] < heights[0] < 1.0
     shades = {(text.get_text(), text.get_position()[1]): text.get_color() for text in verdicts.texts}
     found = [shades[each.verdict, height] for each, height in zip(rows, heights, strict=True)]
-    assert found == [GOOD, BAD, GOOD, BAD, OPEN, GOOD]
+    assert found == [PASS_COLOUR, FAIL_COLOUR, PASS_COLOUR, FAIL_COLOUR, UNDECIDED_COLOUR, PASS_COLOUR]
     assert figure.get_suptitle() == r"a \$body,  of mine,  step -0.25:  passed"
 
 

@@ -12,7 +12,7 @@ import pytest
 from drawn_runs import axes_of
 
 import coadjoint as co
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
 from coadjoint.systems.gallery_entry import Picture
 
@@ -146,10 +146,10 @@ def test_whether_lines_are_drawn_is_seen_on_a_member_that_lives_with_its_own_fie
     run = SimpleNamespace(
         t=t, x=x, system=co.batch(systems), failed=np.array([True, False]), carried=None, attitude=None
     )
-    drawn = Drawn(run)
+    drawn = PlottedRun(run)
     assert (drawn.close, drawn.joined) == (joined, joined)
     alone = SimpleNamespace(t=t, x=x[:, 1:], system=co.batch(systems[1:]), failed=np.array([False]), carried=None)
-    assert Drawn(alone).close is joined
+    assert PlottedRun(alone).close is joined
 
 
 def made(deviations: Any, energy: Any, failed: Any = None) -> Any:

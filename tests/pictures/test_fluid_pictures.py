@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 import coadjoint as co
 from coadjoint.pictures.fluids import part_on_grid
 from coadjoint.pictures.gallery import piece
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.scenes import SCENES, Scene, decaying_turbulence
@@ -42,9 +42,9 @@ def test_maps_are_inverted_and_keep_areas(name):
     map_ = PROJECTIONS[name]
     longitude = rng.uniform(-3.0, 3.0, 400) / (1 if map_.half_width == 2.0 else 2)
     latitude = rng.uniform(-1.4, 1.4, 400)
-    x, y = map_.onto(longitude, latitude)
+    x, y = map_.project(longitude, latitude)
     assert ((x / map_.half_width) ** 2 + y**2).max() < 1.0
-    east, north = map_.back(x, y)
+    east, north = map_.unproject(x, y)
     # the table of Mollweide's angle is linear between 4001 points: (pi / 4000)^2 / 8 times second derivatives below 20
     np.testing.assert_allclose([east, north], [longitude, latitude], atol=2e-6)
     if name == "outside":
@@ -52,7 +52,8 @@ def test_maps_are_inverted_and_keep_areas(name):
         return
     h = 1e-5
     along, up = (
-        (np.array(map_.back(x + a, y + b)) - np.array(map_.back(x - a, y - b))) / (2 * h) for a, b in ((h, 0), (0, h))
+        (np.array(map_.unproject(x + a, y + b)) - np.array(map_.unproject(x - a, y - b))) / (2 * h)
+        for a, b in ((h, 0), (0, h))
     )
     # 4 pi of the sphere over 2 pi of the ellipse; central differences err by h^2 times third derivatives
     area = (along[0] * up[1] - along[1] * up[0]) * np.cos(north)
@@ -320,7 +321,7 @@ def test_small_matrices_rest_and_backward_spans_are_drawn(size):
 
 
 def test_large_crowds_of_matrices_are_not_copied(ball):
-    drawn = Drawn(ball)
+    drawn = PlottedRun(ball)
     assert np.shares_memory(drawn.x, ball.x)
     assert drawn.state(3).shape == (16, 16) and np.array_equal(drawn.state(3), ball.x[3])
 

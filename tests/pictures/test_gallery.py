@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import coadjoint as co
 from coadjoint.pictures.gallery import gallery
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, kind, kinds, read_picture
 from coadjoint.runs.example_run import telling_run
 from coadjoint.systems.gallery_entry import Picture, Telling
@@ -52,7 +52,7 @@ def test_the_telling_run_is_true_and_can_be_shown(name):
     if not getattr(run.system.hamiltonian, "timed", False):
         assert run.drift()["energy"] <= 1e-5 * size
     assert np.ptp(run.x, axis=0).max() > 0.1 * np.abs(run.x).max(), "nothing moves"
-    drawn = Drawn(run)
+    drawn = PlottedRun(run)
     assert drawn.close, "the points lie too far apart"
     for picture in (told.components, *told.pictures):
         found, read = read_picture(picture)

@@ -11,7 +11,7 @@ from matplotlib.quiver import Quiver
 
 import coadjoint as co
 from coadjoint.pictures.globe import Globe
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.site_positions import places_of_sites, sites_of_row
 from coadjoint.systems.gallery_entry import Picture
@@ -58,7 +58,7 @@ def test_neighbours_are_neighbours_in_the_picture(lattice):
 @pytest.mark.parametrize("field", ["driven", "for each site"])
 def test_a_lattice_is_drawn_as_it_is_where_its_parameters_are_not_kept(field, monkeypatch):
     """A picture of a square lattice must not show a ring."""
-    monkeypatch.setattr(sys.modules["coadjoint.systems.lattices.spin_lattice"], "MOST_KEPT", 10)
+    monkeypatch.setattr(sys.modules["coadjoint.systems.lattices.spin_lattice"], "MAX_STORED_VALUES", 10)
     given = (lambda t: (0.0, np.sin(t), 0.5)) if field == "driven" else 0.1 * np.ones((12, 3))
     lattice = co.systems.spin_lattice("square", (3, 4), field=given)
     assert lattice.parameters is None and lattice.layout == {"lattice": "square", "shape": (3, 4)}
@@ -218,7 +218,7 @@ def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error()
         casimirs={"|x|^2": exact["|x|^2"] + errors["|x|^2"]},
         work={"damping": halves[0], "damping 2": halves[1]},
     )
-    drawn = Drawn(run)
+    drawn = PlottedRun(run)
     assert drawn.telling is telling_of("rigid_body") and drawn.close
     axes = Figure().add_subplot()
     kinds()["drift"].prepare(drawn)(axes)
@@ -404,4 +404,4 @@ def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
 @pytest.mark.parametrize(("part", "index"), [(-0.5, 0), (0.0, 0), (0.24, 2), (1.0, 10), (7.0, 10)])
 def test_fractions_outside_the_span_are_its_ends(part, index):
     run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (2.0, 1.0), 0.1)
-    assert Drawn(run).at(part) == index
+    assert PlottedRun(run).at(part) == index

@@ -13,17 +13,17 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.gallery import _told
+from coadjoint.pictures.gallery import _caption
 from coadjoint.pictures.globe import VIEW, Globe, view_of
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.movie import frames_of
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS
-from coadjoint.pictures.refinement_times import SMOOTH, _length_of_path
+from coadjoint.pictures.refinement_times import REFINED_TOLERANCE, _length_of_path
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.section import draw_crossings
-from coadjoint.pictures.spatial import _raised, axis_in_space
+from coadjoint.pictures.spatial import _rotation_to_vertical, axis_in_space
 from coadjoint.pictures.style import INK, colour
 from coadjoint.systems.gallery_entry import Picture
 
@@ -157,12 +157,12 @@ def test_vectors_have_colours_labels_and_gaps_of_their_own():
     known = np.arange(200) != 60
     for i, v in enumerate((x, x @ forms.T)):
         unit = v[known] / np.linalg.norm(v[known], axis=1)[:, None]
-        flat, depth = globe.seen(unit)
+        flat, depth = globe.project(unit)
         lines = [line for line in axes.lines if len(line.get_xdata()) == 200 and line.get_color() == colour(i)]
         assert len(lines) in (1, 2)
-        seen = np.isfinite([line.get_xdata() for line in lines])
-        assert not seen[:, 60].any() and seen[:, known].any(axis=0).all()
-        for line, own in zip(lines, seen, strict=True):
+        project = np.isfinite([line.get_xdata() for line in lines])
+        assert not project[:, 60].any() and project[:, known].any(axis=0).all()
+        for line, own in zip(lines, project, strict=True):
             np.testing.assert_allclose(data(line)[:, own & known].T, flat[own[known]], rtol=0, atol=1e-12)
         (dot,) = (line for line in axes.lines if len(line.get_xdata()) == 1 and line.get_color() == colour(i))
         np.testing.assert_allclose(data(dot)[:, 0], flat[0], rtol=0, atol=1e-12)
@@ -189,7 +189,7 @@ def test_a_path_on_one_side_of_a_sphere_is_seen_from_there(around):
     axes = axes_of(made(points * 2.0), "directions", vectors={"v": (0, 1, 2)})
     globe = Globe(Figure().add_subplot(), ("", "", ""), found)
     dot = next(line for line in axes.lines if line.get_label() == "start")
-    np.testing.assert_allclose(data(dot)[:, 0], globe.seen(points[0] / np.linalg.norm(points[0]))[0], atol=1e-12)
+    np.testing.assert_allclose(data(dot)[:, 0], globe.project(points[0] / np.linalg.norm(points[0]))[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("radius", [1.0, 2.5])
@@ -200,7 +200,7 @@ def test_the_axes_of_a_sphere_stand_out_of_it_with_their_names(radius):
     names = [text for text in axes.texts if text.get_text()]
     assert [text.get_text() for text in names] == ["a", "b", "c"]
     for direction, arrow, name in zip(np.eye(3), arrows, names, strict=True):
-        foot, depth = globe.seen(radius * direction)
+        foot, depth = globe.project(radius * direction)
         np.testing.assert_allclose(arrow.xyann, foot, atol=1e-12)
         np.testing.assert_allclose(arrow.xy, 1.22 * foot, atol=1e-12)
         beyond = 0.1 * radius * foot / np.linalg.norm(foot)
@@ -232,13 +232,13 @@ def test_points_of_a_sphere_that_are_not_joined_are_strong_in_front_and_faint_be
 )
 def test_a_vector_is_raised_by_the_shortest_rotation(v):
     v = np.array(v, dtype=np.float64)
-    R, size = _raised(v), np.linalg.norm(v)
+    R, size = _rotation_to_vertical(v), np.linalg.norm(v)
     # The divisor 1 + u3 is at least 1e-12, if u3 is not taken for -1.
     np.testing.assert_allclose(R @ v / size, [0.0, 0.0, 1.0], rtol=0, atol=1e-8)
     np.testing.assert_allclose(R @ R.T, np.eye(3), rtol=0, atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1.0)
     assert np.trace(R) == pytest.approx(1.0 + 2.0 * v[2] / size, abs=1e-8), "the angle is that between both"
-    np.testing.assert_array_equal(_raised(0.0 * v), np.eye(3))
+    np.testing.assert_array_equal(_rotation_to_vertical(0.0 * v), np.eye(3))
 
 
 def rotations(axis: Any, angles: np.ndarray) -> np.ndarray:
@@ -261,7 +261,7 @@ def test_axes_in_space_of_members_that_hang_down():
         pointing = A[:, m] @ given / 5.0
         wanted = np.degrees(np.arccos(pointing @ down[m] / np.linalg.norm(down[m])))
         np.testing.assert_allclose(axes.lines[2 * m].get_ydata(), wanted, rtol=0, atol=1e-6)
-    path, _ = axis_in_space(Drawn(run), given, None)
+    path, _ = axis_in_space(PlottedRun(run), given, None)
     np.testing.assert_allclose(path, np.swapaxes(A @ given, 0, 1) / 5.0, rtol=0, atol=1e-15)
     assert given.tolist() == [0.0, 3.0, 4.0] and axes.get_title() == "nutation of the axis of the body"
     for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
@@ -357,7 +357,7 @@ def test_orbits_without_a_surface_are_framed_with_every_member():
 def test_long_curves_keep_their_first_and_last_points():
     count = 45_000
     x = np.random.default_rng(4).normal(size=(count, 3))
-    drawn = Drawn(made(x, t=T0 + np.arange(count)))
+    drawn = PlottedRun(made(x, t=T0 + np.arange(count)))
     steps = np.diff(drawn.kept)
     assert (drawn.kept[0], drawn.kept[-1]) == (0, count - 1) and len(drawn.kept) <= 20_001
     assert np.all(steps[:-1] == steps[0]) and 0 < steps[-1] <= steps[0]
@@ -488,7 +488,7 @@ def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
     for members in ([0, 1, 2], [1, 0], [2], [0]):
         run = SimpleNamespace(t=t, x=x[members], slope=lambda x, t, m, members=members: slope(x, t, members[m]))
         turning = [2.0 * 0.7 * rates[m] * np.abs(t).max() / (4.0 * sizes[m]) for m in members]
-        wanted = (8.0 * SMOOTH / max(turning)) ** 0.5
+        wanted = (8.0 * REFINED_TOLERANCE / max(turning)) ** 0.5
         # The difference over 1e-5 of the path leaves the third derivative, of relative size w t dt.
         assert _length_of_path(run) == pytest.approx(wanted, rel=2e-2)
 
@@ -497,7 +497,7 @@ def test_complex_matrices_are_refined_entry_by_entry():
     fluid = co.systems.torus_euler(5)
     W = np.stack([3.0 * fluid.random(seed, degrees=(1, 2)) for seed in (1, 2)])
     run = co.integrate(fluid, W, (T0, T0 + 8.0), 0.1, co.IsospectralGauss(), save_every=16)
-    filled = Drawn(run, [1]).between
+    filled = PlottedRun(run, [1]).between
     assert len(filled.t) > 2 * len(run.t)
     states = np.ascontiguousarray(run.at(filled.t).x[:, 1]).reshape(len(filled.t), -1)
     np.testing.assert_array_equal(filled.x[0], states.view(np.float64))
@@ -511,11 +511,11 @@ def test_the_fastest_attitude_of_a_batch_decides(sense):
     systems = [co.systems.rigid_body((1.0, 2.0, 3.0)), co.systems.rigid_body((0.5, 0.5, 0.6))]
     span = (T0, T0 + 10.0 * sense)
     run = co.integrate(co.batch(systems), [(0.0, 0.0, 3.0)] * 2, span, 0.1, save_every=10, attitude=True)
-    filled = Drawn(run).between
+    filled = PlottedRun(run).between
     first = filled.rotation[1][:, :, 0]
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     assert 0.9 * 0.14 < turned.max() <= 0.14 * (1.0 + 1e-9)
-    chosen = Drawn(run, [1]).between
+    chosen = PlottedRun(run, [1]).between
     np.testing.assert_array_equal(chosen.rotation[0][np.isin(chosen.t, run.t)], run.attitude[:, 1, :3, :3])
 
 
@@ -545,8 +545,8 @@ def test_components_asked_for_are_those_of_the_figure():
         run.plot(components=[])
     many = made(np.ones((3, 25, 3)))
     with pytest.raises(ValueError, match="give from 1 to 20 different"):
-        Drawn(many, list(range(21)))
-    assert Drawn(many, list(range(20))).x.shape == (20, 3, 3)
+        PlottedRun(many, list(range(21)))
+    assert PlottedRun(many, list(range(20))).x.shape == (20, 3, 3)
 
 
 def test_crossings_are_drawn_for_the_coordinates_that_vary_most():
@@ -569,7 +569,7 @@ class SectionOf:
 
     def __init__(self, x: np.ndarray, member: np.ndarray, system: Any) -> None:
         self.x, self.member, self.names = x, member, ("up", "down")
-        self.coordinates = Drawn(made(np.ones((3, 6)), system)).names
+        self.coordinates = PlottedRun(made(np.ones((3, 6)), system)).names
 
     def __len__(self) -> int:
         return len(self.x)
@@ -577,14 +577,14 @@ class SectionOf:
 
 def test_what_the_page_says_of_a_run():
     run = co.integrate(BODY, (0.1, 1.0, 0.2), (T0, T0 - 2.0), 0.1)
-    text = _told(run)
+    text = _caption(run)
     assert text.startswith("rigid_body(inertia=(1.0, 2.0, 3.0)), ") and "step 0.1, t from 7.3 to 5.3;" in text
     assert f"up to {np.abs(run.energy).max():.1e}, stays within {run.drift()['energy']:.1e}" in text
 
 
 def test_the_page_has_the_size_of_negative_energies():
     run = co.integrate(SPIN, (1.0, 0.0, -0.5), (T0, T0 + 1.0), 0.1)
-    assert "the energy, up to 5.0e-01" in _told(run)
+    assert "the energy, up to 5.0e-01" in _caption(run)
 
 
 def test_modified_energies_of_long_runs_are_thinned_in_step():

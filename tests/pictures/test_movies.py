@@ -17,7 +17,7 @@ from coadjoint import cli
 from coadjoint.files.output.movie_file import check_speed, write_movie
 from coadjoint.files.output.output_files import OutputError
 from coadjoint.pictures.movie import frames_of
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import telling_of
@@ -105,7 +105,7 @@ def test_another_time_in_the_same_picture_is_the_picture_of_that_time(name):
     options = {"sphere field": {"values": values}}.get(name, {})
     declared = next((p for p in telling_of(run.system.name).pictures if p.kind == name), Picture(name))
     options = {**declared.options, **options}
-    drawn, (kind, _) = Drawn(run), read_picture(Picture(name, **options))
+    drawn, (kind, _) = PlottedRun(run), read_picture(Picture(name, **options))
     moved, direct = (Figure().add_subplot() for _ in range(2))
     update = kind.prepare(drawn, **{**options, "at": 0.0})(moved)
     before = canvas_of(moved)
@@ -347,7 +347,7 @@ def test_each_frame_of_a_field_covers_the_square(given, sizes):
     x = np.outer(sizes, [1.0, 0.0, 0.0])
     run, axes = made(np.linspace(0.0, 2.0, len(sizes)), x, co.systems.rigid_body((1, 2, 3))), Figure().add_subplot()
     kind, options = kinds()["field"], {"width": lambda system: WIDE, given: RAMPS[given]}
-    update = kind.prepare(Drawn(run), **options)(axes)
+    update = kind.prepare(PlottedRun(run), **options)(axes)
     # Values of a function have the scale of start and end, sums of modes that of all times.
     scale = max(map(abs, sizes)) if given == "modes" else max(abs(sizes[0]), abs(sizes[-1])) or 1.0
     for j in (0, 1, 2, 3, 4, 1):

@@ -21,7 +21,7 @@ import coadjoint as co
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.phase_drift import draw_phase_drift
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import kinds
 from coadjoint.pictures.series import COLUMNS, envelope
@@ -115,7 +115,7 @@ def test_members_that_are_chosen_are_those_that_are_shown():
     run = bodies(1.0, 24, 40)
     shown = {None: np.linspace(0, 23, 20).round().astype(int), (5, 2, 11): np.array([5, 2, 11])}
     for members, numbers in shown.items():
-        drawn = Drawn(run, members)
+        drawn = PlottedRun(run, members)
         np.testing.assert_array_equal(drawn.x, np.swapaxes(run.x[:, numbers], 0, 1))
         np.testing.assert_array_equal(drawn.attitude, np.swapaxes(run.attitude[:, numbers], 0, 1))
         np.testing.assert_array_equal(drawn.invariants["energy"], run.energy[:, numbers].T)
@@ -174,9 +174,9 @@ def shown_on_globe(axes: Any, shade: str, view: tuple[float, float], path: np.nd
     for line, side in zip(lines, sides, strict=True):
         found = data(line)
         np.testing.assert_allclose(found[:, side], flat[:, side], rtol=0, atol=1e-12)
-        seen = np.isfinite(found[0])
+        project = np.isfinite(found[0])
         # A side begins one point before the points that lie on it, where the path comes from the other one.
-        np.testing.assert_array_equal(seen, side | np.append(side[1:], False))
+        np.testing.assert_array_equal(project, side | np.append(side[1:], False))
 
 
 @pytest.mark.parametrize("sense", SENSES)
@@ -199,10 +199,10 @@ def test_axes_and_directions_of_each_member_are_where_they_point(sense):
         unit = run.x[:, m] / np.linalg.norm(run.x[:, m], axis=1)[:, None]
         shown_on_globe(direction, colour(m), view, unit)
         dot = [line for line in direction.lines if len(line.get_xdata()) == 1 and line.get_color() == colour(m)]
-        np.testing.assert_allclose(data(dot[0])[:, 0], globe.seen(unit[0])[0], atol=1e-12)
+        np.testing.assert_allclose(data(dot[0])[:, 0], globe.project(unit[0])[0], atol=1e-12)
         if m == 0:
             for label, k in (("start", 0), ("end", -1)):
-                np.testing.assert_allclose(data(marks[label])[:, 0], globe.seen(path[k])[0], atol=1e-9)
+                np.testing.assert_allclose(data(marks[label])[:, 0], globe.project(path[k])[0], atol=1e-9)
 
 
 def test_orbits_portraits_and_paths_in_space_are_those_of_the_members():
@@ -290,14 +290,14 @@ def test_no_line_of_a_map_crosses_its_edge(name, seed):
             assert known.sum() >= (355 if name != "outside" else 1)
     # What a point of the map shows is the point of the sphere that is drawn there.
     directions = across.directions(120, centre)
-    seen = np.isfinite(directions[..., 0])
-    rows, columns = seen.shape
-    longitude = np.arctan2(directions[..., 1], directions[..., 0])[seen]
-    latitude = np.arcsin(np.clip(directions[..., 2], -1.0, 1.0))[seen]
-    np.testing.assert_allclose(unit_vectors(longitude, latitude), directions[seen], atol=1e-12)
+    project = np.isfinite(directions[..., 0])
+    rows, columns = project.shape
+    longitude = np.arctan2(directions[..., 1], directions[..., 0])[project]
+    latitude = np.arcsin(np.clip(directions[..., 2], -1.0, 1.0))[project]
+    np.testing.assert_allclose(unit_vectors(longitude, latitude), directions[project], atol=1e-12)
     for p in rng.integers(0, len(longitude), 30):
         x, y = across.line(np.full(2, longitude[p]), np.full(2, latitude[p]), centre)
-        row, column = np.argwhere(seen)[p]
+        row, column = np.argwhere(project)[p]
         wanted = across.half_width * ((2 * column + 1) / columns - 1), (2 * row + 1) / rows - 1
         np.testing.assert_allclose((x[0], y[0]), wanted, atol=2e-3)
 
@@ -459,7 +459,7 @@ def test_every_frame_shows_its_own_time(name):
     run, picture, values = moving(name)
     axes = Figure().add_subplot()
     kind = kinds()[name]
-    update = kind.prepare(Drawn(run), **picture.options)(axes)
+    update = kind.prepare(PlottedRun(run), **picture.options)(axes)
     for k in (3, len(run.t) - 1, 0, 7):
         update(k)
         time = f"{run.t[k]:g}" if name == "spins" else f"{run.t[k]:.4g}"
@@ -470,9 +470,9 @@ def test_every_frame_shows_its_own_time(name):
             (arrows,) = (drawn for drawn in axes.collections if isinstance(drawn, Quiver))
             np.testing.assert_allclose(np.stack([arrows.U, arrows.V, arrows.get_array()], axis=-1), values(k))
         elif name == "sphere field":
-            seen = np.ma.filled(axes.images[0].get_array(), np.nan)
-            latitude = np.arcsin(np.linspace(-1.0, 1.0, len(seen)))[10:-10]
-            column = seen[10:-10, len(seen) // 2]
+            project = np.ma.filled(axes.images[0].get_array(), np.nan)
+            latitude = np.arcsin(np.linspace(-1.0, 1.0, len(project)))[10:-10]
+            column = project[10:-10, len(project) // 2]
             np.testing.assert_allclose(column, values(k) * latitude * 2.0 / np.pi, rtol=0, atol=1e-9)
         else:
             (levels,) = axes.collections

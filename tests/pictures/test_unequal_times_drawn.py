@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.refinement_times import _divided
 from coadjoint.pictures.series import draw_series, envelope
 from coadjoint.pictures.sign_changes import flips
@@ -38,12 +38,12 @@ def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any
 @pytest.mark.parametrize("sense", SENSES)
 def test_a_fraction_of_the_span_is_the_saved_point_nearest_to_that_time(sense):
     t = uneven(40, sense)
-    drawn = Drawn(made(t, np.random.default_rng(1).normal(size=(40, 3))))
+    drawn = PlottedRun(made(t, np.random.default_rng(1).normal(size=(40, 3))))
     for part in (0.0, 0.1, 0.25, 0.5, 0.9, 1.0):
         k = drawn.at(part)
         assert abs(t[k] - (T0 + sense * 4.0 * part)) == np.abs(t - (T0 + sense * 4.0 * part)).min()
     assert [drawn.at(part) for part in (-3.0, 0.0, 1.0, 7.0)] == [0, 0, 39, 39]
-    assert Drawn(made(t[:1], np.ones((1, 3)))).at(0.7) == 0
+    assert PlottedRun(made(t[:1], np.ones((1, 3)))).at(0.7) == 0
 
 
 @pytest.mark.parametrize("count", [30, 1001])
@@ -190,7 +190,7 @@ def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense
 def test_changes_of_sign_of_complex_matrices():
     fluid = co.systems.torus_euler(3)
     run = co.integrate(fluid, fluid.random(1, degrees=(1, 1)), (T0, T0 + 20.0), 0.125, co.IsospectralGauss())
-    drawn = Drawn(run)
+    drawn = PlottedRun(run)
     real = drawn.x[0]
     i = int(np.argmax([np.count_nonzero(np.diff(np.sign(column))) for column in real.T]))
     found = flips(drawn.slope, run.t, real, i)

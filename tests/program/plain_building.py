@@ -131,12 +131,12 @@ def plain_action(algebra, parts):
 
 def plain_first_fit(count, first, second, present=None):
     """The group of each thing, -1 for one that is not there."""
-    clashes = [set() for _ in range(count)]
+    noncommuting_pairs = [set() for _ in range(count)]
     for a, b in zip(first, second, strict=True):
-        clashes[int(b)].add(int(a))
+        noncommuting_pairs[int(b)].add(int(a))
     found = []
     for k in range(count):
-        taken = {found[m] for m in clashes[k]}
+        taken = {found[m] for m in noncommuting_pairs[k]}
         there = present is None or present[k]
         found.append(next(group for group in range(count) if group not in taken) if there else -1)
     return found

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.program.block_table import blocks_of
 from coadjoint.program.blocks import Kind
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from commuting_actions import acting
 
@@ -41,7 +41,7 @@ def turning(algebra, coordinates):
 
 
 def reading_of(algebra, *coordinates):
-    read = Reading(build_program(turning(algebra, coordinates), co.Splitting(order=1)))
+    read = Interpreter(build_program(turning(algebra, coordinates), co.Splitting(order=1)))
     assert len(read.program.parts) == 1
     return read
 
@@ -229,7 +229,7 @@ def test_blocks_that_differ_in_one_constant_have_their_own(kind):
         for block, place in zip(blocks, places, strict=True):
             D[np.ix_(place, place)] = block
         system, method = turning(acting(D), [len(D)]), co.Splitting(order=1, parts="coordinates")
-        read = Reading(build_program(system, method))
+        read = Interpreter(build_program(system, method))
         assert kinds_of(read) == {kind}
         assert read.generator(read.program.state, 0, 0) == entries(D)
         x = rng.uniform(-1, 1, len(D) + 1)

@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.methods.registry import description_of, from_description
 from coadjoint.program.parts.bonds import bonds, colours
 from coadjoint.program.parts.part_polynomials import part_polynomials
-from coadjoint.program.parts.split import NotSplit
+from coadjoint.program.parts.split import NotSplittable
 
 U = 2.0**-53
 SO3 = co.algebras.so(3)
@@ -131,7 +131,7 @@ def test_a_bond_is_a_multiple_of_the_identity_between_momenta_of_one_scale(facto
         system = co.LiePoissonSystem(whole, co.Quadratic(M + M.T))
         isotropic = factors[0] == factors[1] and np.array_equal(coupling, coupling[0, 0] * np.eye(3))
         if not isotropic:
-            with pytest.raises(NotSplit, match="no isotropic coupling"):
+            with pytest.raises(NotSplittable, match="no isotropic coupling"):
                 bonds(system)
             continue
         found += 1
@@ -154,7 +154,7 @@ def test_other_refusals(monkeypatch):
         # Each of them is the first or the second one of some bond.
         with pytest.raises(ValueError, match=rf'parts="bonds" takes no inputs for e1\[{spin + 1}\]'):
             co.prepare(bound, by_bonds(), 0.1, inputs={"field": (3 * spin, 3 * spin + 1, 3 * spin + 2)})
-    monkeypatch.setattr("coadjoint.program.parts.bonds.MOST_BONDS", 4)
+    monkeypatch.setattr("coadjoint.program.parts.bonds.MAX_BONDS", 4)
     with pytest.raises(ValueError, match="it has 5 bonds, and 4 are the most"):
         by_bonds().properties(co.systems.spin_lattice("chain", 6))
 

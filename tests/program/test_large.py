@@ -11,12 +11,12 @@ from scipy.sparse import block_diag, diags_array, random_array
 import coadjoint as co
 from coadjoint.program.graph_layers import layers
 from coadjoint.program.parts import quadratic_atoms
-from coadjoint.program.parts.first_fit import first_fit, numbers_of_groups
+from coadjoint.program.parts.first_fit import count_groups, first_fit
 from coadjoint.program.parts.sparse_squares import sparse_squares
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares
 from coadjoint.program.shifts.shift import candidate_shifts, quadratic_casimirs, shifted_terms
-from coadjoint.program.shifts.shift_counts import numbers_of_parts
+from coadjoint.program.shifts.shift_counts import count_parts
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.table import build_program
 
@@ -99,7 +99,7 @@ def test_first_fit_is_greedy_whatever_the_number_of_groups():
         assert first_fit(count, first, second).tolist() == plain_first_fit(count, first, second)
         present = random.uniform(size=(count, 5)) < 0.8
         expected = [max(plain_first_fit(count, first, second, case)) + 1 for case in present.T]
-        assert numbers_of_groups(count, first, second, present).tolist() == expected
+        assert count_groups(count, first, second, present).tolist() == expected
     every = np.array([(i, j) for j in range(140) for i in range(j)]).T
     assert first_fit(140, *every).tolist() == list(range(140))
 
@@ -145,7 +145,7 @@ def test_shifts_are_counted_as_they_are_made(driven):
     system = co.LiePoissonSystem(co.algebras.so(13), co.Quadratic(M, linear=linear))
     terms, casimirs, plain = system.hamiltonian.terms(), quadratic_casimirs(system), split(system)
     shifts = list(candidate_shifts(system, plain, casimirs))
-    counts = numbers_of_parts(system, casimirs, shifts).tolist()
+    counts = count_parts(system, casimirs, shifts).tolist()
     made = [split(system, "auto", shifted_terms(terms, casimirs, shift)) for shift in shifts]
     assert len(set(counts) - {0}) > 1
     assert all(count in (0, len(parts)) for count, parts in zip(counts, made, strict=True))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_where
 
@@ -59,7 +59,7 @@ SYSTEMS = {
 def setup(name, method):
     s = co.LiePoissonSystem(*SYSTEMS[name], sign=-1 if name == "so(4) full" else 1)
     x = np.array([mpmath.mpf(v) for v in np.linspace(-0.5, 0.75, s.dim)])
-    return s, Reading(build_program(s, method, number=mpmath.mpf)), x
+    return s, Interpreter(build_program(s, method, number=mpmath.mpf)), x
 
 
 def size(values):
@@ -149,7 +149,7 @@ def test_group_element_carries_the_momentum(name, carried):
         h = mpmath.mpf("0.25")
 
         def run(representation, size_of):
-            read = Reading(build_program(s, co.Splitting(order=2), group=representation, number=mpmath.mpf))
+            read = Interpreter(build_program(s, co.Splitting(order=2), group=representation, number=mpmath.mpf))
             unit = np.array([[mpmath.mpf(int(i == j)) for j in range(size_of)] for i in range(size_of)])
             return read.steps(x, h, 3, group=unit)
 
@@ -166,7 +166,7 @@ def test_group_element_carries_the_momentum(name, carried):
 def test_whole_numbers_are_numbers():
     """An integer state is a state, not a request for integer arithmetic."""
     s = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"])
-    read = Reading(build_program(s, co.Splitting()))
+    read = Interpreter(build_program(s, co.Splitting()))
     given = np.array([1, 0, -1, 2, 1, 0])
     assert np.array_equal(read.steps(given, 0.1, 3), read.steps(given.astype(float), 0.1, 3))
     assert given.tolist() == [1, 0, -1, 2, 1, 0]
@@ -175,12 +175,12 @@ def test_whole_numbers_are_numbers():
 def test_no_steps_is_the_identity():
     s = co.LiePoissonSystem(*SYSTEMS["sl(2) full"])
     x = np.array([1.0, 2.0, 3.0])
-    assert np.array_equal(Reading(build_program(s, co.Splitting())).steps(x, 0.1, 0), x)
+    assert np.array_equal(Interpreter(build_program(s, co.Splitting())).steps(x, 0.1, 0), x)
 
 
 def test_a_tangent_needs_second_derivatives():
     s = co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: (math.cosh, math.sinh), 2: (math.cosh, math.sinh)}))
-    read = Reading(build_program(s, co.Splitting()))
+    read = Interpreter(build_program(s, co.Splitting()))
     with pytest.raises(TypeError, match="hessian"):
         read.steps(np.ones(3), 0.1, 1, tangent=np.eye(3))
 
@@ -190,4 +190,4 @@ def test_number_types_without_elementary_functions_are_refused():
 
     s = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"])
     with pytest.raises(TypeError, match="the number type Fraction is not supported"):
-        Reading(build_program(s, co.Splitting(), number=Fraction))
+        Interpreter(build_program(s, co.Splitting(), number=Fraction))

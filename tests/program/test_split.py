@@ -9,7 +9,7 @@ import pytest
 from scipy.sparse import coo_array
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
 from guards import bounded_work
@@ -156,7 +156,7 @@ def test_the_pieces_add_up_to_the_hamiltonian(name, choice):
     number = float if functions else mpmath.mpf
     tolerance = 16 * s.dim * 2.0**-53 if functions else 1e-36  # functions of floats; or 40 digits less a few roundings
     with mpmath.workdps(40):
-        read = Reading(build_program(s, co.Splitting(parts=choice), number=number))
+        read = Interpreter(build_program(s, co.Splitting(parts=choice), number=number))
         for seed in range(3):
             x = np.random.default_rng(seed).uniform(-1, 1, s.dim)
             x = x if functions else np.array([mpmath.mpf(v) for v in x])

@@ -5,9 +5,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.program.parts.offsets_of_squares import ExactSums, Reduced
+from coadjoint.program.parts.offsets_of_squares import ExactSums, ReductionSteps
 from coadjoint.program.parts.sparse_squares import sparse_squares
-from coadjoint.program.parts.squares import LARGEST_RATIONAL, complete_squares
+from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE, complete_squares
 from coadjoint.program.sparse_rows import SparseRows
 
 U = 2.0**-53
@@ -35,7 +35,7 @@ MATRICES = {
     "rank 2 of 5": singular(5, 5, 2),
     "rank 3 of 6": singular(6, 6, 3),
     "zero": np.zeros((3, 3)),
-    "largest rational": symmetric(7, LARGEST_RATIONAL),
+    "largest rational": symmetric(7, MAX_RATIONAL_SIZE),
     "graded": np.diag([1e-8, 1.0, 1e8]) @ symmetric(8, 3) @ np.diag([1e-8, 1.0, 1e8]),
 }
 
@@ -89,7 +89,7 @@ def test_forms_have_no_large_coefficients():
 def test_a_pair_is_squared_along_the_better_diagonal(side):
     """Of e_i + e_j and e_i - e_j the first square is taken along the one where it is at least half of the entry."""
     rng = np.random.default_rng(18)
-    for n in (2, LARGEST_RATIONAL + 4):
+    for n in (2, MAX_RATIONAL_SIZE + 4):
         for entry in (1.0, -1.0):
             M = np.zeros((n, n))
             M[0, 1] = M[1, 0] = entry
@@ -106,7 +106,7 @@ def test_a_pair_is_squared_along_the_better_diagonal(side):
 @pytest.mark.parametrize("kind", ["definite", "indefinite", "zero diagonal", "singular"])
 def test_reconstruction_in_floats(kind):
     """Above the rational size: each of r updates rounds three times, so 4 r u times all that was added up."""
-    n = LARGEST_RATIONAL + 5
+    n = MAX_RATIONAL_SIZE + 5
     made = {
         "definite": lambda: symmetric(11, n) @ symmetric(11, n),
         "indefinite": lambda: symmetric(12, n),
@@ -146,7 +146,7 @@ def test_the_matrix_given_is_not_changed():
     "offsets",
     [
         ExactSums((1,), ((1,), (2**600,)), (3, 1)),
-        Reduced((((0,), ({0: 1.0},)), ((1,), ({1: 2.0**-600},))), (1, 0)),
+        ReductionSteps((((0,), ({0: 1.0},)), ((1,), ({1: 2.0**-600},))), (1, 0)),
     ],
     ids=["exact", "reduced"],
 )

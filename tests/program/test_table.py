@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 
 
@@ -95,9 +95,9 @@ def test_a_part_is_timed_if_any_of_its_functions_is(timed):
     x0 = np.array([0.4, -0.3, 0.2, 0.9, 0.5, -0.7])
     x = x0
     for k in range(3):
-        x = Reading(program).steps(x, 0.25, 1, 0.7 + 0.25 * k)
+        x = Interpreter(program).steps(x, 0.25, 1, 0.7 + 0.25 * k)
     whole = co.integrate(system, x0, (0.7, 1.45), 0.25, method).x[-1]
-    assert np.abs(Reading(program).steps(x0, 0.25, 3, 0.7) - x).max() <= 64 * 2.0**-53
+    assert np.abs(Interpreter(program).steps(x0, 0.25, 3, 0.7) - x).max() <= 64 * 2.0**-53
     assert np.abs(whole - x).max() <= 64 * 2.0**-53
 
 
@@ -119,7 +119,7 @@ def test_step_after_step_is_the_same_as_single_steps():
     """The merged table against one step at a time, each begun and finished: rounding of 50 steps of 5 flows."""
     for s in (top(), driven()):
         for order in (1, 2, 4):
-            read = Reading(build_program(s, co.Splitting(order=order)))
+            read = Interpreter(build_program(s, co.Splitting(order=order)))
             x = np.linspace(0.3, 1.1, s.dim)
             together, single = read.steps(x, 0.05, 50, t0=0.5), x
             for k in range(50):

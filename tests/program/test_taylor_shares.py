@@ -101,12 +101,12 @@ def test_parts_have_polynomials_in_all_coordinates_with_the_derivatives_of_their
     made = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(taylor_shares, "Parts", lambda *given: made.append(given) or given)
-        parts_at(SimpleNamespace(special={7: FunctionShare(term), 2: plain}, **columns), x, 2)
-    ((forms, offset, weights, row, special, share, timed),) = made
+        parts_at(SimpleNamespace(nonlinear_shares={7: FunctionShare(term), 2: plain}, **columns), x, 2)
+    ((forms, offset, weights, row, nonlinear_shares, share, timed),) = made
     kept = {"forms": forms, "offset": offset, "weights": weights, "row": row, "share": share, "timed": timed}
-    assert kept == columns and set(special) == {7, 2} and special[2] is plain
-    assert special[7].coordinates == tuple(coordinates)
-    polynomial = special[7].polynomial
+    assert kept == columns and set(nonlinear_shares) == {7, 2} and nonlinear_shares[2] is plain
+    assert nonlinear_shares[7].coordinates == tuple(coordinates)
+    polynomial = nonlinear_shares[7].polynomial
     where = list(coordinates)
     for _ in range(3):
         other = rng.uniform(-2.0, 2.0, 5)

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.order_of_parts import best_order
@@ -22,7 +22,7 @@ from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares
 from coadjoint.program.shifts.group_correction import Turn, unshift_tables
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.shifts.shift_counts import numbers_of_parts
+from coadjoint.program.shifts.shift_counts import count_parts
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.table import build_program
 from commuting_actions import acting
@@ -94,7 +94,7 @@ def test_what_a_shift_leaves_by_rounding_is_no_part():
         factor = float(system.hamiltonian.terms()[0].values[0]) / 6.0
         (term,) = shifted_terms(system.hamiltonian.terms(), {name: casimir}, ((name, factor),))
         assert 0 not in term.rows
-        found = numbers_of_parts(system, {name: casimir}, [((name, factor),)])[0]
+        found = count_parts(system, {name: casimir}, [((name, factor),)])[0]
         assert found in (0, len(split(system, "auto", (term,))))
 
 
@@ -108,7 +108,7 @@ def test_parts_are_counted_as_they_are_made(power):
     ((name, casimir),) = casimirs.items()
     shifts = [((name, M[k] / casimir.values[k]),) for k in range(3)]
     made = [len(split(system, "auto", shifted_terms(system.hamiltonian.terms(), casimirs, s))) for s in shifts]
-    assert numbers_of_parts(system, casimirs, shifts).tolist() == made
+    assert count_parts(system, casimirs, shifts).tolist() == made
 
 
 # Kinds of blocks: what counts as D^3 = lam D, or as nilpotent.
@@ -183,7 +183,7 @@ def nearly_commuting(p, q):
 def test_forms_that_nearly_commute_have_flows_of_their_own(power):
     """In one part, the step would be no Poisson map, by eps: seen in more digits."""
     system = nearly_commuting(1.0, 1.0 - 2.0**-power)
-    read = Reading(build_program(system, co.Splitting(order=2), number=mpmath.mpf))
+    read = Interpreter(build_program(system, co.Splitting(order=2), number=mpmath.mpf))
     with mpmath.workdps(50):
         x, unit = (np.vectorize(mpmath.mpf)(v) for v in (np.linspace(-0.5, 0.75, 6), np.eye(6)))
         y, P = read.steps(x, mpmath.mpf(0.5), 2, tangent=unit)
@@ -344,12 +344,12 @@ def test_rounding_does_not_choose_between_orders_that_are_equal():
 
 def elements(algebra, carried, shift, x, time, exactly=True):
     """exp(t X) of the library and in 60 digits."""
-    from coadjoint.kernels.casimir_shift import Unshifting
+    from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
     from coadjoint.kernels.recording_tables import schedule_of
 
     tables = unshift_tables(algebra, carried, -1, shift)
     held, out = np.tile(np.eye(tables.size).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, tables.size, tables.size))
-    Unshifting(tables, 1.0).fill(
+    CompiledShiftCorrection(tables, 1.0).fill(
         out, held.ctypes.data, np.array([x]), np.eye(tables.size)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
     )
     if not exactly:

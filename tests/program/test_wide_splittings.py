@@ -9,7 +9,7 @@ from coadjoint.long_operations import LongWait
 from coadjoint.program import blocks, commutation, table
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts import clashing_forms, decompose
-from coadjoint.program.parts.generator_cost import TooWide, check_products
+from coadjoint.program.parts.generator_cost import SplittingTooExpensive, check_products
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from guards import bounded_work
 from long import long_beyond, long_where
@@ -37,13 +37,13 @@ def test_clashes_are_those_of_all_products(name, density, monkeypatch):
     rng = np.random.default_rng(len(name))
     (term,) = co.LiePoissonSystem(algebra, co.Quadratic(symmetric(rng, algebra.dim, density))).hamiltonian.terms()
     own = Commutation(algebra)
-    parts = quadratic_atoms(term, own, apart=True)
+    parts = quadratic_atoms(term, own, separate=True)
     monkeypatch.setattr(commutation, "CHUNK", 0)  # every sum is a long one
-    quick = own._touching(parts)
-    found = own.clashes(parts, quick)
-    monkeypatch.setattr(commutation, "LARGEST_TABLE", 0)
-    plain = own._touching(parts)
-    for one, other in ((quick, plain), (found, own.clashes(parts, plain))):
+    quick = own._find_coupled_pairs(parts)
+    found = own.noncommuting_pairs(parts, quick)
+    monkeypatch.setattr(commutation, "MAX_TABLE_SIZE", 0)
+    plain = own._find_coupled_pairs(parts)
+    for one, other in ((quick, plain), (found, own.noncommuting_pairs(parts, plain))):
         np.testing.assert_array_equal(one, other)
 
 
@@ -53,7 +53,7 @@ def test_forms_that_commute_are_never_said_to_clash():
     form = rng.normal(size=algebra.dim)
     forms = np.array([form, 3.7 * form, form / 7, rng.normal(size=algebra.dim)])
     first, second = np.triu_indices(4, 1)
-    said = clashing_forms.surely_clashing(forms, algebra, first, second, np.full(6, 10**9))
+    said = clashing_forms.surely_noncommuting(forms, algebra, first, second, np.full(6, 10**9))
     np.testing.assert_array_equal(said, second == 3)
 
 
@@ -71,9 +71,9 @@ def test_kinds_of_blocks_are_those_of_whole_products(seed, monkeypatch):
     }
     for matrix in matrices.values():
         local = tuple((i, j, matrix[i, j]) for i, j in np.argwhere(matrix != 0).tolist())
-        monkeypatch.setattr(blocks, "MOST_MULTIPLIED", 1000)
+        monkeypatch.setattr(blocks, "MAX_SQUARED_SIZE", 1000)
         plain = blocks.larger_block(n, local, 2.0**-53)
-        monkeypatch.setattr(blocks, "MOST_MULTIPLIED", 2)
+        monkeypatch.setattr(blocks, "MAX_SQUARED_SIZE", 2)
         assert blocks.larger_block(n, local, 2.0**-53) == plain
 
 
@@ -103,8 +103,8 @@ def test_shifts_take_no_more_than_a_bounded_work(monkeypatch):
     every = len(calls)
     work = decompose._work(system, decompose.split(system))
     calls.clear()
-    monkeypatch.setattr(decompose, "FEWEST_SHIFTS", 3)
-    monkeypatch.setattr(decompose, "MOST_WORK", 5 * work)
+    monkeypatch.setattr(decompose, "MIN_SHIFTS", 3)
+    monkeypatch.setattr(decompose, "MAX_WORK", 5 * work)
     decompose.candidates(system, comparing=False)
     assert len(calls) == 6 < every
 
@@ -117,7 +117,7 @@ def test_diagonal_forms_of_large_algebras_try_few_shifts(monkeypatch):
     calls = []
     monkeypatch.setattr(decompose, "split", lambda *given, split=decompose.split: (calls.append(1), split(*given))[1])
     decompose.candidates(system, comparing=False)
-    assert decompose.FEWEST_SHIFTS < len(calls) < g.dim / 3
+    assert decompose.MIN_SHIFTS < len(calls) < g.dim / 3
 
 
 @pytest.mark.thinned(2)
@@ -140,7 +140,9 @@ def test_what_takes_minutes_is_refused_at_once(algebra, count, method):
 
 def test_lattices_are_not_too_wide():
     check_products(np.full(10**7, 30), "a lattice")
-    with pytest.raises(TooWide, match=r"H has 1000 flows of 60000 products each: .* about 120 s and 9.0 GB"):
+    with pytest.raises(
+        SplittingTooExpensive, match=r"H has 1000 flows of 60000 products each: .* about 120 s and 9.0 GB"
+    ):
         check_products(np.full(1000, 60_000), "H")
     with pytest.warns(LongWait, match="making a splitting of H ready takes about 32 s; GaussLegendre is made ready"):
         check_products(np.full(270, 60_000), "H")
@@ -150,17 +152,19 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
     from coadjoint.program.modified_energy import modified_terms, sweep_logarithm
 
-    monkeypatch.setattr(modified_terms, "products_ahead", lambda *given: 0.0)
+    monkeypatch.setattr(modified_terms, "estimated_products", lambda *given: 0.0)
 
     g = co.algebras.su(6)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
     made = []
-    plain = sweep_logarithm.Commutators.check_room
+    plain = sweep_logarithm.Commutators.check_available_memory
     monkeypatch.setattr(
-        sweep_logarithm.Commutators, "check_room", lambda self, count: (made.append(count), plain(self, count))[1]
+        sweep_logarithm.Commutators,
+        "check_available_memory",
+        lambda self, count: (made.append(count), plain(self, count))[1],
     )
-    monkeypatch.setattr(sweep_logarithm, "MOST_PRODUCTS", 10**6)
-    monkeypatch.setattr(sweep_logarithm, "TELLING", 10**4)
+    monkeypatch.setattr(sweep_logarithm, "MAX_PRODUCTS", 10**6)
+    monkeypatch.setattr(sweep_logarithm, "WARN_PRODUCTS", 10**4)
     with pytest.raises(ValueError, match="the brackets of a modified Hamiltonian take"):
         co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
     assert sum(made) < 5 * 10**5
@@ -178,9 +182,11 @@ def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, mo
     M = symmetric(np.random.default_rng(1), g.dim, 1.0) if coupled else np.linspace(1.0, 2.0, g.dim)
     counted, spent = [], []
     monkeypatch.setattr(modified_terms, "check_products", counted.append)
-    plain = sweep_logarithm.Commutators.check_room
+    plain = sweep_logarithm.Commutators.check_available_memory
     monkeypatch.setattr(
-        sweep_logarithm.Commutators, "check_room", lambda self, count: (plain(self, count), spent.append(self.spent))
+        sweep_logarithm.Commutators,
+        "check_available_memory",
+        lambda self, count: (plain(self, count), spent.append(self.spent)),
     )
     co.modified_hamiltonian(co.LiePoissonSystem(g, co.Quadratic(M)), co.Splitting(order=2), order=4)
     assert (0.5 if coupled else 0.0) * spent[-1] < counted[0] <= spent[-1]

@@ -293,24 +293,24 @@ CALLS = [
 @pytest.fixture
 def case(monkeypatch, tmp_path):
     """A case whose threads, processes and tasks are counted; none is started unless it is asked for."""
-    found, real = Case("so(3)", 1.0, tmp_path), run.at_work
+    found, real = Case("so(3)", 1.0, tmp_path), run.run_in_threads
 
-    def counted(crews, given, loops, workers=1):
+    def counted(member_batches, given, loops, workers=1):
         done, target = given[-2:]
         # Archives take no step, or one, before their runs.
         if workers > 1 and target > done + 1:
             found.threads.append(workers)
-        return real(crews, given, loops, workers)
+        return real(member_batches, given, loops, workers)
 
     @contextmanager
     def cluster(workers):
         found.processes.append(workers)
         yield found.cluster
 
-    monkeypatch.setattr(run, "at_work", counted)
-    monkeypatch.setattr(prepared_run, "members_at_once", lambda rows: 1)
+    monkeypatch.setattr(run, "run_in_threads", counted)
+    monkeypatch.setattr(prepared_run, "concurrent_members", lambda rows: 1)
     monkeypatch.setattr(local_cluster, "local_cluster", cluster)
-    monkeypatch.setattr(on_workers, "_done", lambda client, tasks: list(tasks))
+    monkeypatch.setattr(on_workers, "_wait_for_tasks", lambda client, tasks: list(tasks))
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     return found
 

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import prepared_run
-from coadjoint.runs.final_state import EndOfRun
+from coadjoint.runs.final_state import FinalStateRun
 from methods.own_schemes import Failing, Interpreted
 from random_runs.cases import case_of
 
@@ -77,8 +77,8 @@ def test_times_that_are_changed_where_they_stand_are_read_again():
 
 
 def test_equal_times_are_the_same_times_where_their_bits_are(monkeypatch):
-    ready, spans, real = co.prepare(BODY, None, 0.5), [], EndOfRun._aim
-    monkeypatch.setattr(EndOfRun, "_aim", lambda own, span: spans.append(span) or real(own, span))
+    ready, spans, real = co.prepare(BODY, None, 0.5), [], FinalStateRun._prepare_span
+    monkeypatch.setattr(FinalStateRun, "_prepare_span", lambda own, span: spans.append(span) or real(own, span))
     given = [(0.0, 1.0), tuple([0.0, 1.0]), (-0.0, 1.0), (0.0, 1.0), (0, 1.0), (0.0, 1.5), (np.array(0.0), 1.5)]
     for span in given:
         assert np.array_equal(ready.end(X, span), ready.run(X, span).x[-1])
@@ -135,7 +135,7 @@ def test_a_function_that_raises_is_heard():
 
 
 def test_a_call_inside_of_a_call_has_arrays_of_its_own(monkeypatch):
-    busy, real = [], EndOfRun.__call__
+    busy, real = [], FinalStateRun.__call__
 
     def alone(own, *given):
         assert own not in busy
@@ -144,7 +144,7 @@ def test_a_call_inside_of_a_call_has_arrays_of_its_own(monkeypatch):
         busy.remove(own)
         return found
 
-    monkeypatch.setattr(EndOfRun, "__call__", alone)
+    monkeypatch.setattr(FinalStateRun, "__call__", alone)
 
     @dataclasses.dataclass(frozen=True)
     class Nested(Interpreted):
@@ -179,7 +179,7 @@ def test_threads_share_one():
 
 
 def test_arrays_of_large_states_are_not_kept(monkeypatch):
-    monkeypatch.setattr("coadjoint.runs.final_state.LARGEST", 8)
+    monkeypatch.setattr("coadjoint.runs.final_state.MAX_CACHED_NUMBERS", 8)
     ready = co.prepare(BODY, None, 0.1)
     assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])
     monkeypatch.setattr(prepared_run.PreparedRun, "follow", no_run)

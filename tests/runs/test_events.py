@@ -493,7 +493,7 @@ def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, unt
 def test_more_crossings_than_there_is_room_for_are_refused(monkeypatch, spare):
     """None is lost in silence: as many as there is room for are found, one more is an error."""
     steps = 240
-    monkeypatch.setattr(kernel_events, "SPARE", spare - kernel_events.ROWS * (steps + 1))
+    monkeypatch.setattr(kernel_events, "SPARE_ROWS", spare - kernel_events.ROWS_PER_STEP * (steps + 1))
     given = BODY, FLIPPING, (0, steps * 0.125), 0.125, co.Splitting(order=4)
     event = co.Event("x2")
     count = int(np.count_nonzero(np.diff(np.sign(co.integrate(*given).x[:, 1]))))

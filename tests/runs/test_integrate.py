@@ -86,7 +86,7 @@ def test_company_changes_nothing(name, scheme):
 def test_pauses_change_nothing(name, monkeypatch, capfd):
     s = SYSTEMS[name]
     whole = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint")
-    monkeypatch.setattr(run_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+    monkeypatch.setattr(run_module, "SECONDS_BETWEEN_UPDATES", 0.0)
     pieces = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint", progress=True)
     assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.attitude, pieces.attitude)
     assert whole.drift() == pieces.drift()
@@ -101,7 +101,7 @@ def test_pauses_change_nothing_in_company(name, scheme, monkeypatch, capfd):
     crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
     for x0 in (crowd[0], crowd):
         whole = co.integrate(s, x0, (0.5, 1.5), 0.125, method, save_every=3, attitude="coadjoint")
-        monkeypatch.setattr(run_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+        monkeypatch.setattr(run_module, "SECONDS_BETWEEN_UPDATES", 0.0)
         pieces = co.integrate(s, x0, (0.5, 1.5), 0.125, method, save_every=3, attitude="coadjoint", progress=True)
         monkeypatch.undo()
         assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.attitude, pieces.attitude)

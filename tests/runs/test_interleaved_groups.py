@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import MemberBatch
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from failing_parts import failing_parts
 
@@ -95,16 +95,16 @@ def test_a_member_whose_crossing_fails_is_felt_by_none_of_the_others(monkeypatch
 
 @pytest.mark.parametrize("done", [1, 2])
 def test_an_interrupt_leaves_the_members_that_are_done(monkeypatch, done):
-    ready, real, left = prepared(BATCH, METHODS[0], threads=1), Crew.advance, [done]
+    ready, real, left = prepared(BATCH, METHODS[0], threads=1), MemberBatch.advance, [done]
     whole = ready.run(X, (T0, T0 + 2), save_every=3)
 
-    def advance(crew, *given):
+    def advance(member_batch, *given):
         left[0] -= 1
         if left[0] < 0:
             raise KeyboardInterrupt
-        return real(crew, *given)
+        return real(member_batch, *given)
 
-    monkeypatch.setattr(Crew, "advance", advance)
+    monkeypatch.setattr(MemberBatch, "advance", advance)
     with pytest.raises(KeyboardInterrupt) as stopped:
         ready.run(X, (T0, T0 + 2), save_every=3)
     found = stopped.value.partial
@@ -127,7 +127,7 @@ def test_a_run_in_pieces(method, way, resumed):
     whole, times, start = ready.run(X, span, save_every=3), ready.times_of(span, 3)[0], ready.start(X)
     run = PiecewiseRun(ready, times, start, 3)
     pieces, stops = [], [5, 7, 13, 20]
-    while not run.over:
+    while not run.is_over:
         until = min(run.reach, next(stop for stop in stops if stop > run.number))
         run.advance(until)
         pieces.append(run.piece())
@@ -137,7 +137,7 @@ def test_a_run_in_pieces(method, way, resumed):
             stored |= {name: int(stored[name]) for name in ("state.version", "state.number")}
             run = PiecewiseRun(ready, times, start, 3, stored)
         else:
-            run.let_go()
+            run.release_points()
     for name in ("t", "x", "energy", "attitude"):
         found = np.concatenate([getattr(piece, name) for piece in pieces])
         assert np.array_equal(found, getattr(whole, name)), name

@@ -47,7 +47,7 @@ def test_marked_steps_have_the_bits_that_they_have_among_all(method, members, wa
     every = run(method, members, times, watching)
     whole = every.solution(None)
     for marks in MARKS.values():
-        some = run(method, members, times.marking(marks), watching)
+        some = run(method, members, times.with_saved_steps(marks), watching)
         found = some.solution(None)
         assert found.t.tolist() == whole.t[marks].tolist() if marks else not len(found.t)
         assert len(found.x) == len(marks)
@@ -63,7 +63,7 @@ def test_marked_steps_have_the_bits_that_they_have_among_all(method, members, wa
 
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_a_run_goes_on_between_marked_steps(method):
-    times = Times(0.5, STEP, STEPS, 1).marking(MARKS["some"])
+    times = Times(0.5, STEP, STEPS, 1).with_saved_steps(MARKS["some"])
     whole = run(method, 1, times, True)
     first = run(method, 1, Times(0.5, STEP, STEPS, 1), True)
     for number, held in ((0, 1), (1, 2), (20, 4), (32, 6), (69, 9), (70, 9)):
@@ -85,10 +85,10 @@ def test_what_was_saved_after_a_failure_is_taken_back(members):
     ready = PreparedRun(system, co.Splitting(order=2), 1.0, attitude="coadjoint")
     x0 = np.array([0.5, 1.0, 0.25])
     marks = [1, 2, 3, *range(30, 101)]
-    times = Times(0.0, 1.0, 100, 1).marking(marks)
+    times = Times(0.0, 1.0, 100, 1).with_saved_steps(marks)
     found = Run(system, co.Splitting(order=2), ready.loops(1.0), times, ready.start(np.tile(x0, (members, 1))), True)
     found.advance()
-    assert found.wrong == members
+    assert found.failed_count == members
     failed = int(found.state["step"][0])
     assert marks[3] < failed < 100
     for step, x, group in zip(marks, found.saved["x"], found.saved["group"], strict=True):
@@ -98,4 +98,4 @@ def test_what_was_saved_after_a_failure_is_taken_back(members):
 @pytest.mark.parametrize("wrong", [[3, 3], [4, 2], [-1, 2], [5, 71], [0.5, 1.0], [[1, 2]], 3, ["a"]])
 def test_steps_that_cannot_be_marked_are_refused(wrong):
     with pytest.raises(ValueError, match=r"the steps to be saved are .* whole numbers from 0 to 70, each larger"):
-        Times(0.0, STEP, STEPS, 1).marking(wrong)
+        Times(0.0, STEP, STEPS, 1).with_saved_steps(wrong)

@@ -148,7 +148,7 @@ def threads(monkeypatch):
     """The numbers of threads of runs, of which there is one unless more are asked for."""
     found, real = [], crews_at_work._sum_in_threads
     monkeypatch.setattr(crews_at_work, "_sum_in_threads", lambda *given: found.append(given[2]) or real(*given))
-    monkeypatch.setattr(prepared_run, "members_at_once", lambda rows: 1)
+    monkeypatch.setattr(prepared_run, "concurrent_members", lambda rows: 1)
     return found
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import MemberBatch
 from coadjoint.runs import batch_execution as crews_at_work
 from coadjoint.runs import prepared_run, run
-from coadjoint.runs.solution import FEW_NUMBERS, PARTS, Solution
+from coadjoint.runs.solution import MAX_KEPT_NUMBERS, PICKLED_ATTRIBUTES, Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
@@ -130,13 +130,13 @@ def test_what_a_run_refuses():
         ready.run(X, (0, 0.25))
     with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
         ready.run(X[:2], (0, 1))
-    assert ready._made == {}  # nothing was prepared for wrong input
+    assert ready._loops_by_step == {}  # nothing was prepared for wrong input
 
 
 def test_parts_of_a_solution_are_made_when_asked_for_and_stay():
     """In whatever order, after other runs, after the states were written over, and for copies."""
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})
-    parts = list(PARTS)
+    parts = list(PICKLED_ATTRIBUTES)
     for x in (X, np.array([X, 2 * X])):
         sol, other = ready.run(x, (0, 1), 4), ready.run(x, (0, 1), 4)
         at_once = {name: getattr(other, name) for name in parts}
@@ -165,7 +165,7 @@ def test_a_solution_is_pickled_whole_and_has_nothing_else():
     sol = co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])), X, (0, 1), 0.1)
     there = pickle.loads(pickle.dumps(sol))
     assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
-    assert set(vars(there)) == set(PARTS)
+    assert set(vars(there)) == set(PICKLED_ATTRIBUTES)
     with pytest.raises(AttributeError, match="a Solution has no attribute 'momentum'; here it is x"):
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -196,9 +196,11 @@ def test_threads_with_short_calls_of_any_shape():
 
 def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
     """The loops listen by themselves; a bar moves between calls."""
-    cuts, real = [], Crew.advance
-    monkeypatch.setattr(Crew, "advance", lambda crew, *given: cuts.append(given[-3:-1]) or real(crew, *given))
-    monkeypatch.setattr(run, "SECONDS_BETWEEN_LOOKS", 1e-3)
+    cuts, real = [], MemberBatch.advance
+    monkeypatch.setattr(
+        MemberBatch, "advance", lambda member_batch, *given: cuts.append(given[-3:-1]) or real(member_batch, *given)
+    )
+    monkeypatch.setattr(run, "SECONDS_BETWEEN_UPDATES", 1e-3)
     ready = co.prepare(BODY, co.ExplicitRungeKutta("rk4"), 0.01, threads=1)
     whole = ready.run(X, (0, 1e3), 10**4)
     assert cuts == [(0, 10**5)]
@@ -212,7 +214,7 @@ def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
 
 def test_a_solution_shows_what_it_has_from_the_start():
     sol = co.integrate(BODY, X, (0, 1), 0.1)
-    public = {name for name in PARTS if not name.startswith("_")} | {"drift", "change", "balance"}
+    public = {name for name in PICKLED_ATTRIBUTES if not name.startswith("_")} | {"drift", "change", "balance"}
     public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate", "at"}
     assert {name for name in dir(sol) if not name.startswith("_")} == public
     assert not hasattr(Solution, "of") and Solution.__getattribute__ is object.__getattribute__
@@ -220,9 +222,9 @@ def test_a_solution_shows_what_it_has_from_the_start():
 
 
 def test_a_solution_of_many_members_does_not_hold_their_state():
-    many = np.tile(X, (FEW_NUMBERS // 8, 1))
+    many = np.tile(X, (MAX_KEPT_NUMBERS // 8, 1))
     sol = co.integrate(BODY, many, (0, 1), 0.1)
-    assert set(sol._state.places.shapes) == {"worst", "status", "evaluations", "iterations"}
+    assert set(sol._state.offsets.shapes) == {"worst", "status", "evaluations", "iterations"}
     one = co.integrate(BODY, X, (0, 1), 0.1)
     assert sol.stats.evaluations == len(many) * one.stats.evaluations and not sol.failed.any()
     assert np.array_equal(sol.drift()["energy"].tenths[-1], one.drift()["energy"].tenths)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coadjoint.runs.root_search import lowest, roots
+from coadjoint.runs.root_search import minimize_each, roots
 
 U = 2.0**-53
 PLACES = np.array([1e-12, 1e-3, 0.1, 1 / 3, 0.5, 0.9, 1 - 1e-9])
@@ -59,9 +59,9 @@ def test_smooth_functions_take_few_rounds():
 
 
 def test_the_lowest_point():
-    theta, value = lowest(lambda which, theta: (theta - PLACES[which]) ** 2 + 1e-3, len(PLACES))
+    theta, value = minimize_each(lambda which, theta: (theta - PLACES[which]) ** 2 + 1e-3, len(PLACES))
     assert abs(theta - PLACES).max() < 2.0**-20 and abs(value - 1e-3).max() < 1e-9
-    theta, value = lowest(lambda which, theta: (theta - PLACES[which]) ** 2 - 0.01, len(PLACES))
+    theta, value = minimize_each(lambda which, theta: (theta - PLACES[which]) ** 2 - 0.01, len(PLACES))
     assert (value <= 0).all() and (abs(theta - PLACES) <= 0.1).all()
 
 
@@ -97,11 +97,11 @@ def test_minima_of_functions_that_stop_at_different_times():
     def values(which, theta):
         return (theta - places[which]) ** 2 + depths[which]
 
-    theta, value = lowest(values, len(depths))
+    theta, value = minimize_each(values, len(depths))
     assert np.array_equal(value, values(np.arange(len(depths)), theta))
     assert (value[depths < 0.0] <= 0.0).all() and (value[depths > 0.0] > 0.0).all()
     never = depths > 0.0
     assert np.abs(theta - places)[never].max() < 2.0**-20
     for k in range(len(depths)):
-        own, low = lowest(lambda which, t, k=k: values(which + k, t), 1)
+        own, low = minimize_each(lambda which, t, k=k: values(which + k, t), 1)
         assert own[0] == theta[k] and low[0] == value[k]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -82,7 +82,7 @@ def test_splitting_steps_are_poisson_maps(name, method):
     step = co.stepper(s, method, 0.25)
     P = step.tangent(x, t=0.5)
     defect = P @ s.structure_matrix(x) @ P.T - s.structure_matrix(step(x, t=0.5))
-    flows = len(Reading(method.program(s)).program.rows.part)
+    flows = len(Interpreter(method.program(s)).program.rows.part)
     assert np.abs(defect).max() <= 64 * U * flows * np.linalg.norm(P) ** 2 * np.linalg.norm(s.structure_matrix(x))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.polynomials.formulas import read_polynomial
+from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.runs.system_summary import system_text, told_of
 from long import long_between
@@ -29,7 +29,7 @@ def test_what_is_said_is_what_the_system_is(name):
             # the coordinates by their names, put back by their numbers, are the Casimir again
             for i in sorted(range(system.dim), key=lambda i: -len(told["coordinates"][i])):
                 formula = formula.replace(told["coordinates"][i], f"@{i + 1}@")
-            assert read_polynomial(_numbered(formula), system.dim)(x) == pytest.approx(
+            assert parse_polynomial(_numbered(formula), system.dim)(x) == pytest.approx(
                 value_of(system.casimirs[key], x), abs=1e-12
             )
     method = suggested_scheme(system)

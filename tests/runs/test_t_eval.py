@@ -276,7 +276,7 @@ def test_times_that_are_reached_in_pieces(monkeypatch, x, way):
     given = {"attitude": True, "t_eval": times}
     whole = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
     for rows in (1, 4, 7):
-        monkeypatch.setattr(any_time, "ROWS", rows)
+        monkeypatch.setattr(any_time, "ROWS_PER_CALL", rows)
         found = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
         for name in ("t", "x", "energy", "attitude"):
             assert np.array_equal(getattr(found, name), getattr(whole, name)), name
@@ -312,9 +312,9 @@ def test_times_are_those_that_were_given_whatever_becomes_of_them():
 @pytest.mark.parametrize("step", [STEP, 2.0**-13])
 def test_more_times_than_there_is_memory_for(monkeypatch, step):
     """Between the steps, or at steps: as many saved points, which save_every would not change."""
-    monkeypatch.setattr("coadjoint.runs.memory_estimate.SMALL", 0)
+    monkeypatch.setattr("coadjoint.runs.memory_estimate.UNCHECKED_BYTES", 0)
     monkeypatch.setattr("coadjoint.memory.available", lambda: 2 * 10**5)
-    monkeypatch.setattr("coadjoint.runs.output_times.PartsOfSteps", None)  # nothing is computed
+    monkeypatch.setattr("coadjoint.runs.output_times.PartialSteps", None)  # nothing is computed
     with pytest.raises(ValueError, match=r"^\d+ saved points of 1 member need about .* give fewer times in t_eval$"):
         co.integrate(BODY, X, (0, 1), step, t_eval=np.linspace(0.0, 1.0, 2**13 + 1))
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.algebra.families.moments import moments
 from coadjoint.kernels import forces as force_tables
 from verification.schemes_under_test import schemes, serves
 from verification.systems_under_test import full_matrix
@@ -18,7 +19,7 @@ ALGEBRAS = {
     "e(3)": (co.algebras.e(3), +1),
     "so(4)": (co.algebras.so(4), -1),
     "A3,7": (co.algebras.get("A3,7", a=1.75), +1),
-    "moments": (co.algebra.moments.moments(4), -1),
+    "moments": (moments(4), -1),
 }
 INPUTS = {"fins": "Torque 2", "field": (2, 0), "jets": "Torque"}
 

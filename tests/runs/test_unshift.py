@@ -154,7 +154,7 @@ def test_long_runs_are_filled_in_several_calls(monkeypatch):
 
     system, x0 = SHIFTED["so(5)"], np.linspace(-0.3, 0.4, 10)
     once = co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude
-    monkeypatch.setattr(unshift, "MOST_PRODUCTS", 1e4)
+    monkeypatch.setattr(unshift, "MAX_PRODUCTS", 1e4)
     assert same_bits(co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude, once)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.bodies.inertia_warnings import warn_of_negative_mass
+from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
 
 NO_BODY = [(1, 1, 5), (5, 1, 1), (1, 5, 1), (1, 2, 4), (1.0, 2.0, 3.0 + 1e-12)]
 BODIES = [(1, 2, 3), (3, 1, 2), (0.1, 0.7, 0.8), (0.1, 0.2, 0.3), (1, 1, 1), (1e-3, 1, 1), (2e200, 3e200, 4e200)]
@@ -98,13 +98,13 @@ def test_a_flat_mass_has_a_second_moment_of_zero_up_to_rounding(n, scale):
         flat = scale * (Q * random.uniform(0.5, 2.0, n)) @ Q.T
         flat = (flat + flat.T) / 2
         signs.add(np.sign(np.linalg.eigvalsh(flat)[0]))
-        warn_of_negative_mass(flat)
+        warn_negative_mass(flat)
         if n == 3 and draw < 4:
             co.systems.so_n_body(flat)
     assert {1.0, -1.0} <= signs
     below = np.eye(n) - 1.001 * np.outer(Q[:, 0], Q[:, 0])
     with pytest.warns(UserWarning, match=rf"is negative, and no body has that; .*co.algebras.so\({n}\)") as noticed:
-        warn_of_negative_mass(scale * (below + below.T) / 2)
+        warn_negative_mass(scale * (below + below.T) / 2)
     assert len(noticed) == 1
 
 

@@ -9,7 +9,7 @@ from two_steps import assert_bounded_by_order, assert_order
 import coadjoint as co
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.systems.canonical import beside, canonical_state
+from coadjoint.systems.canonical import canonical_state, with_canonical_pairs
 
 decorated_particles = co.systems.decorated_particles
 
@@ -31,7 +31,7 @@ def state_of(q, v, w):
 
 
 def test_beside_names_and_brackets():
-    g = beside(2, co.algebras.so(3))
+    g = with_canonical_pairs(2, co.algebras.so(3))
     assert g.basis == ("q1", "q2", "p1", "p2", "z", "e1", "e2", "e3")
     assert list(g.casimirs_known) == ["z", "|x|^2"]
     ring = ExactPolynomials(g)
@@ -41,10 +41,10 @@ def test_beside_names_and_brackets():
     for casimir in g.casimirs_known.values():
         assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
     # a number in the name of a Casimir of g belongs to it
-    spins = beside(1, copies(co.algebras.so(3), 2))
+    spins = with_canonical_pairs(1, copies(co.algebras.so(3), 2))
     assert list(spins.casimirs_known) == ["z", *copies(co.algebras.so(3), 2).casimirs_known]
     # no Casimirs are known of a sum with one that has none, but z
-    assert list(beside(1, co.algebras.get("A2,1")).casimirs_known) == ["z"]
+    assert list(with_canonical_pairs(1, co.algebras.get("A2,1")).casimirs_known) == ["z"]
     with pytest.raises(ValueError, match=r"q has shape \(2,\) and p \(1,\)"):
         canonical_state([1, 2], [3])
     with pytest.raises(ValueError, match=r"q has shape \(2, 2\) and p \(2, 2\); give one number for each pair"):

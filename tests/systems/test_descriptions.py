@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.description import LONGEST_FORMULA, description
+from coadjoint.systems.description import MAX_FORMULA_LENGTH, description
 from coadjoint.systems.registry import ready_made_systems, telling_of
 
 NAMES = co.systems.names()
@@ -42,8 +42,8 @@ def test_formulas_are_those_of_the_system(name):
                 text = str(F.to_polynomial() if hasattr(F, "to_polynomial") else F)
                 whole = re.sub(r"x(\d+)", lambda found, names=names: names[int(found[1]) - 1], text)
                 cut = formula[:-3]
-                assert whole.startswith(cut + " ") and len(cut) <= LONGEST_FORMULA
-                assert len(cut) + len(whole[len(cut) :].split()[0]) >= LONGEST_FORMULA - 1
+                assert whole.startswith(cut + " ") and len(cut) <= MAX_FORMULA_LENGTH
+                assert len(cut) + len(whole[len(cut) :].split()[0]) >= MAX_FORMULA_LENGTH - 1
             elif formula is not None:
                 wanted = float(getattr(F, "value", F)(x))
                 # Sums of at most some hundred products of numbers below one, with coefficients of six digits.

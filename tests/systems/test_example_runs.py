@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.closed_forms.sphere_points import over_sphere
+from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
 from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.registry import ready_made, telling_of
@@ -53,7 +53,7 @@ def test_names_of_coordinates():
 @pytest.mark.parametrize(("count", "radius"), [(1, 1.0), (5, 2.0), (16, 0.5), (300, 1.0)])
 def test_points_over_a_sphere(count, radius):
     """Each lies in a ring of equal area of its own, and no two are close."""
-    points = over_sphere(count, radius)
+    points = points_on_sphere(count, radius)
     assert points.shape == (count, 3)
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), radius, rtol=1e-15 * 8)
     rings = np.floor((radius - points[:, 2]) / (2 * radius) * count).astype(int)

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.systems.forces.double_bracket import exponential
-from coadjoint.systems.forces.normal_deviates import normal_deviates, words_of
+from coadjoint.systems.forces.normal_deviates import normal_deviates, random_words
 from coadjoint.systems.forces.registry import from_description
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
@@ -127,7 +127,7 @@ def test_normal_deviates():
     for power, mean, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
         assert abs(np.mean(many**power) - mean) < 5 * np.sqrt(variance / len(many))
     assert abs(np.mean(many[1:] * many[:-1])) < 5 / np.sqrt(len(many))
-    assert words_of(7, 3, 0.5, 1, 5).shape == (5,)
+    assert random_words(7, 3, 0.5, 1, 5).shape == (5,)
 
 
 def test_forces_are_applied_in_their_order_and_labelled_by_it():

@@ -5,7 +5,13 @@ import pytest
 
 import coadjoint as co
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.hamiltonians.linear_term import PRESENT, check_linear, linear_of, with_all_present, with_linear
+from coadjoint.systems.hamiltonians.linear_term import (
+    PLACEHOLDER_COEFFICIENT,
+    check_linear,
+    linear_of,
+    with_linear,
+    with_placeholders,
+)
 
 M = np.array([[1.0, 0.5, 0.0, -0.25], [0.5, 2.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.75], [-0.25, 0.0, 0.75, 0.5]])
 X = np.array([0.3, -0.7, 1.1, 0.4])
@@ -109,8 +115,10 @@ def test_a_replacement_drops_what_holds_for_the_former_one_alone():
 
 def test_placeholders_only_where_a_chosen_coefficient_is_zero():
     system = co.LiePoissonSystem(ABELIAN, co.Quadratic(M, linear=[0.5, 0.0, 0.0, 2.0]), casimirs={})
-    np.testing.assert_array_equal(linear_of(with_all_present(system, (0, 2)).hamiltonian, 4), [0.5, 0.0, PRESENT, 2.0])
-    assert with_all_present(system, (0, 3)) is system and with_all_present(system, ()) is system
+    np.testing.assert_array_equal(
+        linear_of(with_placeholders(system, (0, 2)).hamiltonian, 4), [0.5, 0.0, PLACEHOLDER_COEFFICIENT, 2.0]
+    )
+    assert with_placeholders(system, (0, 3)) is system and with_placeholders(system, ()) is system
     np.testing.assert_array_equal(linear_of(system.hamiltonian, 4), [0.5, 0.0, 0.0, 2.0])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.forces.rates import applied, root_of
+from coadjoint.systems.forces.rates import apply_metric, metric_root
 
 ORDERS = list(itertools.permutations(range(3)))
 
@@ -38,7 +38,7 @@ INDEFINITE = {
 @pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_the_root_times_its_transpose_is_the_metric(name, scale, order):
     P = scale * SEMIDEFINITE[name][np.ix_(order, order)]
-    L = root_of(tuple(map(tuple, P.tolist())), "metric")
+    L = metric_root(tuple(map(tuple, P.tolist())), "metric")
     assert not np.triu(L, 1).any()
     # A pivot below 64 n u of the largest entry is taken as zero.
     assert np.abs(L @ L.T - P).max() <= 64 * 3 * 3 * 2.0**-53 * np.abs(P).max()
@@ -67,10 +67,10 @@ def test_diagonal_metrics_and_matrices_that_are_not_symmetric(order):
     with pytest.raises(ValueError, match="is not symmetric"):
         co.forces.DoubleBracketDamping(0.1, P)
     diagonal = np.array([4.0, 0.0, 0.25])[list(order)]
-    np.testing.assert_array_equal(root_of(tuple(diagonal.tolist()), "metric"), np.sqrt(diagonal))
+    np.testing.assert_array_equal(metric_root(tuple(diagonal.tolist()), "metric"), np.sqrt(diagonal))
     y = np.array([1.0, -2.0, 3.0])
     for metric, dense in ((2.0, 2.0 * np.eye(3)), (diagonal, np.diag(diagonal)), (P, P)):
-        np.testing.assert_array_equal(applied(metric, y), dense @ y)
+        np.testing.assert_array_equal(apply_metric(metric, y), dense @ y)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -6,7 +6,7 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.kernels.functions import TabledFunction
+from coadjoint.kernels.functions import FormulaFunction
 from coadjoint.kernels.recording_tables import values_along
 from coadjoint.kernels.tables import invariants_table
 
@@ -87,7 +87,7 @@ def test_the_kernels_have_the_formula_and_its_multiples():
             }
         for which, wanted in exact.items():
             table = invariants_table([(which, co.Invariant(getattr(term, which)))], 1)
-            assert [type(kept) for kept in table.keep] == [TabledFunction]
+            assert [type(kept) for kept in table.keepalive] == [FormulaFunction]
             found = np.empty((len(points), 1, 1))
             values_along(table.tables, points[:, None, None], np.zeros(len(points)), found)
             expected = [float(factor * number) for number in wanted]

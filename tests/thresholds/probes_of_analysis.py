@@ -6,7 +6,7 @@ import numpy as np
 
 import coadjoint as co
 from coadjoint.analysis.certificates.claims import scheme_and_claims
-from coadjoint.analysis.checks.convergence import allowed
+from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.order import fit_order
 from coadjoint.analysis.periods import period
@@ -44,7 +44,7 @@ def holds(key, **given):
 
 @probe(
     ("analysis/poisson_defect.py", "64 * UNIT_ROUNDOFF * operations * size"),
-    ("analysis/checks/poisson.py", "UNCOUNTED"),
+    ("analysis/checks/poisson.py", "MIN_OPERATIONS"),
     at=64 * U * (64 + 4) * 3 * 3,
 )
 def a_step_is_a_poisson_map(off):
@@ -89,19 +89,19 @@ def times_are_even(off):
     return accepted(lambda: co.frequencies(t, np.cos(40.0 * t), count=1), "equidistant")
 
 
-@sides(("analysis/frequencies.py", "FEWEST_SAMPLES"), below=64, above=63)
+@sides(("analysis/frequencies.py", "MIN_SAMPLES"), below=64, above=63)
 def samples_are_enough_for_frequencies(count):
     t = np.arange(float(count))
     return accepted(lambda: co.frequencies(t, np.cos(t), count=1), "64")
 
 
-@sides(("analysis/order.py", "FEWEST_POINTS"), below=3, above=2)
+@sides(("analysis/order.py", "MIN_POINTS"), below=3, above=2)
 def errors_are_enough_for_an_order(count):
     h = 0.5 ** np.arange(count)
     return accepted(lambda: fit_order(h, h**2, 1e-15), "needs 3")
 
 
-@limit(("analysis/backward_error/modified_field.py", "MOST"), at=64)
+@limit(("analysis/backward_error/modified_field.py", "MAX_ORDER"), at=64)
 def an_order_of_a_modified_field_is_in_range(order):
     """Refused for its number, and not for the Hamiltonian in time."""
     timed = co.LiePoissonSystem(
@@ -114,12 +114,12 @@ def an_order_of_a_modified_field_is_in_range(order):
     raise AssertionError("accepted")
 
 
-@limit(("analysis/certificates/claims.py", "MOST_ORDER"), at=256)
+@limit(("analysis/certificates/claims.py", "MAX_ORDER"), at=256)
 def a_stated_order_is_in_range(order):
     return accepted(lambda: scheme_and_claims(TURNING, lambda x, h: x, order, None, None), "256")
 
 
-@limit(("analysis/certificates/certify.py", "MOST_STEPS"), at=10**7)
+@limit(("analysis/certificates/certify.py", "MAX_STEPS"), at=10**7)
 def a_certificate_has_not_too_many_steps(steps):
     """Refused for their number, and otherwise for the state."""
     try:
@@ -129,20 +129,20 @@ def a_certificate_has_not_too_many_steps(steps):
     raise AssertionError("accepted")
 
 
-@sides(("analysis/certificates/certify.py", "SIZES"), below=(2e-75, 0.5e75), above=(0.5e-75, 2e75))
+@sides(("analysis/certificates/certify.py", "ALLOWED_SIZES"), below=(2e-75, 0.5e75), above=(0.5e-75, 2e75))
 def states_of_a_certificate_have_a_size(sizes):
     """States at rest; what is in range is looked at."""
     (found,) = {accepted(lambda s=s: co.certify(TURNING, co.GaussLegendre(1), (s, 0, 0), 0.1, steps=1)) for s in sizes}
     return found
 
 
-@probe(("analysis/checks/convergence.py", "LIMIT"), at=6.0)
+@probe(("analysis/checks/convergence.py", "ERROR_FACTOR"), at=6.0)
 def an_error_is_that_of_the_last_change(factor):
     """A change by 3 where the step is halved leaves an error of 1 at order two."""
-    return factor <= allowed(3.0, 2.0, 2)
+    return factor <= allowed_error(3.0, 2.0, 2)
 
 
-@probe(("analysis/checks/reference.py", "AGREEMENT"), at=1e-8)
+@probe(("analysis/checks/reference.py", "CLOSED_FORM_TOLERANCE"), at=1e-8)
 def a_closed_form_agrees_with_the_field(off):
     def exact(x, t, attitude=None):
         angle = x[2] * t
@@ -150,7 +150,7 @@ def a_closed_form_agrees_with_the_field(off):
         return np.array([c * x[0] - s * x[1], c * x[1] + s * x[0], x[2] + off * np.linalg.norm(x)])
 
     system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((0.0, 0.0, 1.0)), exact=exact)
-    return not motion(system, np.array([[0.6, 0.0, 0.8]]), 1.0).doubt
+    return not motion(system, np.array([[0.6, 0.0, 0.8]]), 1.0).contradiction
 
 
 @probe(("analysis/checks/reference.py", "speed > 64 * UNIT_ROUNDOFF * size"), at=64 * U)
@@ -159,13 +159,13 @@ def a_state_is_at_rest(speed):
     return natural_time(system, np.array([1.0, 0.0, 0.0])) == 0.0
 
 
-@sides(("analysis/checks/slope.py", "CLEAR"), below=1e-13, above=4e-12)
+@sides(("analysis/checks/slope.py", "FLOOR_FACTOR"), below=1e-13, above=4e-12)
 def a_motion_has_the_right_speed(off):
     """After 1.25 radians: 16 times twice the error of the reference, an eighth of what two runs of it differ by."""
     return holds("reference", speed=off)
 
 
-@probe(("analysis/checks/tangents.py", "FLOOR_OF_DIFFERENCES"), at=3e-9)
+@probe(("analysis/checks/tangents.py", "DIFFERENCE_FLOOR"), at=3e-9)
 def a_tangent_by_differences_is_one_of_a_poisson_map(off):
     """The defect is off |J|, and the floor 1e-9 |P|^2 |J| with |P|^2 = 3."""
     return holds("poisson", size=off, plain=True)
@@ -177,7 +177,7 @@ def an_order_is_that_which_is_declared(order):
     return holds("order", speed=0.01, order=order)
 
 
-@probe(("analysis/periods.py", "RETURNED"), at=1e-8)
+@probe(("analysis/periods.py", "RETURN_TOLERANCE"), at=1e-8)
 def an_orbit_returns(off):
     """A spiral that grows by pi off in a turn; the orbit is two wide."""
     growth = off / np.pi
@@ -186,7 +186,7 @@ def an_orbit_returns(off):
     )
 
 
-@probe(("analysis/periods.py", "AT_REST"), at=2.0**-40 * np.sqrt(2.0))
+@probe(("analysis/periods.py", "EQUILIBRIUM_SPEED"), at=2.0**-40 * np.sqrt(2.0))
 def a_state_beside_a_centre_is_at_rest(speed):
     """Turns about a point at the distance `speed`; the rate is the norm of the derivative of the field, sqrt(2)."""
     try:

@@ -4,7 +4,7 @@ import numpy as np
 
 import coadjoint as co
 from coadjoint.program.parts.bonds import bonds
-from coadjoint.program.parts.split import NotSplit
+from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.shifts.group_correction import _cholesky
 from coadjoint.runs.tangent_stretching import make_orthonormal
 from coadjoint.runs.times import times_between
@@ -14,12 +14,12 @@ COMPOSITION, TIMES = "methods/composition.py", "runs/times.py"
 BODY = co.systems.rigid_body((1, 2, 3))
 
 
-@limit(("methods/gauss_legendre.py", "MOST"), at=256)
+@limit(("methods/gauss_legendre.py", "MAX_STAGES"), at=256)
 def stages_are_not_too_many(stages):
     return accepted(lambda: co.GaussLegendre(stages), "256")
 
 
-@limit(("methods/taylor.py", "MOST"), at=64)
+@limit(("methods/taylor.py", "MAX_ORDER"), at=64)
 def an_order_of_taylor_is_in_range(order):
     return accepted(lambda: co.Taylor(order), "64")
 
@@ -101,7 +101,7 @@ def three_coordinates_are_those_of_a_spin(off):
 def bonded(system):
     try:
         bonds(system)
-    except NotSplit:
+    except NotSplittable:
         return False
     return True
 
@@ -158,7 +158,7 @@ def events_are_not_too_many(count):
     return accepted(lambda: co.integrate(BODY, (1, 2, 3), (0.0, 1.0), 0.5, events=[co.Event(0)] * count), "64")
 
 
-@probe(("runs/output_times.py", "ROUNDINGS"), at=4)
+@probe(("runs/output_times.py", "ULP_TOLERANCE"), at=4)
 def a_time_is_that_of_the_end(places):
     t = 1.0 + places * np.spacing(1.0)
     return accepted(lambda: co.integrate(BODY, (1, 2, 3), (0.0, 1.0), 0.25, t_eval=[t]), "t_eval")
@@ -169,6 +169,6 @@ def vectors_are_nearly_dependent(angle):
     return make_orthonormal(np.array([[1.0, np.cos(angle)], [0.0, np.sin(angle)]])) is None
 
 
-@sides(("program/shifts/group_correction.py", "WORST_PIVOT"), below=2.0**-19, above=2.0**-21)
+@sides(("program/shifts/group_correction.py", "MIN_CHOLESKY_PIVOT"), below=2.0**-19, above=2.0**-21)
 def a_form_is_definite(pivot):
     return _cholesky(np.diag([1.0, pivot])) is not None

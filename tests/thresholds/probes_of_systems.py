@@ -7,9 +7,9 @@ from scipy.sparse import csr_array
 
 import coadjoint as co
 from coadjoint.systems.closed_forms.spin_integrals import _kernel
-from coadjoint.systems.forces.rates import root_of
+from coadjoint.systems.forces.rates import metric_root
 from coadjoint.systems.matrices.streams import DiagonalSolve
-from coadjoint.systems.matrices.torus_grid import coordinates, recognized
+from coadjoint.systems.matrices.torus_grid import coordinates, grid_orientation
 from coadjoint.systems.unit_range import read_in_range
 from coadjoint.systems.user_functions import SEED, check_derivative, sample_points
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
@@ -44,13 +44,13 @@ def an_inertia_tensor_is_symmetric(off):
     return accepted(lambda: co.systems.rigid_body(tensor), "symmetric")
 
 
-@probe((BODY_WARNINGS, "SLACK"), at=64 * U)
+@probe((BODY_WARNINGS, "ROUNDING_TOLERANCE"), at=64 * U)
 def a_moment_is_the_sum_of_the_others(excess):
     """I3 - I1 - I2 is `excess` of their sum."""
     return silent(lambda: co.systems.rigid_body((1.0, 1.0, 2.0 + 4.0 * excess)))
 
 
-@probe((BODY_WARNINGS, "SLACK"), at=64 * U)
+@probe((BODY_WARNINGS, "ROUNDING_TOLERANCE"), at=64 * U)
 def a_mass_is_negative_by_rounding(share):
     return silent(lambda: co.systems.so_n_body((-share, 1.0, 1.0)))
 
@@ -200,7 +200,7 @@ def a_mode_of_a_torus_is_rounding(size):
     at=1e-5,
 )
 def coordinates_are_equally_spaced(off):
-    return accepted(lambda: recognized(perturbed(coordinates(8), (3,), off), "x"), "spaced")
+    return accepted(lambda: grid_orientation(perturbed(coordinates(8), (3,), off), "x"), "spaced")
 
 
 @probe(("systems/forces/custom_force.py", "np.max(np.abs(still - x)) > 1e-09 * np.max(np.abs(x))"), at=1e-9)
@@ -211,12 +211,14 @@ def a_flow_moves_nothing_in_no_time(off):
 
 @probe(("systems/forces/rates.py", "64 * n * UNIT_ROUNDOFF * size"), at=3 * 64 * U)
 def a_metric_is_positive_up_to_rounding(below):
-    return accepted(lambda: root_of(((1.0, 0.0, 0.0), (0.0, -below, 0.0), (0.0, 0.0, 1.0)), "metric"), "semidefinite")
+    return accepted(
+        lambda: metric_root(((1.0, 0.0, 0.0), (0.0, -below, 0.0), (0.0, 0.0, 1.0)), "metric"), "semidefinite"
+    )
 
 
 @probe(("systems/forces/rates.py", "64 * n * UNIT_ROUNDOFF * size"), at=2 * 64 * U)
 def a_small_entry_of_a_metric_is_rounding(size):
-    return root_of(((1.0, 0.0), (0.0, size)), "metric")[1, 1] == 0.0
+    return metric_root(((1.0, 0.0), (0.0, size)), "metric")[1, 1] == 0.0
 
 
 def stream_off(N, part):
@@ -225,13 +227,13 @@ def stream_off(N, part):
     return accepted(lambda: co.MatrixSystem(algebra, lambda W: 2.0 * W + part(W)))
 
 
-@probe((ENERGY, "ROUNDED"), at=1e-12)
+@probe((ENERGY, "ROUNDING_TOLERANCE"), at=1e-12)
 def a_stream_stays_in_the_algebra(off):
     """Times N = 4; a multiple of the unit matrix, which so(4) has not."""
     return stream_off(4, lambda W: 8.0 * off * np.abs(W).max() * np.eye(4))
 
 
-@probe((ENERGY, "ROUNDED"), at=1e-12)
+@probe((ENERGY, "ROUNDING_TOLERANCE"), at=1e-12)
 def a_stream_is_linear(off):
     """stream((A + B)/2) against the mean: a part of third degree that is `off` of the sizes."""
     from coadjoint.systems.matrices.matrix_energy import samples
@@ -244,7 +246,7 @@ def a_stream_is_linear(off):
     return stream_off(4, lambda W: 4.0 * off * size / missed * (W @ W @ W))
 
 
-@probe((ENERGY, "ROUNDED"), at=1e-12)
+@probe((ENERGY, "ROUNDING_TOLERANCE"), at=1e-12)
 def a_stream_is_symmetric(off):
     """A linear map whose matrix is `off` away from a symmetric one, of the sizes of the products."""
     from coadjoint.systems.matrices.matrix_energy import samples
@@ -276,54 +278,54 @@ def a_stream_is_the_slope_of_the_energy(off):
     )
 
 
-@probe(("systems/unit_range.py", "LARGEST"), at=1e30)
+@probe(("systems/unit_range.py", "MAX_MAGNITUDE"), at=1e30)
 def a_unit_is_in_range(size):
     large, small = (accepted(lambda v=v: read_in_range(v, "mass"), "units") for v in (size, 1.0 / size))
     assert large == small
     return large
 
 
-@probe(("systems/fluids/sphere_euler.py", "FASTEST"), at=1e100)
+@probe(("systems/fluids/sphere_euler.py", "MAX_ROTATION"), at=1e100)
 def a_sphere_turns_slowly_enough(rotation):
     return accepted(lambda: co.systems.sphere_euler(4, rotation), "rotation") and accepted(
         lambda: co.systems.sphere_euler(4, -rotation), "rotation"
     )
 
 
-@sides(("systems/fluids/torus_euler.py", "LARGEST"), below=1001, above=1003)
+@sides(("systems/fluids/torus_euler.py", "MAX_N"), below=1001, above=1003)
 def a_torus_is_not_too_large(N):
     return accepted(lambda: co.systems.torus_euler(N), "1001")
 
 
-@probe((PARTICLES, "LARGEST"), at=1e50)
+@probe((PARTICLES, "MAX_COEFFICIENT"), at=1e50)
 def masses_and_potentials_are_in_range(size):
     given = ({"weights": (1.0, size)}, {"weights": (1.0, 1.0 / size)}, {"external": (0.0, 0.0, size)})
     (found,) = {accepted(lambda g=g: co.systems.decorated_particles(**g)) for g in given}
     return found
 
 
-@limit((PARTICLES, "HIGHEST"), at=20)
+@limit((PARTICLES, "MAX_POTENTIAL_DEGREE"), at=20)
 def a_potential_has_a_degree(degree):
     return accepted(lambda: co.systems.decorated_particles(external=(0.0,) * degree + (1.0,)), "degree")
 
 
-@limit((PARTICLES, "LARGEST_SQUARE"), at=64)
+@limit((PARTICLES, "MAX_DENSE_SQUARE"), at=64)
 def the_energy_of_a_centre_is_given(count):
     system = co.systems.decorated_particles(np.ones(count), (0.0, 0.0, 0.5), (0.0, 0.0, 0.25))
     return bool(system.integrals)
 
 
-@probe((LATTICE, "LARGEST"), at=1e100)
+@probe((LATTICE, "MAX_COUPLING"), at=1e100)
 def couplings_are_in_range(size):
     return accepted(lambda: co.systems.spin_lattice("chain", 3, exchange=size), "beyond")
 
 
-@limit((LATTICE, "MOST_FOLLOWED"), at=682)
+@limit((LATTICE, "MAX_RECORDED_SPINS"), at=682)
 def lengths_of_spins_are_followed(sites):
     return "sum of |x|^2" not in co.systems.spin_lattice("chain", sites).casimirs
 
 
-@sides((LATTICE, "MOST_KEPT"), below=2**15, above=2**17)
+@sides((LATTICE, "MAX_STORED_VALUES"), below=2**15, above=2**17)
 def parameters_of_a_lattice_are_kept(numbers):
     """Pairs of neighbours in a ring, given as a list."""
     sites = numbers // 2
@@ -331,53 +333,53 @@ def parameters_of_a_lattice_are_kept(numbers):
     return co.systems.spin_lattice(ring, sites).parameters is not None
 
 
-@limit(("systems/closed_forms/spin_integrals.py", "LARGEST_SQUARE"), at=64)
+@limit(("systems/closed_forms/spin_integrals.py", "MAX_DENSE_SQUARE"), at=64)
 def the_square_of_the_total_spin_is_given(sites):
     return "|total S|^2" in co.systems.spin_lattice("chain", sites, field=(0.0, 0.0, 0.5)).integrals
 
 
-@limit(("systems/lattices/toda.py", "COMPLETE"), at=8)
+@limit(("systems/lattices/toda.py", "MAX_SITES_WITH_ALL_TRACES"), at=8)
 def all_traces_of_a_toda_lattice_are_given(sites):
     return f"tr L^{sites}" in co.systems.toda(sites).integrals
 
 
-@limit(("systems/lattices/toda.py", "LONGEST_POLYNOMIALS"), at=64)
+@limit(("systems/lattices/toda.py", "MAX_POLYNOMIAL_SITES"), at=64)
 def traces_of_a_toda_lattice_are_given(sites):
     ring = co.systems.toda_ring(sites)
     assert ("product of a" in ring.casimirs) == bool(ring.integrals)
     return bool(co.systems.toda(sites).integrals)
 
 
-@limit(("systems/closed_forms/manakov_integrals.py", "HIGHEST_N"), at=6)
+@limit(("systems/closed_forms/manakov_integrals.py", "MAX_SO_DIMENSION"), at=6)
 def integrals_of_higher_degree_are_given(n):
     a = np.arange(1.0, n + 1)
     return "X^4 a" in co.systems.manakov_top(a, a**2).integrals
 
 
-@limit(("systems/closed_forms/manakov_integrals.py", "HIGHEST_POWER"), at=12)
+@limit(("systems/closed_forms/manakov_integrals.py", "MAX_TRACE_POWER"), at=12)
 def there_is_a_quadratic_integral_for_each_power(n):
     """Powers from 1 to n - 2, and 10 at most."""
     a = np.arange(1.0, n + 1)
     return len(co.systems.manakov_top(a, a**2).integrals) == n - 2
 
 
-@limit(("systems/forces/viscosity.py", "HIGHEST"), at=32)
+@limit(("systems/forces/viscosity.py", "MAX_POWER"), at=32)
 def a_power_of_the_laplacian_is_in_range(power):
     return accepted(lambda: co.forces.Viscosity(1e-3, power), "power")
 
 
-@limit(("systems/forces/heat_bath.py", "LARGEST_SEED"), at=2**62)
+@limit(("systems/forces/heat_bath.py", "MAX_SEED"), at=2**62)
 def a_seed_is_in_range(seed):
     (found,) = {accepted(lambda k=k: co.forces.HeatBath(0.1, **({"seed": 1} | {k: seed}))) for k in ("seed", "stream")}
     return found
 
 
-@limit(("systems/matrices/matrix_system.py", "MOST_POWERS"), at=64)
+@limit(("systems/matrices/matrix_system.py", "MAX_POWERS"), at=64)
 def traces_of_powers_are_not_too_many(powers):
     return accepted(lambda: co.MatrixSystem(co.MatrixAlgebra("so", 4), lambda W: 2.0 * W, powers=powers), "powers")
 
 
-@limit(("systems/lattices/neighbours.py", "MOST_SITES"), at=2**30)
+@limit(("systems/lattices/neighbours.py", "MAX_SITES"), at=2**30)
 def sites_are_not_too_many(sites):
     """Refused for their number; below that for an edge that leaves the lattice."""
     try:
@@ -387,7 +389,7 @@ def sites_are_not_too_many(sites):
     raise AssertionError("accepted")
 
 
-@limit(("systems/fluids/vlasov_moments.py", "MOST_LETTERS"), at=10_000)
+@limit(("systems/fluids/vlasov_moments.py", "MAX_CHARACTERS"), at=10_000)
 def a_written_potential_is_not_too_long(letters):
     return accepted(lambda: co.systems.vlasov_moments(potential="1/2*x20".ljust(letters)), "characters")
 

@@ -18,7 +18,7 @@ LOCAL_ROUND_OFF = {"u", "unit"}  # names of the round-off of a number type, in t
 TINY, HUGE, FEW = 1e-5, 1e5, 9
 CAPITALS = re.compile(r"_?[A-Z][A-Z0-9_]*")
 NUMBER = r"[-+]?(?:0x[0-9a-fA-F.]+p[-+]?\d+|(?:\d[\d']*\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
-CALLS_OF_LIMITS = {"read_whole", "read_number"}
+CALLS_OF_LIMITS = {"read_integer", "read_number"}
 
 
 @cache

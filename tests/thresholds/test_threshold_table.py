@@ -86,7 +86,7 @@ class A:
     def f(self, x, small=1e-9):
         if abs(x) > 64 * UNIT_ROUNDOFF or len(x) > 12 or x > 0.3 or x < 2:
             floor = 8 * UNIT_ROUNDOFF * x
-        n = read_whole(x, "x", 1, 24)
+        n = read_integer(x, "x", 1, 24)
         return max(x, 1e-12), np.allclose(x, 0, atol=1e-13)
 """
     )
@@ -100,7 +100,7 @@ class A:
         "len(x) > 12",
         "x > 0.3",
         "8 * UNIT_ROUNDOFF * x",
-        "read_whole(x, 'x', 1, 24)",
+        "read_integer(x, 'x', 1, 24)",
         "max(x, 1e-12)",
         "np.allclose(x, 0, atol=1e-13)",
     }

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
-from coadjoint.kernels.tangents import Frame, stretches_in, vectors_in
+from coadjoint.kernels.tangents import Frame, stretch_logarithms, vectors_in
 from coadjoint.methods.protocol.flow_method import FlowMethod
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
-from coadjoint.runs.tangent_loops import each_its_own
+from coadjoint.runs.tangent_loops import energy_loops
 from coadjoint.runs.times import Times
 
 NEVER = 2**40
@@ -25,7 +25,7 @@ def run_with(system: Any, method: Any, x0: Any, times: Times, vectors: np.ndarra
     run = Run(
         system,
         method,
-        each_its_own([system], method, times.h, [loop]),
+        energy_loops([system], method, times.h, [loop]),
         times,
         start_of(system, method, x0, False),
         False,
@@ -40,14 +40,14 @@ def finished_vectors(run: Run, vectors: np.ndarray) -> np.ndarray:
     found = vectors_in(run.state["memory"], count, size)[0].T.copy()
     method = run.method.whole if isinstance(run.method, co.Composition) else run.method
     if isinstance(method, FlowMethod):
-        read, times = Reading(method.program(run.system)), run.times
+        read, times = Interpreter(method.program(run.system)), run.times
         rows, last = read.program.rows.section, times.t0 + (times.steps - 1) * times.h
         read._rows(range(rows[2], rows[3]), run.state["momenta"][0].copy(), times.h, last, None, found)
     return found
 
 
 def stretches(run: Run, count: int) -> np.ndarray:
-    return stretches_in(run.state["memory"], count)
+    return stretch_logarithms(run.state["memory"], count)
 
 
 def product_of_tangents(system: Any, method: Any, x0: Any, times: Times) -> tuple[np.ndarray, np.ndarray, float]:

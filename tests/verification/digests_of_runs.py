@@ -111,7 +111,7 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
 
 def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
     """Carry vectors by schemes of each kind of loop, alone and in a crowd: all that members remember."""
-    systems, methods, times = all_cases(), schemes(), Times(0.0, STEP, 24, 24).marking([24])
+    systems, methods, times = all_cases(), schemes(), Times(0.0, STEP, 24, 24).with_saved_steps([24])
     for scheme in WITH_TANGENTS:
         for case in CASES:
             system, x0, _ = systems[case]

@@ -12,7 +12,7 @@ C1 = 1 / (2 - 2 ** (1 / 3))
 TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
 
 
-def schemes() -> dict[str, co.methods.base.Method]:
+def schemes() -> dict[str, co.methods.Method]:
     """Return the schemes by name, but for those in steps of their own, of which the step of a run is none."""
     found = {
         "Splitting 1": co.Splitting(order=1),
@@ -46,7 +46,7 @@ def schemes() -> dict[str, co.methods.base.Method]:
     return found
 
 
-def large_step(method: co.methods.base.Method) -> float:
+def large_step(method: co.methods.Method) -> float:
     """Return a large step, at which high orders lose visibly what they do not keep.
 
     It is about as large as stability and the convergence of the stages allow on systems of size one.
@@ -54,7 +54,7 @@ def large_step(method: co.methods.base.Method) -> float:
     return 0.1 if method.order <= 2 or isinstance(method, co.Composition) else 0.5
 
 
-def serves(method: co.methods.base.Method, system: object) -> bool:
+def serves(method: co.methods.Method, system: object) -> bool:
     """Return whether the scheme takes the system; what it refuses, it must refuse in a sentence."""
     try:
         method.properties(system)
@@ -64,7 +64,7 @@ def serves(method: co.methods.base.Method, system: object) -> bool:
     return True
 
 
-def witnesses(method: co.methods.base.Method, *names: str) -> list[Case]:
+def witnesses(method: co.methods.Method, *names: str) -> list[Case]:
     """Return those of the named systems that a scheme serves; of a scheme that serves few of them, one that it does."""
     named = [cases()[name] for name in names]
     others = [case for case in all_cases().values() if serves(method, case.system)]
@@ -88,5 +88,5 @@ def concrete_schemes() -> set[str]:
     return {
         value.__name__
         for value in offered
-        if inspect.isclass(value) and issubclass(value, co.methods.base.Method) and not inspect.isabstract(value)
+        if inspect.isclass(value) and issubclass(value, co.methods.Method) and not inspect.isabstract(value)
     }

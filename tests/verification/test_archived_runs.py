@@ -175,9 +175,9 @@ def test_there_are_enough_cases():
 @pytest.mark.parametrize("members", [None, 5])
 def test_points_are_let_go(tmp_path, monkeypatch, method, members):
     """Of a run of many chunks no more than one chunk is in memory, and a commit between them makes no difference."""
-    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.FEWEST_ROWS", 8)
-    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MOST_ROWS", 8)
-    monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_STRETCH", 5)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MIN_CHUNK_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MAX_CHUNK_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_ADVANCE", 5)
     held, original = [], PiecewiseRun.piece
     monkeypatch.setattr(PiecewiseRun, "piece", lambda self: (held.append(len(self.run.saved["x"])), original(self))[1])
     system, x = systems()["e(3), heavy top"]

@@ -78,7 +78,7 @@ def test_member_of_a_batch_is_what_it_is_alone(scheme, name, monkeypatch):
         return co.integrate(system, x, SPAN, STEP, method, save_every=3, attitude=attitude, **options)
 
     together = [run(batch, x0, threads=count) for count in (1, 2, 3)]
-    monkeypatch.setattr(loop, "SECONDS_BETWEEN_LOOKS", 0.0)  # cut after every step
+    monkeypatch.setattr(loop, "SECONDS_BETWEEN_UPDATES", 0.0)  # cut after every step
     together.append(run(batch, x0, threads=2, progress=True))
     alone = [run(system, x) for system, x in zip(systems, x0, strict=True)]
     for sol in together:

@@ -8,7 +8,7 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing.pilot import short_run
 from coadjoint.program.blocks import Kind
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.split import split
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
@@ -229,7 +229,7 @@ def test_rotations_of_every_number_of_planes(n):
     system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 1.5, algebra.dim)), sign=-1, casimirs={})
     for direction in (1, -1):
         span, h = (0.0, 2 * direction * STEP), direction * STEP
-        read = Reading(method.program(system, group=system.representation))
+        read = Interpreter(method.program(system, group=system.representation))
         x, g = read.steps(x0, h, 2, group=first)
         for start in (x0, np.tile(x0, (3, 1))):
             run = co.integrate(system, start, span, STEP, method, attitude=first)
@@ -250,7 +250,7 @@ def test_planes_with_frequencies_of_their_own(count, compensated):
     x0 = rng.uniform(0.5, 1.0, 3 * count) * rng.choice([-1.0, 1.0], 3 * count)
     parts = [[3 * k + i for k in range(count)] for i in range(3)]
     method = co.Splitting(order=2, parts=parts, compensated=compensated)
-    expected = Reading(method.program(system)).steps(x0, STEP, 4)
+    expected = Interpreter(method.program(system)).steps(x0, STEP, 4)
     for start in (x0, np.tile(x0, (5, 1))):
         found = co.integrate(system, start, (0.0, 4 * STEP), STEP, method).x[-1].reshape(-1, 3 * count)
         np.testing.assert_allclose(found[-1], expected, rtol=0, atol=rounding(system, expected))
@@ -284,7 +284,7 @@ def test_a_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
             options = {"method": method, "attitude": attitude, "save_every": 3}
             whole = co.integrate(system, start, (T0, T0 - 1.0), STEP, **options)
             with monkeypatch.context() as patched:
-                patched.setattr(run_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+                patched.setattr(run_module, "SECONDS_BETWEEN_UPDATES", 0.0)
                 pieces = co.integrate(system, start, (T0, T0 - 1.0), STEP, progress=True, **options)
             assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.energy, pieces.energy)
             assert attitude is False or np.array_equal(whole.attitude, pieces.attitude)

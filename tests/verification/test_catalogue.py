@@ -153,7 +153,7 @@ def test_poisson(name, order):
         assert found.value <= found.bound, found
 
 
-def watched_run(name: str, method: co.methods.base.Method) -> co.Solution:
+def watched_run(name: str, method: co.methods.Method) -> co.Solution:
     """Return ten thousand steps; every invariant must be defined (not NaN) from the start to the end."""
     system, x0, _ = case_of(name)
     for key, casimir in system.casimirs.items():

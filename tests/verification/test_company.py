@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.files.archives.archived_run import FIRST_STRETCH
+from coadjoint.files.archives.archived_run import FIRST_ADVANCE
 from coadjoint.systems.matrices.streams import Weights
 
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
@@ -54,7 +54,7 @@ def test_schemes_with_own_steps_in_pieces(tmp_path, name, members):
     system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(0.4, 1.7, g.dim)), sign=-1)
     x0 = np.random.default_rng(3).uniform(-1.0, 1.0, (members, g.dim)) * (1 + np.arange(members) / 8)[:, None]
     method, span, step = co.Taylor(tolerance=1e-8), (0.0, 4.0), 2.0**-7
-    assert span[1] / step > 2 * FIRST_STRETCH
+    assert span[1] / step > 2 * FIRST_ADVANCE
     times = np.sort(np.random.default_rng(4).uniform(*span, 40))
     ways = {
         "saved": {"save_every": 1},

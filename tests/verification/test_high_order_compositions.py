@@ -12,7 +12,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
-from coadjoint.program.interpreter import Reading
+from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_between, long_beyond, long_where
 
@@ -116,7 +116,7 @@ def numbers(values):
 
 
 def reading(system, name):
-    return Reading(build_program(system, co.Splitting(scheme=name, parts="coordinates"), number=mpmath.mpf))
+    return Interpreter(build_program(system, co.Splitting(scheme=name, parts="coordinates"), number=mpmath.mpf))
 
 
 def distance(a, b):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.partial_steps import PartsOfSteps
+from coadjoint.runs.partial_steps import PartialSteps
 
 from .measures import U
 from .schemes_under_test import pairs, schemes
@@ -21,13 +21,13 @@ LENGTHS = STEP * np.array([1.0, 0.5, 0.875, 0.3, 1e-3, 0.0, 1.0, 0.7])
 
 def parts_of(system, method, step, attitude=False):
     ready = co.prepare(system, method, abs(step), attitude=attitude)
-    return PartsOfSteps(system, method, ready.loops(step)), ready
+    return PartialSteps(system, method, ready.loops(step)), ready
 
 
 def rows_at(ready, step, crowd):
     """The states of a crowd after the first step of a run, as the loops hold them."""
     start = ready.start(crowd)
-    return start.momenta, ready.loops(step).started(start.groups) * np.ones((len(crowd), 1))
+    return start.momenta, ready.loops(step).initial_groups(start.groups) * np.ones((len(crowd), 1))
 
 
 @pytest.mark.thinned(18)
@@ -91,10 +91,10 @@ def test_members_of_another_structure_and_inputs():
         assert np.array_equal(alone[0], moved[row])
     ready = co.prepare(co.systems.rigid_body((1, 2, 3)), None, 0.1, inputs=True)
     fields = np.array([[0.0, 0.1, 0.2], [0.3, 0.0, -0.1]])
-    both = PartsOfSteps(ready.system, ready.method, ready.loops(0.1).at(fields))
+    both = PartialSteps(ready.system, ready.method, ready.loops(0.1).at(fields))
     moved, _ = both.take(x, np.empty((4, 0)), np.zeros(4), np.full(4, 0.03), np.array([1, 0, 0, 1]))
     for m, row in ((0, 1), (1, 0)):
-        one = PartsOfSteps(ready.system, ready.method, ready.loops(0.1).at(fields[m]))
+        one = PartialSteps(ready.system, ready.method, ready.loops(0.1).at(fields[m]))
         alone, _ = one.take(x[:1], np.empty((1, 0)), np.zeros(1), np.full(1, 0.03))
         assert np.array_equal(alone[0], moved[row])
 
@@ -110,9 +110,9 @@ def test_threads_and_chunks_change_no_bit(monkeypatch):
     none, times = np.empty((1000, 0)), np.zeros(1000)
     once, _ = parts.take(x, none, times, lengths)
     assert np.isnan(once[17]).all() and np.isfinite(np.delete(once, 17, 0)).all()
-    monkeypatch.setattr(parts_of_steps, "MOST_NUMBERS", 1000)
+    monkeypatch.setattr(parts_of_steps, "MAX_NUMBERS", 1000)
     again, _ = parts.take(x, none, times, lengths)
-    several, _ = PartsOfSteps(system, method, ready.loops(0.1), workers=3).take(x, none, times, lengths)
+    several, _ = PartialSteps(system, method, ready.loops(0.1), workers=3).take(x, none, times, lengths)
     assert np.array_equal(once, again, equal_nan=True) and np.array_equal(once, several, equal_nan=True)
 
 

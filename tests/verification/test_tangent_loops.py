@@ -14,7 +14,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState
-from coadjoint.runs.tangent_loops import each_its_own
+from coadjoint.runs.tangent_loops import energy_loops
 from coadjoint.runs.times import Times
 from long import long_between, long_beyond
 
@@ -43,7 +43,7 @@ def wave_curvature(y, t):
 
 def check(system, method, x0, h, t0=0.25, steps=STEPS):
     """Compare the vectors with the product of tangents, and the states with those of a run without vectors."""
-    times = Times(t0, h, steps, steps).marking([1, steps])
+    times = Times(t0, h, steps, steps).with_saved_steps([1, steps])
     units = np.eye(system.dim)
     run = run_with(system, method, x0, times, units)
     states, product, size = product_of_tangents(system, method, x0, times)
@@ -157,7 +157,7 @@ def test_a_large_state_is_watched_alone():
     system = co.LiePoissonSystem(algebra, co.Quadratic(np.tile([1.0, 0.5, 0.25], spins)), casimirs={})
     x0 = np.random.default_rng(8).uniform(-1.0, 1.0, n)
     method = co.Splitting(order=2, parts="coordinates")
-    times, vectors = Times(0.0, 0.1, 3, 3).marking([3]), np.eye(n)[[0, 1, n - 1]]
+    times, vectors = Times(0.0, 0.1, 3, 3).with_saved_steps([3]), np.eye(n)[[0, 1, n - 1]]
     run = run_with(system, method, x0, times, vectors)
     assert np.array_equal(run.saved["x"][0, 0], co.integrate(system, x0, (0, 0.3), 0.1, method, watch=False).x[-1])
     one = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
@@ -207,9 +207,9 @@ def test_many_vectors_of_many_members_go_one_after_the_other():
 def test_a_run_with_vectors_goes_on_from_its_state(scheme):
     """The state holds the vectors and their stretches, as plain arrays: cut anywhere, also between renewals."""
     method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
-    times, crowd = Times(0.25, 0.1, 12, 12).marking([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
+    times, crowd = Times(0.25, 0.1, 12, 12).with_saved_steps([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
     loop = method.tangent_loop(system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
-    loops, start = each_its_own([system], method, 0.1, [loop]), start_of(system, method, crowd, False)
+    loops, start = energy_loops([system], method, 0.1, [loop]), start_of(system, method, crowd, False)
     whole = Run(system, method, loops, times, start, False)
     whole.advance()
     first = Run(system, method, loops, times, start, False)
@@ -236,7 +236,7 @@ def test_stretches_are_those_of_the_product(scheme):
     method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
     vectors = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 6)))[0]
     for h in (0.1, -0.1):
-        times = Times(0.0, h, 12, 12).marking([12])
+        times = Times(0.0, h, 12, 12).with_saved_steps([12])
         _, product, size = product_of_tangents(system, method, x0, times)
         wanted = np.log(np.abs(np.diag(np.linalg.qr(product @ vectors.T)[1])))
         # An error of the product moves each logarithm by itself over the least stretch.
@@ -253,7 +253,7 @@ def test_stretches_lose_nothing_over_many_steps():
     method, h = co.Splitting(order=1), 2.0**-10
 
     def products(steps):
-        run = run_with(line, method, [1e-300, 1e-300], Times(0.0, h, steps, steps).marking([]), np.eye(2), 1)
+        run = run_with(line, method, [1e-300, 1e-300], Times(0.0, h, steps, steps).with_saved_steps([]), np.eye(2), 1)
         return run.state["memory"][0, 4:10].reshape(2, 3), np.sort(np.abs(stretches(run, 2)[0]))
 
     (step, exponent), steps = products(1)[0][1][[0, 2]], 10**6

@@ -6,18 +6,18 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from coadjoint.algebra.bracket_format import count_of_brackets, shown_brackets
+from coadjoint.algebra.bracket_format import count_of_brackets, format_brackets
 from coadjoint.algebra.catalogue import families, get, names
 from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.errors import in_one_line
 
-WIDE = 100
-MOST_BRACKETS = 20
-MOST_NAMES = 30
-LARGEST = 16
+LINE_WIDTH = 100
+MAX_BRACKETS = 20
+MAX_NAMES = 30
+MAX_SEARCHED_DIMENSION = 16
 """Largest dimension for which unknown Casimirs are computed; above it the computation takes seconds."""
-LONGEST_FORMULA = 300
+MAX_FORMULA_LENGTH = 300
 
 
 def listed_algebras() -> list[str]:
@@ -30,7 +30,7 @@ def listed_algebras() -> list[str]:
     ['A4_9(b)         dimension 4, -1 < b <= 1', 'so(n)           a family; give the numbers, such as so(3)']
     """
     known, patterns = entries(), families()
-    return [f"{_head(name, known):16}{_about(name, known, patterns)}" for name in names()]
+    return [f"{_head(name, known):16}{_summary_line(name, known, patterns)}" for name in names()]
 
 
 def _head(name: str, known: Mapping[str, Mapping[str, Any]]) -> str:
@@ -38,7 +38,7 @@ def _head(name: str, known: Mapping[str, Mapping[str, Any]]) -> str:
     return f"{name}({', '.join(given)})" if given else name
 
 
-def _about(name: str, known: Mapping[str, Mapping[str, Any]], patterns: Mapping[str, tuple[str, ...]]) -> str:
+def _summary_line(name: str, known: Mapping[str, Mapping[str, Any]], patterns: Mapping[str, tuple[str, ...]]) -> str:
     if name in patterns:
         return f"a family; give the numbers, such as {_example(name)}"
     if name not in known:
@@ -90,10 +90,10 @@ def algebra_text(algebra: LieAlgebra) -> str:
 def _lines(algebra: LieAlgebra) -> Iterator[str]:
     yield str(algebra.name or "a Lie algebra")
     yield from _entry("dimension", str(algebra.dim))
-    listed = algebra.basis if algebra.dim <= MOST_NAMES else (*algebra.basis[:3], "...", algebra.basis[-1])
-    yield from _entry("basis", in_one_line(", ".join(listed), LONGEST_FORMULA))
+    listed = algebra.basis if algebra.dim <= MAX_NAMES else (*algebra.basis[:3], "...", algebra.basis[-1])
+    yield from _entry("basis", in_one_line(", ".join(listed), MAX_FORMULA_LENGTH))
     count = count_of_brackets(algebra.triples)
-    shown = shown_brackets(algebra.triples, algebra.basis, MOST_BRACKETS)
+    shown = format_brackets(algebra.triples, algebra.basis, MAX_BRACKETS)
     more = [f"and {count - len(shown)} more"] if count > len(shown) else []
     for number, line in enumerate([*shown, *more] or ["none but zero"]):
         yield from _entry("" if number else "brackets", line)
@@ -107,12 +107,12 @@ def _lines(algebra: LieAlgebra) -> Iterator[str]:
 
 def _casimirs(algebra: LieAlgebra) -> list[str]:
     known: Mapping[str, Any] = algebra.casimirs_known
-    if not known and algebra.dim > LARGEST:
+    if not known and algebra.dim > MAX_SEARCHED_DIMENSION:
         return [f"not computed here, since there are {algebra.dim} coordinates; call casimirs() of the algebra"]
     found = known or algebra.casimirs()
     if not found:
-        return [in_one_line(repr(found), LONGEST_FORMULA).removeprefix("{}").strip(" ()") or "none"]
-    return [in_one_line(_formula(name, value), LONGEST_FORMULA) for name, value in found.items()]
+        return [in_one_line(repr(found), MAX_FORMULA_LENGTH).removeprefix("{}").strip(" ()") or "none"]
+    return [in_one_line(_formula(name, value), MAX_FORMULA_LENGTH) for name, value in found.items()]
 
 
 def _formula(name: str, value: Any) -> str:
@@ -121,4 +121,4 @@ def _formula(name: str, value: Any) -> str:
 
 
 def _entry(name: str, text: str) -> list[str]:
-    return textwrap.wrap(text, WIDE, initial_indent=f"{name:14}", subsequent_indent=" " * 14)
+    return textwrap.wrap(text, LINE_WIDTH, initial_indent=f"{name:14}", subsequent_indent=" " * 14)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from coadjoint.algebra.constants import Triples
 
-READ = 20_000
+MAX_EXAMINED_CONSTANTS = 20_000
 """Number of constants examined; an algebra may have millions."""
 
 
-def shown_brackets(triples: Triples, basis: Sequence[str], most: int) -> list[str]:
+def format_brackets(triples: Triples, basis: Sequence[str], most: int) -> list[str]:
     """Format the first `most` nonzero brackets."""
     found: dict[tuple[int, int], str] = {}
-    columns = (column[:READ].tolist() for column in triples)
+    columns = (column[:MAX_EXAMINED_CONSTANTS].tolist() for column in triples)
     for i, j, k, c in zip(*columns, strict=True):
         if (i, j) not in found and len(found) == most:
             break

@@ -7,15 +7,15 @@ import re
 from collections.abc import Iterator, Sequence
 
 from coadjoint.algebra.exact.numbers import TOO_LARGE
-from coadjoint.algebra.polynomials.number_literals import NUMBER, PLAIN_NUMBER, quotient, read_constant
+from coadjoint.algebra.polynomials.number_literals import NUMBER, PLAIN_NUMBER, parse_number, quotient
 from coadjoint.short_repr import short
 
-SHOWN = 60
+MAX_QUOTED = 60
 
 Brackets = dict[tuple[int, int], dict[int, float]]
 
 
-def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
+def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
     """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}`` with indices from 0.
 
     Coefficients are ``2``, ``0.5``, ``1/3``, optionally followed by ``*``. A ValueError names the invalid line.
@@ -26,17 +26,17 @@ def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
         found = names.pair(line)
         if found is None:
             raise ValueError(
-                f"{short(line, SHOWN)} is not a bracket of {_listed(basis)}; "
-                f"write [{basis[0][:SHOWN]}, {basis[-1][:SHOWN]}] = 2 {basis[0][:SHOWN]}"
+                f"{short(line, MAX_QUOTED)} is not a bracket of {_listed(basis)}; "
+                f"write [{basis[0][:MAX_QUOTED]}, {basis[-1][:MAX_QUOTED]}] = 2 {basis[0][:MAX_QUOTED]}"
             )
         i, j, end = found
         if (i, j) in result or (j, i) in result:
-            one, other = (short(basis[k], SHOWN)[1:-1] for k in (i, j))
+            one, other = (short(basis[k], MAX_QUOTED)[1:-1] for k in (i, j))
             raise ValueError(f"the bracket of {one} and {other} is given twice; give each pair once")
         try:
             result[i, j] = _combination(line, end, names, basis)
         except OverflowError:
-            raise ValueError(f"{short(line, SHOWN)} has a number that {TOO_LARGE}") from None
+            raise ValueError(f"{short(line, MAX_QUOTED)} has a number that {TOO_LARGE}") from None
     return result
 
 
@@ -51,7 +51,7 @@ def names_in(lines: Sequence[str]) -> tuple[str, ...]:
     found: dict[str, None] = {}
     for line in lines:
         if not isinstance(line, str):
-            raise TypeError(f"a bracket is {short(line, SHOWN)}; it must be a line such as '[h, e] = 2 e'")
+            raise TypeError(f"a bracket is {short(line, MAX_QUOTED)}; it must be a line such as '[h, e] = 2 e'")
         found.update(dict.fromkeys(re.findall(r"[^\W\d]\w*", line)))
     if not found:
         raise ValueError("there are no brackets; write lines such as '[h, e] = 2 e'")
@@ -109,7 +109,7 @@ class _Names:
 
 
 def _combination(line: str, at: int, names: _Names, basis: Sequence[str]) -> dict[int, float]:
-    if line[at : at + SHOWN].strip() == "0" and line[at:].strip() == "0":
+    if line[at : at + MAX_QUOTED].strip() == "0" and line[at:].strip() == "0":
         return {}
     result: dict[int, float] = {}
     first = True
@@ -117,14 +117,14 @@ def _combination(line: str, at: int, names: _Names, basis: Sequence[str]) -> dic
         found = names.term(line, at)
         if found is None or not (first or found[0]["sign"]):
             raise ValueError(
-                f"{short(line, SHOWN)} cannot be read from {short(line[at:].strip() or 'its end', SHOWN)} on; "
-                f"write a sum of {_listed(basis)}, each with a number before it, such as 2 {basis[0][:SHOWN]}"
+                f"{short(line, MAX_QUOTED)} cannot be read from {short(line[at:].strip() or 'its end', MAX_QUOTED)} "
+                f"on; write a sum of {_listed(basis)}, each with a number before it, such as 2 {basis[0][:MAX_QUOTED]}"
             )
         factor, k, at = found
-        below = read_constant(factor["below"] or "1")
+        below = parse_number(factor["below"] or "1")
         if below == 0:
-            raise ValueError(f"{short(line, SHOWN)} divides by zero")
-        size = float(quotient(read_constant(factor["above"] or "1"), below))
+            raise ValueError(f"{short(line, MAX_QUOTED)} divides by zero")
+        size = float(quotient(parse_number(factor["above"] or "1"), below))
         total = result.get(k, 0.0) + (-size if factor["sign"] == "-" else size)
         if not math.isfinite(total):
             raise OverflowError
@@ -134,5 +134,5 @@ def _combination(line: str, at: int, names: _Names, basis: Sequence[str]) -> dic
 
 
 def _listed(basis: Sequence[str]) -> str:
-    shown = [name[:SHOWN] for name in (basis if len(basis) <= 6 else (basis[0], basis[1], basis[-1]))]
+    shown = [name[:MAX_QUOTED] for name in (basis if len(basis) <= 6 else (basis[0], basis[1], basis[-1]))]
     return ", ".join(shown) if len(basis) <= 6 else f"{shown[0]}, {shown[1]}, ..., {shown[2]}"

@@ -14,9 +14,9 @@ from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra
 from coadjoint.algebra.families.unitary import su, u
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.errors import no_attribute, unknown_name
+from coadjoint.errors import unknown_attribute, unknown_name
 from coadjoint.short_repr import short
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 __all__ = [
     "A3_7",
@@ -44,7 +44,7 @@ __all__ = [
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
 
     def __getattr__(name: str) -> Any:
-        raise no_attribute("co.algebras", name, __all__)
+        raise unknown_attribute("co.algebras", name, __all__)
 
 
 def __dir__() -> list[str]:
@@ -52,7 +52,7 @@ def __dir__() -> list[str]:
 
 
 def _sp_by_half(n: int) -> LieAlgebra:
-    return sp(2 * read_whole(n, "n of sp(2n)"))
+    return sp(2 * read_integer(n, "n of sp(2n)"))
 
 
 # pattern -> constructor, and the names of its numbers
@@ -145,11 +145,11 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     return sp(*numbers) if match[1] == "sp" else _FAMILIES[f"{match[1]}(n)"][0](*numbers)
 
 
-def _check_parameters(name: str, wanted: tuple[str, ...], given: Mapping[str, Any]) -> None:
-    missing = [key for key in wanted if key not in given]
+def _check_parameters(name: str, wanted: tuple[str, ...], argument: Mapping[str, Any]) -> None:
+    missing = [key for key in wanted if key not in argument]
     if missing:
         raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
-    extra = sorted(set(given) - set(wanted))
+    extra = sorted(set(argument) - set(wanted))
     if extra:
         accepted = ", ".join(wanted) or "none"
         raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")

@@ -9,9 +9,9 @@ import numpy as np
 
 from coadjoint.algebra import bracket_parser as written_brackets
 from coadjoint.algebra.exact.sparse_sums import Floats, Integers
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import read_list, read_numbers, read_title, read_whole
+from coadjoint.validation import read_integer, read_list, read_numbers, read_title
 
 # Peak during construction: names and their lookup table; four columns, twice.
 BYTES_PER_DIMENSION = 140
@@ -42,31 +42,31 @@ def triple_name(indices: Sequence[int], names: Sequence[str]) -> str:
     return f"({', '.join(names[q] for q in indices)}) = indices ({', '.join(str(q) for q in indices)})"
 
 
-def check_room_of_algebra(name: str, dim: int, constants: int) -> None:
+def check_algebra_memory(name: str, dim: int, constants: int) -> None:
     """Raise a ValueError if an algebra with about `constants` nonzero c_ij^k (i < j) does not fit in memory.
 
     Examples
     --------
-    >>> check_room_of_algebra("so(3)", 3, 3)
+    >>> check_algebra_memory("so(3)", 3, 3)
     """
     need = BYTES_PER_DIMENSION * dim + BYTES_PER_CONSTANT * constants
-    check_room(need, f"{name}, of dimension {short(dim)},", "take a smaller one")
+    check_available_memory(need, f"{name}, of dimension {short(dim)},", "take a smaller one")
 
 
-def read_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]:
+def parse_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]:
     """Parse structure constants in any accepted form; return dim, unsorted triples, and whether they are complete.
 
     Complete (dense input): constants not listed are zero. Otherwise (sparse input) they follow from antisymmetry.
 
     Examples
     --------
-    >>> dim, triples, complete = read_constants([(0, 1, 1, 1.0)], 2)
+    >>> dim, triples, complete = parse_constants([(0, 1, 1, 1.0)], 2)
     >>> dim, triples.c, complete
     (2, array([1.]), False)
     """
     if dim is not None:
-        dim = read_whole(dim, "dim")
-        check_room_of_algebra("the Lie algebra", dim, 0)
+        dim = read_integer(dim, "dim")
+        check_algebra_memory("the Lie algebra", dim, 0)
     if isinstance(constants, Triples):
         columns = [
             read_numbers(column, f"column {name} of the triples") for name, column in constants._asdict().items()
@@ -96,7 +96,7 @@ def _from_dense(numbers: Floats, dim: int | None) -> tuple[int, Triples, bool]:
         raise ValueError(f"dim = {dim} does not fit dense structure constants of shape {numbers.shape}")
     i, j, k = (index.astype(np.int64) for index in np.nonzero(numbers))
     values = numbers[i, j, k]
-    _refuse_infinite(i, j, k, values)
+    _check_finite_constants(i, j, k, values)
     return n, Triples(i, j, k, values), True
 
 
@@ -116,11 +116,11 @@ def _from_columns(columns: list[Floats], dim: int | None) -> tuple[int, Triples,
                 f"from 0 to {dim - 1}"
             )
     i, j, k = (column.astype(np.int64) for column in columns[:3])
-    _refuse_infinite(i, j, k, columns[3])
+    _check_finite_constants(i, j, k, columns[3])
     return int(dim), Triples(i, j, k, columns[3]), False
 
 
-def _refuse_infinite(i: Integers, j: Integers, k: Integers, c: Floats) -> None:
+def _check_finite_constants(i: Integers, j: Integers, k: Integers, c: Floats) -> None:
     wrong = np.flatnonzero(~np.isfinite(c))
     if wrong.size:
         row = int(wrong[0])
@@ -129,13 +129,13 @@ def _refuse_infinite(i: Integers, j: Integers, k: Integers, c: Floats) -> None:
         )
 
 
-def read_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
+def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
     """Convert ``{(i, j): {k: c}}`` to rows (i, j, k, c); basis names may replace indices.
 
     An empty bracket is kept: it states that the pair commutes and contradicts a nonzero one in the opposite order.
     """
     if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
-        brackets = written_brackets.read_brackets(brackets, read_basis(basis, dim))
+        brackets = written_brackets.parse_brackets(brackets, read_basis(basis, dim))
     if not isinstance(brackets, Mapping):
         raise TypeError(
             f"brackets must be a mapping {{(i, j): {{k: c}}}}, or lines such as '[e1, e2] = e3', not "
@@ -152,20 +152,22 @@ def read_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -
             rows.append((*pair, 0, 0.0))
     if any(isinstance(entry, str) for row in rows for entry in row[:3]):
         names = read_basis(basis, dim)
-        rows = [(*(_place(entry, names) for entry in row[:3]), row[3]) for row in rows]
+        rows = [(*(_basis_index(entry, names) for entry in row[:3]), row[3]) for row in rows]
     numbers = [entry for row in rows for entry in row[:3] if isinstance(entry, int)]
     if numbers and min(numbers) == 1 and max(numbers) == dim:
         raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; subtract 1 from each")
     return rows
 
 
-def _place(given: Any, names: Sequence[str]) -> Any:
+def _basis_index(argument: Any, names: Sequence[str]) -> Any:
     """Return the index of a basis element given by name."""
-    if not isinstance(given, str):
-        return given
-    if given not in names:
-        raise ValueError(f"brackets name {short(given)}, which is not in the basis {short(tuple(names))}; give basis=")
-    return names.index(given)
+    if not isinstance(argument, str):
+        return argument
+    if argument not in names:
+        raise ValueError(
+            f"brackets name {short(argument)}, which is not in the basis {short(tuple(names))}; give basis="
+        )
+    return names.index(argument)
 
 
 def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from coadjoint.algebra.constants import Triples, triple_name
-from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, chunks, expand, groups, largest_alike, violated
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, chunks, expand, group_max_abs, groups, largest_violation
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 
@@ -100,10 +100,10 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     every = both_orders(triples)
     order, _ = groups(every.i, every.j, every.k)
     outer = every.rows(order)  # by first, then second index
-    outer_size = largest_alike(outer.i * dim + outer.j, outer.c)
+    outer_size = group_max_abs(outer.i * dim + outer.j, outer.c)
     order, _ = groups(triples.k, triples.i)
     inner = triples.rows(order)  # by component, then first index
-    inner_size = largest_alike(inner.i * dim + inner.j, inner.c)
+    inner_size = group_max_abs(inner.i * dim + inner.j, inner.c)
     outer_key, inner_key = outer.i * dim + outer.j, inner.k * dim + inner.i
     # The free indices of the other factor must exceed a: a contiguous range of the sorted rows.
     outer_start = np.searchsorted(outer_key, outer.k * dim + outer.i, side="right")
@@ -125,7 +125,7 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
         sizes = np.concatenate([size[row], size[below]]), np.concatenate([outer_size[at], inner_size[under]])
         pair = np.concatenate([a[row] * dim + low, a[below] * dim + inner.i[under]])
         rest = np.concatenate([high * dim + outer.k[at], inner.j[under] * dim + m[below]])
-        found = violated((pair, rest), (first, second), sizes)
+        found = largest_violation((pair, rest), (first, second), sizes)
         if found is not None:
             (a_, b_), (d_, l_) = divmod(int(pair[found[0]]), dim), divmod(int(rest[found[0]]), dim)
             raise ValueError(

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.bracket_format import count_of_brackets, shown_brackets
+from coadjoint.algebra.bracket_format import count_of_brackets, format_brackets
 from coadjoint.algebra.bracket_parser import names_in
-from coadjoint.algebra.constants import Triples, read_basis, read_brackets, read_constants
+from coadjoint.algebra.constants import Triples, parse_brackets, parse_constants, read_basis
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.invariants.invariant import Invariant
@@ -18,11 +18,11 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
 from coadjoint.short_repr import html_table, short
-from coadjoint.validation import read_list, read_title, read_whole
+from coadjoint.validation import read_integer, read_list, read_title
 
 FEW_BRACKETS = 6
 """Number of brackets shown in a one-line repr."""
-MOST_BRACKETS = 30
+MAX_BRACKETS = 30
 """Number of brackets shown by `print` and in notebooks."""
 
 
@@ -87,7 +87,7 @@ class LieAlgebra(Structure):
         representation: Any = None,
         casimirs: Mapping[str, Any] | None = None,
     ) -> None:
-        size, given, complete = read_constants(constants, dim)
+        size, given, complete = parse_constants(constants, dim)
         names = read_basis(basis, size)
         if name is not None:
             read_title(name, "name of a Lie algebra")
@@ -103,9 +103,9 @@ class LieAlgebra(Structure):
             if isinstance(one, Polynomial) and one.dim != size:
                 raise ValueError(f"casimirs has {short(key)} of {one.dim} variables; the algebra has dimension {size}")
         rho = None if representation is None else check_representation(representation, triples, size, names)
-        self._keep(triples, size, names, name, rho, casimirs or {})
+        self._store(triples, size, names, name, rho, casimirs or {})
 
-    def _keep(
+    def _store(
         self,
         triples: Triples,
         dim: int,
@@ -120,10 +120,10 @@ class LieAlgebra(Structure):
         self._representation, self._casimirs = representation, dict(casimirs)
 
     @classmethod
-    def _proved(cls, *everything: Any) -> LieAlgebra:
-        """Construct without validation from data that is valid by construction, sorted and unique; see `_keep`."""
+    def _from_valid(cls, *everything: Any) -> LieAlgebra:
+        """Construct without validation from data that is valid by construction, sorted and unique; see `_store`."""
         algebra = cls.__new__(cls)
-        algebra._keep(*everything)
+        algebra._store(*everything)
         return algebra
 
     @classmethod
@@ -175,8 +175,8 @@ class LieAlgebra(Structure):
             lines = read_list(dim, "brackets", rule)
             basis = names_in(lines) if basis is None else read_list(basis, "basis", "give names, one for each element")
             dim, brackets = len(basis), lines
-        size = read_whole(dim, "dim")
-        rows = read_brackets(size, brackets, basis)
+        size = read_integer(dim, "dim")
+        rows = parse_brackets(size, brackets, basis)
         return cls(rows, dim=size, basis=basis, name=name, representation=representation, casimirs=casimirs)
 
     @property
@@ -214,16 +214,16 @@ class LieAlgebra(Structure):
         count = count_of_brackets(self._triples)
         if not 0 < count <= FEW_BRACKETS:
             return f"LieAlgebra({label}dim={self._dim}{f', {count} brackets' if count else ', commutative'})"
-        return f"LieAlgebra({label}dim={self._dim}: {', '.join(shown_brackets(self._triples, self._basis, count))})"
+        return f"LieAlgebra({label}dim={self._dim}: {', '.join(format_brackets(self._triples, self._basis, count))})"
 
     def __str__(self) -> str:
         head = f"{self._name or 'a Lie algebra'}, of dimension {self._dim}"
-        count, lines = count_of_brackets(self._triples), shown_brackets(self._triples, self._basis, MOST_BRACKETS)
+        count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self._basis, MAX_BRACKETS)
         left = [f"and {count - len(lines)} more"] if count > len(lines) else []
         return "\n  ".join([head, *lines, *left])
 
     def _repr_html_(self) -> str:
-        count, lines = count_of_brackets(self._triples), shown_brackets(self._triples, self._basis, MOST_BRACKETS)
+        count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self._basis, MAX_BRACKETS)
         left = f", and {count - len(lines)} more" if count > len(lines) else ""
         rows = {"dimension": self._dim, "basis": short(self._basis), "brackets": (", ".join(lines) or "none") + left}
         return html_table(self._name or "a Lie algebra", rows)
@@ -247,8 +247,8 @@ class LieAlgebra(Structure):
 
         If the constants round simple fractions (`coadjoint.algebra.exact.rational_constants`), the equations are solved
         exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
-        clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible in
-        the basis are solved separately, equal ones once.
+        clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible
+        in the basis are solved separately, equal ones once.
 
         Parameters
         ----------
@@ -284,7 +284,7 @@ class LieAlgebra(Structure):
         >>> co.algebras.so(4).casimirs()
         {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
         """
-        from coadjoint.algebra.invariants.casimirs import NoPolynomials, casimirs
+        from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
 
         found = casimirs(self._triples, self._dim, max_degree)
-        return found or NoPolynomials(self._dim - self.generic_rank(), max_degree, list(self._casimirs))
+        return found or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))

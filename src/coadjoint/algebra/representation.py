@@ -15,15 +15,15 @@ from coadjoint.algebra.exact.sparse_sums import (
     Integers,
     chunks,
     expand,
+    group_max_abs,
     groups,
-    largest_alike,
-    violated,
+    largest_violation,
 )
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.validation import read_numbers
 
-FOLDED_ROWS = 1 << 12  # equations reduced to triangular form at a time
+REDUCED_ROWS = 1 << 12  # equations reduced to triangular form at a time
 
 
 def read_representation(representation: Any, dim: int | None = None) -> Floats:
@@ -56,7 +56,7 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
     d = rho.shape[1]
     i, a, b = (index.astype(np.int64) for index in np.nonzero(rho))
     v = rho[i, a, b]
-    v_size, c_size = largest_alike(i, v), largest_alike(triples.i * dim + triples.j, triples.c)
+    v_size, c_size = group_max_abs(i, v), group_max_abs(triples.i * dim + triples.j, triples.c)
     by_row, _ = groups(a, i)
     by_column, _ = groups(b, i)
     row_key, column_key = (a * dim + i)[by_row], (b * dim + i)[by_column]
@@ -86,7 +86,7 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
             np.concatenate([v_size[one], v_size[two], c_size[row]]),
             np.concatenate([v_size[other], v_size[also], v_size[element]]),
         )
-        found = violated(keys, factors, sizes)
+        found = largest_violation(keys, factors, sizes)
         if found is not None:
             first, second = divmod(int(keys[0][found[0]]), dim)
             at = divmod(int(keys[1][found[0]]), d)
@@ -104,9 +104,9 @@ def _solutions(left: Floats, right: Floats) -> Floats:
     size = np.maximum(np.abs(left).max(axis=(1, 2)), np.abs(right).max(axis=(1, 2)))
     size = np.where(size > 0.0, size, 1.0)[:, None, None]  # equal weight for every i, whatever its units
     left, right = left / size, right / size
-    per_fold = max(1, FOLDED_ROWS // (m * d))
+    per_fold = max(1, REDUCED_ROWS // (m * d))
     folded = 8 * (m * d) ** 2 * (per_fold + 3)
-    check_room(folded, f"to look at a representation by {d} x {d} matrices")
+    check_available_memory(folded, f"to look at a representation by {d} x {d} matrices")
     triangle: Floats = np.zeros((0, m * d))
     for begin in range(0, left.shape[0], per_fold):
         blocks = [

@@ -14,8 +14,8 @@ from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.invariants.generic_rank import generic_rank
 from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
-from coadjoint.memory import check_room
-from coadjoint.validation import array_given, no_numbers, read_whole
+from coadjoint.memory import check_available_memory
+from coadjoint.validation import not_numbers_error, read_integer, to_array
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -36,7 +36,7 @@ class Structure:
 
     def _vector(self, values: Any, what: str) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return a vector of g or g*, and the constants converted to its number type."""
-        vector = array_given(values, what, "iufc")
+        vector = to_array(values, what, "iufc")
         if vector.shape != (self._dim,):
             raise ValueError(f"{what} must have shape ({self._dim},), not {vector.shape}")
         if vector.dtype == object:
@@ -46,7 +46,7 @@ class Structure:
     def _zeros(self, dtype: Any, what: str) -> NDArray[Any]:
         """Return an (n, n) array of zeros after a memory check."""
         need = self._dim**2 * np.dtype(dtype).itemsize + 24 * self._triples.c.size
-        check_room(need, f"{what} of dimension {self._dim}", "take the sparse entries, or the operator")
+        check_available_memory(need, f"{what} of dimension {self._dim}", "take the sparse entries, or the operator")
         return np.zeros((self._dim, self._dim), dtype=dtype)
 
     def structure_matrix(self, x: Any) -> NDArray[Any]:
@@ -197,11 +197,11 @@ class Structure:
         """
         if isinstance(u, Mapping):
             for i in u:
-                read_whole(i, "an index of u", 0, self._dim - 1)
+                read_integer(i, "an index of u", 0, self._dim - 1)
             indices = np.array(sorted(u), dtype=np.int64)
-            coefficients = array_given([u[i] for i in sorted(u)], "u", "iufc") if u else np.zeros(0)
+            coefficients = to_array([u[i] for i in sorted(u)], "u", "iufc") if u else np.zeros(0)
             if coefficients.ndim != 1:
-                raise no_numbers(list(u.values()), "u")
+                raise not_numbers_error(list(u.values()), "u")
         else:
             vector, _ = self._vector(u, "u")
             indices = np.flatnonzero(vector != 0).astype(np.int64)
@@ -311,7 +311,7 @@ class Structure:
         >>> g.commuting(0, 1), g.commuting(2, 0)
         (True, False)
         """
-        i, j = (read_whole(index, "the index of a basis element", 0, self._dim - 1) for index in (i, j))
+        i, j = (read_integer(index, "the index of a basis element", 0, self._dim - 1) for index in (i, j))
         indptr, indices = self._neighbours
         row = indices[indptr[i] : indptr[i + 1]]
         at = int(np.searchsorted(row, j))

@@ -15,13 +15,13 @@ from coadjoint.runs.times import Times
 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. None
 # is a power of two, so that the rounding of their steps differs from that of the run.
-FINER = (1.5, 1.75, 2.5, 3.5)
+REFINEMENTS = (1.5, 1.75, 2.5, 3.5)
 # Differences above this multiple of the expected round-off are truncation errors.
-CLEARLY = 16.0
+ROUNDOFF_FACTOR = 16.0
 # Largest number of saved points of a finer run, and of numbers saved at once.
-POINTS = 256
-EVEN = 2.0**-40  # relative tolerance for a whole number of steps
-NUMBERS = 2**22
+MAX_SAVED_POINTS = 256
+WHOLE_STEP_TOLERANCE = 2.0**-40  # relative tolerance for a whole number of steps
+MAX_SAVED_NUMBERS = 2**22
 
 
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
@@ -40,25 +40,25 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution._began
     assert starts is not None
     time = float(solution.t[-1]) - solution.t_span[0]
-    steps = math.ceil(abs(time) / solution.step * (1.0 - EVEN))
+    steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
     if steps == 0:
         return np.zeros(len(starts))
     squares, seen, untold = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))
-    for times in FINER:
+    for times in REFINEMENTS:
         if not len(untold):
             break
-        apart = _apart(solution, starts[untold], ends[untold], time, steps, times)
+        apart = _distances(solution, starts[untold], ends[untold], time, steps, times)
         sound = np.isfinite(apart)
         squares[untold[sound]] += apart[sound] ** 2
         seen[untold[sound]] += 1
         # A single difference within round-off may be small by chance, so a second one is required.
-        told = sound & ((apart > CLEARLY * choice.roundoff) | (seen[untold] == 2))
+        told = sound & ((apart > ROUNDOFF_FACTOR * choice.roundoff) | (seen[untold] == 2))
         untold = untold[~told]
     squares[seen == 0] = np.inf
     return np.maximum(np.sqrt(squares / np.maximum(seen, 1)), UNIT_ROUNDOFF)
 
 
-def _apart(
+def _distances(
     solution: Solution,
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
@@ -70,11 +70,11 @@ def _apart(
     run.
     """
     finer = solution.method.finer(steps, times)
-    points = max(2, min(POINTS, NUMBERS // starts.shape[1]))
+    points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
     ready = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
-    at_once = max(1, NUMBERS // (points * starts.shape[1]))
+    at_once = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
     parts = [slice(first, first + at_once) for first in range(0, len(starts), at_once)]
     found = [_of_members(ready, plan, starts[part], ends[part]) for part in parts]
     return np.concatenate(found) / (1.0 - finer.left)

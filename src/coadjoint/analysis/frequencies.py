@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.signals import sampled
-from coadjoint.analysis.spectral_lines import IN_THE_END, Lines, correct_lines, find_lines, hann, spread_by_noise
+from coadjoint.analysis.spectral_lines import FINAL_ITERATIONS, Lines, correct_lines, find_lines, hann, spread_by_noise
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_whole
+from coadjoint.validation import read_finite, read_integer
 
 Floats = NDArray[np.float64]
 
 WINDOW = 5
-FEWEST_SAMPLES = 64
-MOST_NUMBERS = 2**23  # held in memory at once; ensembles are analysed in groups
-MOST_COMBINATIONS = 2**21
-NARROWER = 2  # reduction of the power for the second window; the change of the result estimates the leakage of lines
+MIN_SAMPLES = 64
+MAX_NUMBERS = 2**23  # held in memory at once; ensembles are analysed in groups
+MAX_COMBINATIONS = 2**21
+WINDOW_REDUCTION = (
+    2  # reduction of the power for the second window; the change of the result estimates the leakage of lines
+)
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ class Frequencies:
         """
         if self.frequency.ndim == 2:
             raise ValueError("these are the frequencies of an ensemble; analyse one member")
-        largest = read_whole(largest, "largest", 1, MOST_COMBINATIONS)
+        largest = read_integer(largest, "largest", 1, MAX_COMBINATIONS)
         there = np.isfinite(self.frequency)
         w, known = (
             self.frequency[there],
@@ -200,8 +202,8 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     >>> bool(np.all(np.abs(found.frequency - [0.7, np.sqrt(3.0)]) < [1e-14, 1e-9]))
     True
     """
-    count, power = read_whole(count, "count"), read_whole(window, "window", 1, 12)
-    data = sampled(given, signal, FEWEST_SAMPLES)
+    count, power = read_integer(count, "count"), read_integer(window, "window", 1, 12)
+    data = sampled(given, signal, MIN_SAMPLES)
     samples = len(data.t)
     most = samples // (8 * (power + 1))
     if count > most:
@@ -209,7 +211,7 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
             f"count is {short(count)}; {samples} samples resolve at most {most} lines; give more samples or a smaller "
             "count"
         )
-    group = max(1, MOST_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
+    group = max(1, MAX_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
     parts = [_analysed(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
     w, a, uncertainty, diffusion, mean, residual = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))
     if not data.channels:
@@ -223,7 +225,9 @@ def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[
     middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
     s = np.linspace(-1.0, 1.0, len(t))
     lines = find_lines(s, values, min(count + 1, len(t) // (8 * (power + 1))), power)
-    other = correct_lines(s, values, lines.frequency, lines.present, hann(s, max(1, power - NARROWER)), IN_THE_END)
+    other = correct_lines(
+        s, values, lines.frequency, lines.present, hann(s, max(1, power - WINDOW_REDUCTION)), FINAL_ITERATIONS
+    )
     rounding = UNIT_ROUNDOFF * np.abs(lines.frequency)
     uncertainty = np.sqrt(
         (other.frequency - lines.frequency) ** 2 + spread_by_noise(lines, s, power) ** 2 + rounding**2
@@ -259,7 +263,7 @@ def _halves(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Floats
     own = np.linspace(-1.0, 1.0, size)
     scale = (size - 1) / (len(s) - 1)
     early, late = (
-        correct_lines(own, part, lines.frequency * scale, lines.present, hann(own, power), IN_THE_END).frequency
+        correct_lines(own, part, lines.frequency * scale, lines.present, hann(own, power), FINAL_ITERATIONS).frequency
         for part in (values[:, :size], values[:, len(s) - size :])
     )
     return np.asarray((late - early) / scale)
@@ -267,7 +271,7 @@ def _halves(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Floats
 
 def _combined(basis: Floats, basis_known: Floats, w: Floats, known: Floats, largest: int) -> Combinations:
     d = len(basis)
-    if (2 * largest + 1) ** d > MOST_COMBINATIONS:
+    if (2 * largest + 1) ** d > MAX_COMBINATIONS:
         raise ValueError(
             f"{d} frequencies with integers up to {short(largest)} have too many combinations; "
             f"give fewer, or a smaller largest; basis = {short(basis.tolist())}"

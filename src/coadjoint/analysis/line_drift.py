@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.linear_fit import FEWEST_SAMPLES
+from coadjoint.analysis.linear_fit import MIN_SAMPLES
 from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.signals import Sampled, sampled
@@ -17,10 +17,10 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.validation import read_number, read_positive
 
-POWER = 3
-PLACES = 96  # positions of the window along the span
-PART = 8  # the default width of the window is 1/8 of the span
-FEWEST_IN_WINDOW = 32
+WINDOW_POWER = 3
+WINDOW_POSITIONS = 96  # positions of the window along the span
+WINDOWS_PER_SPAN = 8  # the default width of the window is 1/8 of the span
+MIN_WINDOW_SAMPLES = 32
 
 
 def line_drift(
@@ -76,18 +76,18 @@ def line_drift(
     w = read_number(frequency, "frequency")
     if w == 0.0:
         raise ValueError("frequency is 0.0; a constant has no phase; give another frequency")
-    run = sampled(solution, signal, FEWEST_IN_WINDOW + FEWEST_SAMPLES)
-    right = _right(solution, run, reference, signal)
+    run = sampled(solution, signal, MIN_WINDOW_SAMPLES + MIN_SAMPLES)
+    right = _reference_signal(solution, run, reference, signal)
     span = abs(run.t[-1] - run.t[0])
-    wide = span / PART if width is None else read_positive(width, "width")
+    wide = span / WINDOWS_PER_SPAN if width is None else read_positive(width, "width")
     samples = int(round(wide / span * (len(run.t) - 1))) + 1
-    if not FEWEST_IN_WINDOW <= samples <= len(run.t) - FEWEST_SAMPLES:
+    if not MIN_WINDOW_SAMPLES <= samples <= len(run.t) - MIN_SAMPLES:
         raise ValueError(
-            f"the window takes {samples} of {len(run.t)} samples; it must take at least {FEWEST_IN_WINDOW} and leave "
-            f"{FEWEST_SAMPLES}, so save more often, or give another width"
+            f"the window takes {samples} of {len(run.t)} samples; it must take at least {MIN_WINDOW_SAMPLES} and leave "
+            f"{MIN_SAMPLES}, so save more often, or give another width"
         )
-    places = np.unique(np.linspace(0, len(run.t) - samples, PLACES).round().astype(np.int64))
-    weight = hann(np.linspace(-1.0, 1.0, samples), POWER)
+    places = np.unique(np.linspace(0, len(run.t) - samples, WINDOW_POSITIONS).round().astype(np.int64))
+    weight = hann(np.linspace(-1.0, 1.0, samples), WINDOW_POWER)
     middles = run.t[places] + 0.5 * (run.t[samples - 1] - run.t[0])
     found = []
     for own, exact in zip(run.values, right, strict=True):
@@ -111,7 +111,7 @@ def demodulated(
     return np.array([weight @ slow[first : first + len(weight)] for first in places])
 
 
-def _right(solution: Solution, run: Sampled, reference: Any, signal: Any) -> NDArray[Any]:
+def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: Any) -> NDArray[Any]:
     """Return the signal of the reference motion at the same times, for each member."""
     if isinstance(reference, Solution):
         other = sampled(reference, signal, 2)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are assumed to be independent
-MEMORY = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
-PIECES = 8
+MIN_MEMORY_EXPONENT = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
+SLOPE_PIECES = 8
 SCALES = 64  # blocks, from whose means the growth is computed
-FEWEST_SAMPLES = 16
-FEWEST_IN_A_PIECE = 4
+MIN_SAMPLES = 16
+MIN_PIECE_SAMPLES = 4
 
 
 class Line(NamedTuple):
@@ -56,7 +56,7 @@ def straight_line(t: Floats, values: Floats) -> Line:
     parts = d * rest
     worst = 0.0
     for blocks in BLOCKS:
-        if len(t) < FEWEST_IN_A_PIECE * blocks:
+        if len(t) < MIN_PIECE_SAMPLES * blocks:
             break
         sums = np.add.reduceat(parts, _starts(len(t), blocks))
         worst = max(worst, blocks / (blocks - 2) * float(sums @ sums))
@@ -67,15 +67,15 @@ def straight_line(t: Floats, values: Floats) -> Line:
     slow_t, slow = np.add.reduceat(t, starts) / sizes, np.add.reduceat(values, starts) / sizes
     exponent = _exponent(slow_t, slow)
     uncertainty = np.sqrt(worst) / spread
-    if exponent > MEMORY:
-        pieces = min(PIECES, len(slow) // 2)
+    if exponent > MIN_MEMORY_EXPONENT:
+        pieces = min(SLOPE_PIECES, len(slow) // 2)
         uncertainty = max(uncertainty, _spread_of_slopes(slow_t, slow, pieces) * pieces ** (exponent - 1.0))
     return Line(
         slope=slope,
         intercept=float(values.mean() - slope * middle),
         uncertainty=float(np.hypot(uncertainty, rounding)),
         deviation=float(np.sqrt(np.mean(rest**2))),
-        slow_deviation=_off_lines(slow_t, slow, 1),
+        slow_deviation=_deviation_from_lines(slow_t, slow, 1),
         exponent=exponent,
     )
 
@@ -84,7 +84,7 @@ def _starts(samples: int, blocks: int) -> NDArray[np.int64]:
     return np.linspace(0, samples, blocks + 1).round().astype(np.int64)[:-1]
 
 
-def _off_lines(t: Floats, values: Floats, pieces: int) -> float:
+def _deviation_from_lines(t: Floats, values: Floats, pieces: int) -> float:
     """Return the root mean square deviation from the least-squares lines of a number of pieces."""
     total = 0.0
     for own_t, own in zip(np.array_split(t, pieces), np.array_split(values, pieces), strict=True):
@@ -104,9 +104,9 @@ def _spread_of_slopes(t: Floats, values: Floats, pieces: int) -> float:
 
 def _exponent(t: Floats, values: Floats) -> float:
     pieces = [1]
-    while len(t) >= 2 * pieces[-1] * FEWEST_IN_A_PIECE and len(pieces) < 5:
+    while len(t) >= 2 * pieces[-1] * MIN_PIECE_SAMPLES and len(pieces) < 5:
         pieces.append(2 * pieces[-1])
-    sizes = np.array([_off_lines(t, values, count) for count in pieces])
+    sizes = np.array([_deviation_from_lines(t, values, count) for count in pieces])
     if len(pieces) < 2 or not np.all(sizes > 0.0):
         return 0.0
     return float(np.polyfit(-np.log(pieces), np.log(sizes), 1)[0])

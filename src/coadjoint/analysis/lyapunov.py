@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.tangents import Frame
-from coadjoint.long_operations import waiting
-from coadjoint.memory import check_room
+from coadjoint.long_operations import long_operation
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.splitting import Splitting
@@ -22,12 +22,12 @@ from coadjoint.runs.times import Times, times_between, times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, check_system, check_vectors
-from coadjoint.validation import read_number, read_whole
+from coadjoint.systems.system_checks import System, check_system, check_vector_states
+from coadjoint.validation import read_integer, read_number
 
 POINTS = 200  # default number of saved times
 BLOCKS = 10  # time blocks, whose scatter gives the uncertainty
-MOST_STEPS = 2**53  # of a run
+MAX_STEPS = 2**53  # of a run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,7 +109,7 @@ class LyapunovExponents:
         return np.asarray(np.abs(self.t - self.t[0]).reshape(-1, *(1,) * (self.stretches.ndim - 1)))
 
 
-@waiting("lyapunov")
+@long_operation("lyapunov")
 def lyapunov(
     system: System | Batch,
     x0: Any,
@@ -184,12 +184,14 @@ def lyapunov(
     scheme = Splitting() if method is None else read_method(method)
     check_system(system)
     if isinstance(system, MatrixSystem):
-        check_vectors(system, "Lyapunov exponents are available for states that are vectors")
-    count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
-    every = min(read_whole(renormalize_every, "renormalize_every", floats=True), MOST_STEPS)
-    workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
+        check_vector_states(system, "Lyapunov exponents are available for states that are vectors")
+    count = system.dim if exponents is None else read_integer(exponents, "exponents (None is all)", 1, system.dim)
+    every = min(read_integer(renormalize_every, "renormalize_every", floats=True), MAX_STEPS)
+    workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
     start = start_of(system, scheme, x0, False)
-    check_room(8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}")
+    check_available_memory(
+        8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}"
+    )
     times = _marked(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
     frame = Frame(frame_of(count, system.dim), every)
     workers = min(len(start.momenta), workers or os.cpu_count() or 1)
@@ -198,7 +200,7 @@ def lyapunov(
     if start.single:
         stretches = stretches[:, 0]
     result = LyapunovExponents(times.at(times.saved), stretches, system.dim, found.by)
-    if found.run.wrong:
+    if found.run.failed_count:
         raise found.run.failure(result)
     if not np.all(np.isfinite(result.exponents)):
         raise ValueError(
@@ -221,11 +223,13 @@ def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) ->
     if save_every is None:
         every = max(1, counted // POINTS)
     else:
-        every = read_whole(save_every, "save_every", floats=True)
+        every = read_integer(save_every, "save_every", floats=True)
     points = -(-counted // every) + 1
-    check_room(8 * 2 * points * (numbers_each + 2), f"the history of {short(points)} times", "give a larger save_every")
+    check_available_memory(
+        8 * 2 * points * (numbers_each + 2), f"the history of {short(points)} times", "give a larger save_every"
+    )
     numbers = np.arange(first, times.steps, min(every, counted))
-    return times.marking(np.append(numbers, times.steps))
+    return times.with_saved_steps(np.append(numbers, times.steps))
 
 
 def frame_of(count: int, size: int) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.short_repr import short
 from coadjoint.validation import read_finite
 
-FEWEST_POINTS = 3
+MIN_POINTS = 3
 
 
 class OrderFit(NamedTuple):
@@ -79,10 +79,10 @@ def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, floor: npt.ArrayLike 
         if kept and e[kept] > e[kept - 1] * np.sqrt(h[kept] / h[kept - 1]):
             break
         kept += 1
-    if kept < FEWEST_POINTS:
+    if kept < MIN_POINTS:
         raise ValueError(
             f"only {kept} of {len(h)} errors are above the round-off floor and falling; "
-            f"an order needs {FEWEST_POINTS}, so take larger steps or more of them"
+            f"an order needs {MIN_POINTS}, so take larger steps or more of them"
         )
     slope = float(np.polyfit(np.log(h[:kept]), np.log(e[:kept]), 1)[0])
     return OrderFit(slope, h[:kept], e[:kept], len(h) - kept)

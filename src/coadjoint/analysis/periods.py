@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.validation import read_finite
 
 Floats = NDArray[np.float64]
 
-RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy's smallest relative one
-RETURNED = 1e-8  # largest distance from the start at a return, relative to the size of the orbit
-NEARLY = 1e-5  # the same for an interpolated crossing
-AT_REST = 2.0**-40  # speed, relative to the size of the state times the rate of change of the field
-SHORTEST = 1e-6  # shortest period, times the rate
-STRETCH = 20.0  # duration of one integration, times the rate
-MOST_STRETCHES = 400
-MOST_CROSSINGS = 64
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy's smallest relative one
+RETURN_TOLERANCE = 1e-8  # largest distance from the start at a return, relative to the size of the orbit
+CROSSING_TOLERANCE = 1e-5  # the same for an interpolated crossing
+EQUILIBRIUM_SPEED = 2.0**-40  # speed, relative to the size of the state times the rate of change of the field
+MIN_PERIOD = 1e-6  # shortest period, times the rate
+SEGMENT_DURATION = 20.0  # duration of one integration, times the rate
+MAX_SEGMENTS = 400
+MAX_CROSSINGS = 64
 
 
 class Period(NamedTuple):
@@ -42,7 +42,7 @@ class Period(NamedTuple):
     carried: Floats
 
 
-@QUIET
+@ignore_overflow
 def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = ()) -> Period:
     """Return the period of the motion x' = f(x) through a state, to about 13 digits.
 
@@ -84,20 +84,20 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
         raise ValueError(f"x0 has the shape {start.shape}; it must be one state, (n,)")
     motion = _Motion(field, start, beside)
     y, time, reach, crossings = np.concatenate([start, beside]), 0.0, 0.0, 0
-    for _ in range(MOST_STRETCHES):
-        stretch = motion.run(y, STRETCH / motion.rate, stop=True)
-        reach = max(reach, motion.away(stretch.y))
+    for _ in range(MAX_SEGMENTS):
+        stretch = motion.run(y, SEGMENT_DURATION / motion.rate, stop=True)
+        reach = max(reach, motion.distance_from_start(stretch.y))
         for when, there in zip(stretch.t_events[0], stretch.y_events[0], strict=True):
-            if time + when <= SHORTEST / motion.rate:
+            if time + when <= MIN_PERIOD / motion.rate:
                 continue  # the start itself
             crossings += 1
-            if motion.away(there[:, None]) <= NEARLY * reach:
+            if motion.distance_from_start(there[:, None]) <= CROSSING_TOLERANCE * reach:
                 end, late = motion.at_plane(y, float(when))
-                misfit = motion.away(end[:, None]) / reach
-                if misfit <= RETURNED:
+                misfit = motion.distance_from_start(end[:, None]) / reach
+                if misfit <= RETURN_TOLERANCE:
                     return Period(time + float(when) - late, misfit, end[motion.n :])
         y, time = stretch.y[:, -1], time + float(stretch.t[-1])
-        if crossings > MOST_CROSSINGS:
+        if crossings > MAX_CROSSINGS:
             break
     raise ValueError(f"the motion from x0 = {short(start.tolist())} does not return until t = {time:g}: not periodic")
 
@@ -116,12 +116,12 @@ class _Motion:
         rate = float(np.linalg.norm(moved)) / nudge
         if not np.isfinite(speed + rate):
             raise ValueError(f"the field at x0 = {short(start.tolist())} is {short(first.tolist())}; it must be finite")
-        if speed <= AT_REST * rate * size:
+        if speed <= EQUILIBRIUM_SPEED * rate * size:
             raise ValueError(f"x0 = {short(start.tolist())} is at rest: the field there is {short(first.tolist())}")
         self.rate, self.across = max(rate, speed / size), first / speed
-        self.tolerance = ABSOLUTE * np.where(np.arange(len(y)) < self.n, size, 1.0)
+        self.tolerance = ABSOLUTE_TOLERANCE * np.where(np.arange(len(y)) < self.n, size, 1.0)
 
-    def away(self, states: Floats) -> float:
+    def distance_from_start(self, states: Floats) -> float:
         """Return the largest distance from the start."""
         return float(np.max(np.linalg.norm(states[: self.n] - self.start[:, None], axis=0)))
 
@@ -142,7 +142,7 @@ class _Motion:
             (0.0, duration),
             y,
             "DOP853",
-            rtol=RELATIVE,
+            rtol=RELATIVE_TOLERANCE,
             atol=self.tolerance,
             events=upward if stop else None,
         )

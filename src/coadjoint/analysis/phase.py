@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.reference_motion import Motion, field_along, motion_of
-from coadjoint.systems.evaluation import QUIET
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_finite
 
-MOST_ITERATIONS = 30
-FIRST = 4  # points with initial guess zero; afterwards known leads are extrapolated to as many points again
+MAX_ITERATIONS = 30
+FIRST_POINTS = 4  # points with initial guess zero; afterwards known leads are extrapolated to as many points again
 
 
 def phase_error(
@@ -62,7 +62,7 @@ def phase_error(
     >>> phase_error(body, (1.0, 2.0, 0.5), t, early).round(12)
     array([0.01, 0.01])
     """
-    check_vectors(system, "phase errors are available for states that are vectors")
+    check_vector_states(system, "phase errors are available for states that are vectors")
     times, states = read_finite(t, "t"), read_finite(x, "x")
     if times.ndim != 1 or states.shape != (len(times), system.dim):
         raise ValueError(
@@ -71,19 +71,19 @@ def phase_error(
     return leads(system, motion_of(system, reference, x0), times, states)
 
 
-@QUIET
+@ignore_overflow
 def leads(
-    system: System, right: Motion, times: npt.NDArray[np.float64], states: npt.NDArray[np.float64]
+    system: System, motion_at: Motion, times: npt.NDArray[np.float64], states: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
     """Return the leads of states relative to a motion, continued if the times are in order; see `phase_error`."""
-    ordered = len(times) > FIRST and (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0))
+    ordered = len(times) > FIRST_POINTS and (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0))
     if not ordered:
-        return _found(system, right, times, states, np.zeros(len(times)))
+        return _solve_leads(system, motion_at, times, states, np.zeros(len(times)))
     lead = np.full(len(times), np.nan)
-    first, last = 0, FIRST
+    first, last = 0, FIRST_POINTS
     while first < len(times):
-        lead[first:last] = _found(
-            system, right, times[first:last], states[first:last], _expected(times, lead, first, last)
+        lead[first:last] = _solve_leads(
+            system, motion_at, times[first:last], states[first:last], _expected(times, lead, first, last)
         )
         first, last = last, min(2 * last, len(times))
     return lead
@@ -101,16 +101,16 @@ def _expected(
     return np.asarray(slope * times[first:last] + at_zero)
 
 
-def _found(
+def _solve_leads(
     system: System,
-    right: Motion,
+    motion_at: Motion,
     times: npt.NDArray[np.float64],
     states: npt.NDArray[np.float64],
     lead: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.float64]:
     change = np.full(len(times), np.inf)
-    for _ in range(MOST_ITERATIONS):
-        y = right(times + lead)
+    for _ in range(MAX_ITERATIONS):
+        y = motion_at(times + lead)
         f = field_along(system, y, times + lead)
         # Off the orbit Gauss-Newton converges linearly, down to the round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)

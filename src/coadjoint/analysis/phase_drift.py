@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.linear_fit import FEWEST_SAMPLES, straight_line
+from coadjoint.analysis.linear_fit import MIN_SAMPLES, straight_line
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
-from coadjoint.analysis.rotations import turns_space, twist
+from coadjoint.analysis.rotations import acts_by_rotations, twist
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SIGNIFICANT = 4.0  # uncertainties
-SHARE = 1.0 / 128.0  # slow deviations below this fraction of the growth of the line count as linear
-WANDERS = 1.0 / 3.0
+SIGNIFICANT_UNCERTAINTIES = 4.0  # uncertainties
+SLOW_FRACTION = 1.0 / 128.0  # slow deviations below this fraction of the growth of the line count as linear
+WANDERING_FRACTION = 1.0 / 3.0
 ANGLES, TIMES = "radians", "time"
 
 
@@ -68,11 +68,11 @@ class PhaseDrift:
     def growth(self) -> str:
         """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``; `phase_drift` gives the criterion."""
         line = abs(self.slope) * abs(self.t[-1] - self.t[0])
-        if self.exponent >= 1.0 and self.slow_deviation > SHARE * line:
+        if self.exponent >= 1.0 and self.slow_deviation > SLOW_FRACTION * line:
             return "faster"
-        if abs(self.slope) > SIGNIFICANT * self.uncertainty:
+        if abs(self.slope) > SIGNIFICANT_UNCERTAINTIES * self.uncertainty:
             return "linear"
-        return "wandering" if self.exponent > WANDERS else "bounded"
+        return "wandering" if self.exponent > WANDERING_FRACTION else "bounded"
 
     def plot(self) -> Figure:
         """Plot the lead with its fitted line, and the deviations from the line.
@@ -175,8 +175,8 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
         raise ValueError(f"t and lead have the shapes {times.shape} and {series.shape}; they must both be (k,)")
     known = np.isfinite(series)
     times, series = times[known], series[known]
-    if len(times) < FEWEST_SAMPLES:
-        raise ValueError(f"{len(times)} points have a lead; a drift needs {FEWEST_SAMPLES}, so save more often")
+    if len(times) < MIN_SAMPLES:
+        raise ValueError(f"{len(times)} points have a lead; a drift needs {MIN_SAMPLES}, so save more often")
     if not (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0)):
         raise ValueError(f"t is {short(t)}; give times in order")
     line = straight_line(times, series)
@@ -211,6 +211,6 @@ def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: i
 
 
 def _attitude(run: Solution, member: int | None, what: str) -> Floats:
-    if run.attitude is None or not turns_space(run.system[0] if isinstance(run.system, Batch) else run.system):
+    if run.attitude is None or not acts_by_rotations(run.system[0] if isinstance(run.system, Batch) else run.system):
         raise ValueError(f"{what} has no attitude of a body, 3 x 3; integrate with attitude=True")
     return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]

@@ -11,8 +11,8 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import in_coordinates, shape_of
-from coadjoint.validation import read_finite, read_whole
+from coadjoint.systems.system_checks import as_vector_system, shape_of
+from coadjoint.validation import read_finite, read_integer
 
 
 class PoissonDefect(NamedTuple):
@@ -64,7 +64,7 @@ def defect_of_tangent(
     True
     """
     tangent, J, image = read_finite(P, "P"), read_finite(before, "before"), read_finite(after, "after")
-    operations = read_whole(operations, "operations", 0, 2**53)
+    operations = read_integer(operations, "operations", 0, 2**53)
     if tangent.ndim != 2 or not tangent.shape == J.shape == image.shape or tangent.shape[0] != tangent.shape[1]:
         raise ValueError(
             f"P, before and after have the shapes {tangent.shape}, {J.shape} and {image.shape}; they must all be (n, n)"
@@ -109,7 +109,7 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
         raise ValueError(f"x has the shape {np.shape(x)}; give one state")
     y = momenta[0]
     if shape_of(step.system) != y.shape:
-        step = Stepper(in_coordinates(step.system), step.method, step.h)
+        step = Stepper(as_vector_system(step.system), step.method, step.h)
     if operations is None:
         ends = (0.0, step.h)
         run = integrate(step.system, y, ends, abs(step.h), step.method, watch=False)

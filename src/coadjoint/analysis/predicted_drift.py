@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.periods import period
-from coadjoint.analysis.rotations import turns_space, twist
+from coadjoint.analysis.rotations import acts_by_rotations, twist
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import check_vectors
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.validation import read_finite, read_flag, read_number, read_numbers
+from coadjoint.validation import read_bool, read_finite, read_number, read_numbers
 
 Floats = NDArray[np.float64]
 Function = Callable[[Floats], Any]
@@ -43,7 +43,7 @@ class PredictedDrift(NamedTuple):
     modified_period: float
 
 
-@QUIET
+@ignore_overflow
 def predicted_drift(
     system: Any,
     x0: ArrayLike,
@@ -116,7 +116,7 @@ def predicted_drift(
     >>> round(fast.slope, 11)
     0.001
     """
-    check_vectors(system, "a phase drift can be predicted for states that are vectors")
+    check_vector_states(system, "a phase drift can be predicted for states that are vectors")
     if sum(given is not None for given in (modified, gradient, field)) != 1:
         raise TypeError("give exactly one of modified, gradient and field")
     if modified is not None:
@@ -134,7 +134,7 @@ def predicted_drift(
     start = read_finite(x0, "x0")
     if start.shape != (system.dim,):
         raise ValueError(f"x0 has the shape {start.shape}; it must be ({system.dim},)")
-    carry = read_flag(attitude, "attitude")
+    carry = read_bool(attitude, "attitude")
     if not carry:
         moved = field or _field_of(system, gradient)
         right = period(system.vector_field, start).time
@@ -144,7 +144,7 @@ def predicted_drift(
         raise TypeError(
             "attitude=True needs the gradient of the Hamiltonian, which a field does not provide; give gradient"
         )
-    if not isinstance(system, LiePoissonSystem) or not turns_space(system):
+    if not isinstance(system, LiePoissonSystem) or not acts_by_rotations(system):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
     exact, computed = (_with_attitude(system, of, start) for of in (system.hamiltonian.gradient, gradient))
     slope = exact.time / computed.time - 1.0
@@ -187,13 +187,13 @@ def _returning_vectors(function: Function, n: int, name: str) -> Function:
     return read
 
 
-class _Turned(NamedTuple):
+class _AttitudeMotion(NamedTuple):
     time: float
     psi: float  # rotation about the momentum in space in one period, modulo 2 pi
     speed: float  # mean angular velocity about it
 
 
-def _with_attitude(system: LiePoissonSystem, gradient: Function, start: Floats) -> _Turned:
+def _with_attitude(system: LiePoissonSystem, gradient: Function, start: Floats) -> _AttitudeMotion:
     """Integrate the momentum, the attitude from the unit matrix, and the angle about the momentum, over one period."""
     representation = system.representation
     assert representation is not None
@@ -210,4 +210,4 @@ def _with_attitude(system: LiePoissonSystem, gradient: Function, start: Floats) 
 
     found = period(moved, start, np.append(np.eye(3).ravel(), 0.0))
     psi = twist(found.carried[:9].reshape(3, 3), np.eye(3), start)
-    return _Turned(found.time, float(psi), float(found.carried[9]) / found.time)
+    return _AttitudeMotion(found.time, float(psi), float(found.carried[9]) / found.time)

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
 
 NODES = 8  # saved points around a time; with their slopes they define a polynomial of degree 15
-FEWER = 6
+FEWER_NODES = 6
 TOLERANCE = 2.0**-30  # largest difference of the polynomials of both degrees, relative to the largest state
 
 
@@ -36,7 +36,7 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
             )
         return lambda t: np.asarray(system.exact(x0, t))  # type: ignore[union-attr]
     if isinstance(reference, Solution):
-        return _between(system, reference, member)
+        return _interpolated(system, reference, member)
     if not callable(reference):
         raise TypeError(
             f"reference is {short(reference)}; give a Solution, a function of t, or None for the closed form"
@@ -60,7 +60,7 @@ def field_along(system: System, states: Floats, times: Floats) -> Floats:
     return np.array(values).reshape(states.shape)
 
 
-def _between(system: System, run: Solution, member: int | None) -> Motion:
+def _interpolated(system: System, run: Solution, member: int | None) -> Motion:
     """Return a run as a function of time, by Hermite interpolation of its points and their slopes."""
     states = run.x if member is None or run.x.ndim == 2 else run.x[:, member]
     if states.ndim != 2:
@@ -86,7 +86,7 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
 
     def _read(times: Floats, where: Floats) -> Floats:
         place = np.searchsorted(rising, where)
-        fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER))
+        fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER_NODES))
         # The polynomial of more points is more accurate than this difference by orders of magnitude.
         off = float(np.max(np.abs(fine - coarse), initial=0.0))
         if off > TOLERANCE * largest:

@@ -112,11 +112,11 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     return float(half) if half.ndim == 0 else half
 
 
-def turns_space(system: Any) -> bool:
+def acts_by_rotations(system: Any) -> bool:
     """Return whether the group elements of a system are rotations of space that carry its momentum.
 
     >>> import coadjoint as co
-    >>> turns_space(co.systems.rigid_body()), turns_space(co.systems.paper_a37())
+    >>> acts_by_rotations(co.systems.rigid_body()), acts_by_rotations(co.systems.paper_a37())
     (True, False)
     """
     own: Any = getattr(system, "representation", None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.runs.solution import check_solution
 from coadjoint.systems.batch import Batch
-from coadjoint.validation import read_finite, read_whole
+from coadjoint.validation import read_finite, read_integer
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
     deviations = read_finite(deviations, "deviations")
     if deviations.ndim < 2 or 0 in deviations.shape:
         raise ValueError(f"deviations has the shape {deviations.shape}; it must be (k, members) or (k, members, ...)")
-    early = read_whole(early, "early", 0, len(deviations) - 1)
+    early = read_integer(early, "early", 0, len(deviations) - 1)
     last = deviations[-1]
     means = last.reshape(len(last), -1).mean(axis=1)
     spread = float(np.std(means)) / np.sqrt(len(means))
@@ -167,7 +167,7 @@ def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
     if solution.attitude is None or solution.attitude.ndim != 4:
         raise ValueError("the solution is not of an ensemble with an attitude; give x0 members, and attitude=True")
     if size is not None:
-        size = read_whole(size, "size", 1, solution.attitude.shape[-1])
+        size = read_integer(size, "size", 1, solution.attitude.shape[-1])
     g = solution.attitude[..., :size, :size]
     return random_walk(g @ np.swapaxes(g, -1, -2) - np.eye(g.shape[-1]), 1)
 

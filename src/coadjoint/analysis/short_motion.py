@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.numerics.short_orbit import FEWEST, PART, STEPS, cannot_follow, rate_at
+from coadjoint.methods.numerics.short_orbit import MIN_STEPS, RELATIVE_STEP, STEPS, orbit_overflow_error, rate_at
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -21,11 +21,11 @@ def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) ->
     Fewer states are returned if the motion leaves the range of float64; ValueError if that happens within a few steps.
     """
     rate = rate_at(system, start)
-    spacing = PART / rate
+    spacing = RELATIVE_STEP / rate
     try:
         found = integrate(system, start, (0.0, count * spacing), spacing, GaussLegendre(3), watch=False).x
     except IntegrationError as error:
-        if error.partial is None or len(error.partial.x) <= FEWEST:
-            raise cannot_follow(start, spacing) from None
+        if error.partial is None or len(error.partial.x) <= MIN_STEPS:
+            raise orbit_overflow_error(start, spacing) from None
         found = error.partial.x
     return np.asarray(found), rate

@@ -12,7 +12,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.validation import array_given, check_finite, read_finite, read_numbers, read_whole
+from coadjoint.validation import check_finite, read_finite, read_integer, read_numbers, to_array
 
 
 class Sampled(NamedTuple):
@@ -42,7 +42,7 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
         t, several = read_finite(given, "t"), False
         if signal is None or isinstance(signal, str) or callable(signal):
             raise TypeError(f"signal is {short(signal)}; with times t, give its samples as an array")
-        values = array_given(signal, "signal", "iufc")
+        values = to_array(signal, "signal", "iufc")
         several = values.ndim == 3
     kept = _even(t, least)
     values = values.astype(np.complex128) if values.dtype.kind == "c" else read_numbers(values, "signal")
@@ -85,11 +85,11 @@ def _of_run(run: Solution, signal: Any) -> NDArray[Any]:
     if callable(signal):
         check_arguments(signal, "signal", "x")
         chosen: Callable[..., Any] = signal
-        return array_given(chosen(run.x), "what signal(sol.x) returned", "iufc")
-    samples = array_given(signal, "signal", "iufc")
+        return to_array(chosen(run.x), "what signal(sol.x) returned", "iufc")
+    samples = to_array(signal, "signal", "iufc")
     if samples.ndim == 0:
         components = _flat(run.x, several)
-        return np.asarray(components[..., read_whole(signal, "signal", 0, components.shape[-1] - 1)])
+        return np.asarray(components[..., read_integer(signal, "signal", 0, components.shape[-1] - 1)])
     return samples
 
 

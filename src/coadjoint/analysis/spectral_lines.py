@@ -12,10 +12,10 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = NDArray[np.float64]
 
-WHILE_SEARCHING = 4  # corrections of all lines after each new one
-IN_THE_END = 12
-NEAREST = 2.0  # resolution limit, in bins of 2 pi over the span
-NEIGHBOURS = 32  # bins on either side of a line whose median power is its noise
+SEARCH_ITERATIONS = 4  # corrections of all lines after each new one
+FINAL_ITERATIONS = 12
+RESOLUTION_BINS = 2.0  # resolution limit, in bins of 2 pi over the span
+NOISE_BINS = 32  # bins on either side of a line whose median power is its noise
 
 
 class Lines(NamedTuple):
@@ -68,8 +68,8 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
         present = np.concatenate([found.present, (height > floor)[:, None]], axis=1)
         if not np.any(present[:, -1]):
             break
-        found = correct_lines(s, values, frequency, present, weight, WHILE_SEARCHING)
-    return correct_lines(s, values, found.frequency, found.present, weight, IN_THE_END)
+        found = correct_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
+    return correct_lines(s, values, found.frequency, found.present, weight, FINAL_ITERATIONS)
 
 
 def correct_lines(
@@ -121,7 +121,7 @@ def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
     spectrum = _spectrum(lines.residual, weight)
     bins = _bins(len(s), real)
     at_line = (power + 1) / 2 * math.pi
-    count = max(1, min(2 * NEIGHBOURS + 1, spectrum.shape[1] - power - 2))
+    count = max(1, min(2 * NOISE_BINS + 1, spectrum.shape[1] - power - 2))
     distance = np.abs(bins - lines.frequency[..., None])
     distance = np.where(distance < at_line, np.inf, distance)
     near = np.argpartition(distance, count - 1, axis=2)[..., :count]
@@ -189,10 +189,10 @@ def _highest(s: Floats, found: Lines, weight: Floats) -> tuple[Floats, Floats]:
     power = np.sum(np.abs(_spectrum(found.residual, weight)) ** 2, axis=2)
     bins = _bins(len(s), real)
     top = math.pi * (len(s) - 1) / 2
-    taken = np.abs(bins) > top - NEAREST * math.pi
+    taken = np.abs(bins) > top - RESOLUTION_BINS * math.pi
     near = np.abs(bins - np.concatenate([found.frequency, np.zeros((len(power), 1))], axis=1)[..., None])
     # Below zero, so that without any residual the place is also away from the constant and the known lines.
-    power = np.where(taken | np.any(near < NEAREST * math.pi, axis=1), -1.0, power)
+    power = np.where(taken | np.any(near < RESOLUTION_BINS * math.pi, axis=1), -1.0, power)
     place = np.argmax(power, axis=1)
     rows = np.arange(len(power))
     middle, left, right = (np.maximum(power[rows, (place + d) % power.shape[1]], 1e-300) for d in (0, -1, 1))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian, read_subject
 from coadjoint.analysis.short_motion import short_motion
-from coadjoint.long_operations import waiting
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import read_finite, read_positive
@@ -18,7 +18,7 @@ from coadjoint.validation import read_finite, read_positive
 HALVINGS = 40
 
 
-@waiting("suggest_step")
+@long_operation("suggest_step")
 def suggest_step(
     system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike, energy: float
 ) -> float:

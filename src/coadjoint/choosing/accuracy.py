@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.candidates import Candidate, admitted
-from coadjoint.choosing.cost_model import Foresight
+from coadjoint.choosing.candidates import Candidate, supported_candidates
+from coadjoint.choosing.cost_model import StepPredictor
 from coadjoint.choosing.fitting import Fit, confirmed, fit
 from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
-from coadjoint.choosing.tolerances import expected, first_look, fit_of_tolerance
-from coadjoint.keyword_hints import told
-from coadjoint.long_operations import waiting
+from coadjoint.choosing.tolerances import extrapolated_fit, first_tolerance_trial, fit_of_tolerance
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
@@ -27,19 +27,19 @@ from coadjoint.methods.taylor import Taylor
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System, check_vectors
-from coadjoint.validation import read_flag, read_list, read_number
+from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.validation import read_bool, read_list, read_number
 
 # Safety factor of the target error; rounding alone may take at most half of the accuracy (ROUNDING_SHARE).
 SAFETY = 3.0
 MODERATE_ORDER = 8
 # Accepted ratio of the error to its target.
-NEARLY = 2.0
+ACCEPTED_RATIO = 2.0
 ROUNDING_SHARE = 0.5
 # Upper bound of the cost of variable steps, relative to their first trial.
-LOOK = 1.5
+TRIAL_COST_FACTOR = 1.5
 # Smallest target of the error, which is used as a divisor.
-LEAST = 2.0**-1000
+MIN_GOAL = 2.0**-1000
 
 
 # The first two series with a constant step predict the cost of the others; for other kinds the first scheme does.
@@ -100,8 +100,8 @@ class Choice:
         return f"{said}; next {other.method} at {other.cost / max(self.cost, 1e-300):.2g} times that"
 
 
-@told
-@waiting("choose")
+@suggest_keywords
+@long_operation("choose")
 def choose(
     system: System,
     x0: Any,
@@ -168,8 +168,8 @@ def choose(
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
-    check_vectors(system, "give step= and method=, since the cost of a step of matrices is not known")
-    wanted, processed = _checked(accuracy), read_flag(processed, "processed")
+    check_vector_states(system, "give step= and method=, since the cost of a step of matrices is not known")
+    wanted, processed = _checked(accuracy), read_bool(processed, "processed")
     if processed and methods is not None:
         raise TypeError(
             "choose was given methods and processed; processed=True adds to the default schemes: list processed "
@@ -185,19 +185,21 @@ def _chosen(
 ) -> Choice:
     t0, t1 = span
     momenta = start_of(system, GaussLegendre(2), x0, False).momenta
-    candidates = admitted(system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None)
+    candidates = supported_candidates(
+        system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None
+    )
     if t0 == t1:
         return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, wanted)
     if least_roundoff(pilot) >= ROUNDING_SHARE:
-        raise _lost(candidates, abs(t1 - t0))
+        raise _failed_everywhere(candidates, abs(t1 - t0))
     fits = _fits(pilot, candidates, wanted)
     if not fits:
         raise ValueError(
             f"no step of {_named(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at "
             "an acceptable cost; ask for a larger error, or for a shorter time"
         )
-    exact = [better for each in fits if (better := _rounded_well(each, wanted)) is not None]
+    exact = [better for each in fits if (better := _with_acceptable_roundoff(each, wanted)) is not None]
     if not exact:
         raise _unreachable(fits, candidates, wanted, abs(t1 - t0))
     best, *others = _confirmed_cheapest(exact, wanted)
@@ -231,38 +233,40 @@ def _goal(candidate: Candidate, wanted: float) -> float:
     """Return the target of the truncation error: lower for high orders, whose errors vary more with the step."""
     if candidate.method.own_steps:
         return wanted / SAFETY
-    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), LEAST)
+    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
 
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
     """Fit the schemes that may be the best; those with variable steps get a first trial, and are fitted last."""
     least = least_roundoff(pilot)
     goal_of = partial(_goal, wanted=wanted)
-    waiting = [each for each in candidates if not each.method.own_steps]
-    looks = [(each, first_look(pilot, each, goal_of(each))) for each in candidates if each.method.own_steps]
-    seen = [expected(look, goal_of(each)) for each, look in looks if look is not None]
+    long_operation = [each for each in candidates if not each.method.own_steps]
+    looks = [(each, first_tolerance_trial(pilot, each, goal_of(each))) for each in candidates if each.method.own_steps]
+    seen = [extrapolated_fit(look, goal_of(each)) for each, look in looks if look is not None]
     nearest = min(seen, key=lambda look: look.cost, default=None)
-    foresight = Foresight(goal_of, nearest)
+    foresight = StepPredictor(goal_of, nearest)
     # The first trial is not exact.
-    own = math.inf if nearest is None else LOOK * nearest.cost
+    own = math.inf if nearest is None else TRIAL_COST_FACTOR * nearest.cost
     found = list[Fit]()
 
     def sound() -> float:
         """Return the least cost among fits with acceptable rounding."""
-        return min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
+        return min(
+            (each.cost for each in found if _with_acceptable_roundoff(each, wanted) is not None), default=math.inf
+        )
 
-    while waiting:
-        candidate = waiting.pop(0)
+    while long_operation:
+        candidate = long_operation.pop(0)
         # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
-        if foresight.least_cost(candidate) > min(own, sound()):
+        if foresight.cost_lower_bound(candidate) > min(own, sound()):
             continue
         limit = min([own, *(each.cost for each in found)])
-        result = fit(pilot, candidate, goal_of(candidate), limit, foresight.guess(candidate))
+        result = fit(pilot, candidate, goal_of(candidate), limit, foresight.predict_steps(candidate))
         if result is None:
             continue
-        if foresight.learn(result):
-            waiting = foresight.cheapest_first(waiting)
-        if not result.given_up:
+        if foresight.add_fit(result):
+            long_operation = foresight.cheapest_first(long_operation)
+        if not result.abandoned:
             found.append(result)
             if ROUNDING_SHARE * wanted < result.roundoff <= least:
                 # All other schemes have as much rounding.
@@ -276,16 +280,16 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
 
 def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
     """Sort by cost with the first one confirmed; confirmation may increase its cost."""
-    waiting, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
-    while waiting and (not confirmed_ones or waiting[0].cost < min(each.cost for each in confirmed_ones)):
-        first = waiting.pop(0)
+    long_operation, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
+    while long_operation and (not confirmed_ones or long_operation[0].cost < min(each.cost for each in confirmed_ones)):
+        first = long_operation.pop(0)
         goal = _goal(first.candidate, wanted)
-        confirmed_ones.append(confirmed(first, goal, min(NEARLY * goal, wanted * (1.0 - ROUNDING_SHARE))))
+        confirmed_ones.append(confirmed(first, goal, min(ACCEPTED_RATIO * goal, wanted * (1.0 - ROUNDING_SHARE))))
     confirmed_ones.sort(key=lambda each: each.cost)
-    return [confirmed_ones[0], *sorted([*confirmed_ones[1:], *waiting], key=lambda each: each.cost)]
+    return [confirmed_ones[0], *sorted([*confirmed_ones[1:], *long_operation], key=lambda each: each.cost)]
 
 
-def _rounded_well(found: Fit, wanted: float) -> Fit | None:
+def _with_acceptable_roundoff(found: Fit, wanted: float) -> Fit | None:
     """Return a fit with acceptable rounding, with compensated summation if necessary and left open; else None."""
     if found.roundoff <= ROUNDING_SHARE * wanted:
         return found
@@ -300,14 +304,14 @@ def _unreachable(fits: Sequence[Fit], candidates: Sequence[Candidate], wanted: f
     every = [*fits, *(replace(each, candidate=c) for each in fits if (c := each.candidate.compensated()) is not None)]
     reached = min(each.roundoff for each in every) / ROUNDING_SHARE
     if not reached < 1.0:
-        return _lost(candidates, time)
+        return _failed_everywhere(candidates, time)
     return ValueError(
         f"accuracy {wanted:g} is below what float64 reaches with {_named(candidates)} over the time {time:g}; with "
         f"rounding, {_rounded_up(reached)} is the least; ask for that, or for a shorter time"
     )
 
 
-def _lost(candidates: Sequence[Candidate], time: float) -> ValueError:
+def _failed_everywhere(candidates: Sequence[Candidate], time: float) -> ValueError:
     return ValueError(
         f"no accuracy is reached in float64 with {_named(candidates)} over the time {time:g}: small changes of the "
         "initial state grow until nothing of it is left; take a shorter time"

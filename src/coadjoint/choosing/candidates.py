@@ -8,10 +8,10 @@ from functools import cached_property, partial
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
-from coadjoint.choosing.system_cache import remembered
+from coadjoint.choosing.system_cache import cached_for_system
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import at
-from coadjoint.methods.protocol.cost_model import CROWD, Work, newton_work
+from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.system_checks import System
@@ -21,15 +21,15 @@ from coadjoint.systems.system_checks import System
 class Candidate:
     """A scheme that supports a system, with the work of its step.
 
-    `free` states whether its summation is open, `crowd` whether members are integrated side by side, `group` is the
-    representation of the group element.
+    `compensation_open` states whether its summation is open, `in_lanes` whether members are integrated side by side,
+    `group` is the representation of the group element.
     """
 
     system: System
     method: Method
     work: Work
-    free: bool
-    crowd: bool = False
+    compensation_open: bool
+    in_lanes: bool = False
     group: Any = None
 
     def reaching(self, tolerance: float) -> Candidate:
@@ -55,7 +55,7 @@ class Candidate:
     @property
     def share(self) -> float:
         """Fraction of the cost of a step per member."""
-        return self.work.in_a_crowd if self.crowd else 1.0
+        return self.work.in_a_crowd if self.in_lanes else 1.0
 
     def growth(self, pilot: Pilot, trial: Trial) -> float:
         """Return the ratio of the error at the end of the span to that of a trial."""
@@ -74,20 +74,22 @@ class Candidate:
 
     def compensated(self) -> Candidate | None:
         """Return the same scheme with compensated summation; None if this is not left open."""
-        better = self.method.with_compensation() if self.free else None
+        better = self.method.with_compensation() if self.compensation_open else None
         if better is None:
             return None
         dearer = self.work.compensated
         return replace(self, method=better, work=self.work if dearer is None else dearer())
 
 
-def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
+def supported_candidates(
+    system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool
+) -> list[Candidate]:
     """Return the schemes, at least one, that support a system and the attitude requested.
 
     With `strict`, the ValueError or TypeError of an unsupported scheme is raised; else only if no scheme is left.
     """
     members = len(momenta_of(system, x0)[0])
-    crowd = members >= CROWD and system.dim <= limit("WIDEST")
+    in_lanes = members >= MIN_LANE_MEMBERS and system.dim <= limit("WIDEST")
     found: list[Candidate] = []
     refusal: Exception | None = None
     for method in schemes:
@@ -96,8 +98,8 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
             group = representations_of(system, method, attitude)[0]
             if group is not None:
                 start_of(system, method, x0, attitude)  # validates the initial group element
-            free = not strict or len(schemes) > 1
-            found.append(Candidate(system, method, _work_of(system, method, group), free, crowd, group))
+            compensation_open = not strict or len(schemes) > 1
+            found.append(Candidate(system, method, _work_of(system, method, group), compensation_open, in_lanes, group))
         except (ValueError, TypeError) as error:
             if strict:
                 raise
@@ -109,7 +111,7 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 
 def _work_of(system: System, method: Method, representation: Any) -> Work:
     if representation is None:
-        return remembered(system, ("work", method), partial(_work, system, method, None))
+        return cached_for_system(system, ("work", method), partial(_work, system, method, None))
     return _work(system, method, representation)
 
 

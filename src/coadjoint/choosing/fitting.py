@@ -12,27 +12,27 @@ from coadjoint.choosing.roundoff import MARGIN, roundoff
 
 MOST_TRIALS = 10
 # Largest cost of a trial, in rotations (30 ms), for any accuracy; smaller steps are extrapolated by the order.
-DEAREST_TRIAL = 3e6
+MAX_TRIAL_COST = 3e6
 # Largest cost of the confirmation of a choice, which may be repeated.
-DEAREST_CONFIRMATION = 16 * DEAREST_TRIAL
+MAX_CONFIRMATION_COST = 16 * MAX_TRIAL_COST
 MOST_CORRECTIONS = 6
 # Smallest ratio of a measurable truncation error to rounding and to the error of the reference.
-CLEARLY = 16.0
+MEASURABLE_RATIO = 16.0
 # Errors up to this multiple of the expected rounding may be rounding.
-MOSTLY = 4.0
+ROUNDING_MULTIPLE = 4.0
 # Relative error above which the order does not predict the error.
-LARGE = 0.05
+LARGE_ERROR = 0.05
 # Factor on the number of steps at which an unstable scheme fails, with which it mostly succeeds.
-UNSTABLE = 1.5
+UNSTABLE_STEP_FACTOR = 1.5
 # Relative errors at the end from which on no extrapolation to smaller steps is possible.
-WHOLE = 1.0
+MEANINGLESS_ERROR = 1.0
 # Largest ratio of steps across which a trial is extrapolated without another one.
-NEAR = 1.3
+MAX_EXTRAPOLATION = 1.3
 # A scheme is abandoned at (1 + this / order) times the cost of another: trials predict the steps of high orders more
 # accurately.
-MUCH_DEARER = 6.0
+ABANDON_COST_EXCESS = 6.0
 # Bounds of the steps of a first trial: usual * MUCH_FINER and usual / MUCH_COARSER.
-MUCH_FINER, MUCH_COARSER = 4.0, 10.0
+MAX_INITIAL_REFINEMENT, MAX_INITIAL_COARSENING = 4.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Fit:
     steps: int
     error: float
     trial: Trial
-    given_up: bool = False
+    abandoned: bool = False
     """Whether a trial predicted a much higher cost than another scheme's; `steps` is then a guess."""
 
     @cached_property
@@ -60,7 +60,9 @@ class Fit:
 
     @cached_property
     def end(self) -> float:
-        """The truncation error expected at the end with the steps of the trial; meaningless from `WHOLE` on."""
+        """The truncation error expected at the end with the steps of the trial; meaningless from `MEANINGLESS_ERROR`
+        on.
+        """
         return self.trial.error * self.candidate.growth(self.pilot, self.trial)
 
     @cached_property
@@ -74,20 +76,22 @@ def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float, ma
     return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows, margin)
 
 
-def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: float | None = None) -> Fit | None:
+def fit(
+    pilot: Pilot, candidate: Candidate, goal: float, limit: float, predicted_steps: float | None = None
+) -> Fit | None:
     """Fit the number of steps for a truncation error `goal` at the end of the span; None if none is found.
 
     `limit` is the lowest cost so far, or its estimate: a scheme predicted to be much more expensive is abandoned.
-    `guess` is an estimate of the steps over the span.
+    `predicted_steps` is an estimate of the steps over the span.
     """
     order = candidate.method.order
-    dear = (1.0 + MUCH_DEARER / order) * limit
+    dear = (1.0 + ABANDON_COST_EXCESS / order) * limit
     # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
     usual = pilot.window / pilot.natural_step * REFERENCE.order / order
-    first = usual if guess is None else guess / pilot.windows
-    steps = pilot.fitting(min(max(first, usual / MUCH_COARSER), MUCH_FINER * usual))
+    first = usual if predicted_steps is None else predicted_steps / pilot.windows
+    steps = pilot.fitting(min(max(first, usual / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual))
     # If more steps fail than the order predicts, the steps are at the limit of stability.
-    away = min(UNSTABLE, (LARGE / goal) ** (1.0 / order))
+    away = min(UNSTABLE_STEP_FACTOR, (LARGE_ERROR / goal) ** (1.0 / order))
     seen: set[int] = set()
     too_few, best = 0, None
     for _ in range(MOST_TRIALS):
@@ -95,26 +99,26 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
             break
         seen.add(steps)
         trial = pilot.trial(candidate.method, steps)
-        if trial is None or not trial.error < LARGE:
+        if trial is None or not trial.error < LARGE_ERROR:
             too_few = max(too_few, steps)
             if trial is not None and _least_cost(pilot, candidate, trial) > dear:
                 # More steps are even more expensive.
-                return None if best is None else replace(best, given_up=True)
-            if steps > (2**20 if trial is None else DEAREST_TRIAL / candidate.cost(trial)):
+                return None if best is None else replace(best, abandoned=True)
+            if steps > (2**20 if trial is None else MAX_TRIAL_COST / candidate.cost(trial)):
                 break
             # Bisect between failing and successful numbers of steps, if there are both.
             steps = pilot.fitting(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
             continue
-        noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
+        noise = MEASURABLE_RATIO * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
         best = _extrapolated(pilot, candidate, goal, trial, noise)
-        known = best.end < WHOLE or _least_cost(pilot, candidate, trial) > dear
+        known = best.end < MEANINGLESS_ERROR or _least_cost(pilot, candidate, trial) > dear
         if best.cost > dear and trial.error > noise and known:
-            return replace(best, given_up=True)
+            return replace(best, abandoned=True)
         aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
-        most = DEAREST_TRIAL / candidate.cost(trial)
+        most = MAX_TRIAL_COST / candidate.cost(trial)
         wanted = pilot.fitting(max(away * too_few, min(steps * min(max(change, 0.2), 5.0), most)))
-        if 1 / NEAR <= wanted / steps <= NEAR and trial.error <= 4 * aim:
+        if 1 / MAX_EXTRAPOLATION <= wanted / steps <= MAX_EXTRAPOLATION and trial.error <= 4 * aim:
             break
         steps = wanted
     if best is None or best.steps >= away * too_few * pilot.windows:
@@ -153,13 +157,13 @@ def confirmed(found: Fit, goal: float, bound: float) -> Fit:
         wanted = found.steps / pilot.windows
         # At most the steps of the run: a finer trial could succeed where the run fails.
         per_window = found.steps if pilot.whole else pilot.fitting(wanted, finer=False)
-        if per_window * found.candidate.cost(found.trial) > DEAREST_CONFIRMATION:
+        if per_window * found.candidate.cost(found.trial) > MAX_CONFIRMATION_COST:
             return found
         trial = pilot.trial(found.candidate.method, per_window)
         if trial is None:
             found = replace(found, steps=math.ceil(1.2 * found.steps))
             continue
-        if trial.error <= MOSTLY * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0)):
+        if trial.error <= ROUNDING_MULTIPLE * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0)):
             return found
         end = trial.error * (per_window / wanted) ** order * found.candidate.growth(pilot, trial)
         found = replace(found, error=end, trial=trial)

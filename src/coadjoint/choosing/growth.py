@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 # Growth faster than t^2.5 in both doublings of time counts as exponential.
-EXPONENTIAL = 2.0**2.5
+EXPONENTIAL_RATIO = 2.0**2.5
 # This growth in the last half alone, after slower growth, counts as the onset of exponential growth.
-BURST = 16.0
+ONSET_RATIO = 16.0
 
 
 class Growth(NamedTuple):
@@ -30,7 +30,7 @@ class Growth(NamedTuple):
             return 1.0
         late, early = _ratio(self.whole, self.half), _ratio(self.half, self.quarter)
         slowest = min(late, early)
-        if slowest > EXPONENTIAL or (late > BURST and math.sqrt(late * early) > EXPONENTIAL):
+        if slowest > EXPONENTIAL_RATIO or (late > ONSET_RATIO and math.sqrt(late * early) > EXPONENTIAL_RATIO):
             # Their product is the growth over three quarters of a window.
             exponent = math.log(late * early) / 0.75 * (windows - 1.0)
             return math.exp(exponent) if exponent < 700.0 else math.inf

@@ -25,32 +25,32 @@ POINTS = 240
 # Largest number of refinements of the reference; relative changes above NOT_YET that stop decreasing count as rounding
 # only after PATIENCE refinements.
 REFINEMENTS = 9
-NOT_YET = 1e-3
-PATIENCE = 3
+UNCONVERGED_CHANGE = 1e-3
+MIN_STALLED_REFINEMENTS = 3
 # Smallest number of points from which growth is measured.
-FEW = 12
+MIN_GROWTH_POINTS = 12
 # Relative agreement of a step of the reference with two half steps at which it is accepted.
-SETTLED = 2.0**-40
+STEP_AGREEMENT = 2.0**-40
 # Relative change at which refinement stops: halving the step of an order-16 method leaves 2^-16 of the error, and 16
 # times that is at most 64 round-offs.
-LAST_CHANGE = 2.0**-35
+CONVERGED_CHANGE = 2.0**-35
 # Ratio that two changes by rounding hardly ever exceed.
-CHANCE = 4.0
+MAX_ROUNDING_RATIO = 4.0
 # Number of runs with different steps, whose changes by rounding are samples of one distribution.
 REPETITIONS = 3
 # Rounding below this fraction of the accuracy at the end is negligible, and not measured more precisely.
-NOTHING = 2.0**-14
+NEGLIGIBLE_ROUNDING = 2.0**-14
 # Largest initial step of the search, in radians at the initial rate.
-AT_ONCE = 2.0
-LEAST_PART = 2.0**-60
+MAX_INITIAL_ANGLE = 2.0
+MIN_STEP_FRACTION = 2.0**-60
 # Steps of the reference in a window, for dimensions up to 16; proportionally fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
 # Tolerance on the length of its steps: 240 steps serve where 256 were needed.
-LONGER = 1.07
+STEP_LENGTH_TOLERANCE = 1.07
 FEW_WINDOWS = 2.5
 # Relative change of the initial state whose growth is measured.
-NUDGE = 2.0**-30
-LOST = 0.1
+PERTURBATION = 2.0**-30
+MAX_PERTURBATION_GROWTH = 0.1
 SEED = 1993
 
 
@@ -88,7 +88,7 @@ class Pilot:
         self.window = abs(span) if abs(span) <= FEW_WINDOWS * steps * self.natural_step else steps * self.natural_step
         self.windows = abs(span) / self.window
         self.points = POINTS if steps >= POINTS else least
-        coarse, self.reference, self.reference_steps = self._settled_reference()
+        coarse, self.reference, self.reference_steps = self._converged_reference()
         # At rest all errors are zero, for any size.
         found = _largest(self.reference)
         self.size = np.where(found > 0.0, found, 1.0)
@@ -104,7 +104,9 @@ class Pilot:
     def fitting(self, steps: float, finer: bool = True) -> int:
         """Round a number of steps (up if `finer`) to one that shares enough points with the reference."""
         number = max(1, math.ceil(steps) if finer else math.floor(steps))
-        while math.gcd(number, self.points) < min(number, FEW if number < 8 * FEW else 2 * FEW, self.points):
+        while math.gcd(number, self.points) < min(
+            number, MIN_GROWTH_POINTS if number < 8 * MIN_GROWTH_POINTS else 2 * MIN_GROWTH_POINTS, self.points
+        ):
             number += 1 if finer else -1
         return number
 
@@ -147,7 +149,7 @@ class Pilot:
             )
         rate = float(np.max(speeds / np.maximum(np.linalg.norm(self.momenta, axis=1), np.finfo(float).tiny)))
         h = abs(self.span)
-        while h * rate > AT_ONCE and h > LEAST_PART * abs(self.span):
+        while h * rate > MAX_INITIAL_ANGLE and h > MIN_STEP_FRACTION * abs(self.span):
             h /= 2
         begun = h
         one: NDArray[np.float64] | None = None
@@ -173,9 +175,9 @@ class Pilot:
         run = short_run(self.system, REFERENCE, self.momenta, self.t0, signed, steps)
         return None if np.any(run.state["status"]) else run.saved["x"]
 
-    def _settled_reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    def _converged_reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
         """Refine the reference until it converges; return the last two, and the steps of the last one."""
-        fewest = self.points * math.ceil(self.window / self.natural_step / self.points / LONGER)
+        fewest = self.points * math.ceil(self.window / self.natural_step / self.points / STEP_LENGTH_TOLERANCE)
         last, change, stalled = None, None, 0
         failed: Run | None = None
         for steps in (fewest * 2**k for k in range(REFINEMENTS)):
@@ -188,14 +190,14 @@ class Pilot:
                 size, moved = _largest(found), _largest(found - last)
                 stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
                 # Large changes may decrease only at smaller steps, or not at all if the motion is chaotic.
-                done = stalled >= (1 if np.all(moved <= NOT_YET * size) else PATIENCE)
-                if done or np.all(moved <= LAST_CHANGE * size):
+                done = stalled >= (1 if np.all(moved <= UNCONVERGED_CHANGE * size) else MIN_STALLED_REFINEMENTS)
+                if done or np.all(moved <= CONVERGED_CHANGE * size):
                     return last, found, steps
                 change = moved
             last = found
-        raise ValueError(self._lost(failed))
+        raise ValueError(self._failure_text(failed))
 
-    def _lost(self, failed: Run | None) -> str:
+    def _failure_text(self, failed: Run | None) -> str:
         if failed is None:
             return f"the motion of {self.system.name} from x0 is too irregular: no step of its trial run converges"
         step = int(np.max(failed.state["step"][failed.state["status"] != 0]))
@@ -208,26 +210,26 @@ class Pilot:
     def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:
         """Return the rounding error of the reference, relative to the motion, at the worst point."""
         moved = _largest(self.reference - coarse)
-        change = CHANCE * moved
+        change = MAX_ROUNDING_RATIO * moved
         # A single change may be small by chance, or truncation of the coarse run; other numbers of steps show rounding.
-        if np.any(self.sensitivity.factor(self.windows) * change > NOTHING * accuracy * self.size):
+        if np.any(self.sensitivity.factor(self.windows) * change > NEGLIGIBLE_ROUNDING * accuracy * self.size):
             repeated = [self.run(REFERENCE, self.reference_steps + k * self.points) for k in range(1, REPETITIONS + 1)]
             sound = [again.saved["x"] for again in repeated if not np.any(again.state["status"])]
             if sound:
                 apart = np.max([_largest(found - self.reference) for found in sound], axis=0)
-                change = np.maximum(apart, np.minimum(moved, CHANCE * apart))
+                change = np.maximum(apart, np.minimum(moved, MAX_ROUNDING_RATIO * apart))
         return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
 
     def _sensitivity(self, coarse: NDArray[np.float64]) -> Growth:
         """Return the relative growth of a small change of the initial state, with the steps of the coarse reference."""
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
-        direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
+        direction *= PERTURBATION * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
         run = self.run(REFERENCE, self.reference_steps // 2, self.momenta + direction)
         grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"], coarse)
-        if grown is None or grown.whole > LOST:
+        if grown is None or grown.whole > MAX_PERTURBATION_GROWTH:
             # Growth saturates at the size of the motion, so exponential growth is assumed.
-            return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)
-        return Growth(*(value / NUDGE for value in grown))
+            return Growth(math.sqrt(PERTURBATION), 1.0, 1.0 / PERTURBATION)
+        return Growth(*(value / PERTURBATION for value in grown))
 
     def _speed(self) -> float:
         """Return the largest speed relative to the size, over the window."""
@@ -244,7 +246,7 @@ def _agree(one: NDArray[np.float64] | None, two: NDArray[np.float64] | None) -> 
     """Test whether one step and two half steps succeed and agree."""
     if one is None or two is None:
         return False
-    return bool(np.all(np.linalg.norm(one[-1] - two[-1], axis=1) <= SETTLED * _largest(two)))
+    return bool(np.all(np.linalg.norm(one[-1] - two[-1], axis=1) <= STEP_AGREEMENT * _largest(two)))
 
 
 def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,30 +13,30 @@ from coadjoint.systems.system_checks import System
 Found = TypeVar("Found")
 
 # Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
-LARGEST = 64
+MAX_CACHED_DIMENSION = 64
 # Entries per system, after which its cache is cleared, and number of systems (least recently used first out).
-MOST = 256
-SYSTEMS = 16
+MAX_ENTRIES = 256
+MAX_SYSTEMS = 16
 
 
-@lru_cache(maxsize=SYSTEMS)
-def _known_of(system: System) -> dict[Hashable, Any]:
+@lru_cache(maxsize=MAX_SYSTEMS)
+def _cache_of(system: System) -> dict[Hashable, Any]:
     return {}
 
 
-def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
+def cached_for_system(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
     """Return the cached result of `make` for an immutable system and a key, computing it on first use.
 
     Unhashable keys are not cached, nor are exceptions. Callers must not modify the result.
     """
-    if system.dim > LARGEST:
+    if system.dim > MAX_CACHED_DIMENSION:
         return make()
     try:
-        known = _known_of(system)
+        known = _cache_of(system)
         found: Found = known[key]
     except KeyError:
         found = make()
-        if len(known) >= MOST:
+        if len(known) >= MAX_ENTRIES:
             known.clear()
         known[key] = found
     except TypeError:
@@ -54,7 +54,7 @@ def loops_of(system: System, method: Method, h: float) -> SystemLoops:
         return SystemLoops(system, method, h, None, casimirs={})
 
     return (
-        remembered(system, ("loops", method), made)
+        cached_for_system(system, ("loops", method), made)
         if method.tables_of_any_step and not _has_functions(system)
         else made()
     )

@@ -8,27 +8,27 @@ from dataclasses import replace
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate
-from coadjoint.choosing.fitting import CLEARLY, LARGE, Fit
+from coadjoint.choosing.fitting import LARGE_ERROR, MEASURABLE_RATIO, Fit
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 
 MOST_TRIALS = 6
 # Accepted ratio of the target error to the error.
-NEAR = 4.0
+GOAL_RATIO = 4.0
 # Largest factor between the tolerances of consecutive trials.
-FAR = 1e6
+MAX_TOLERANCE_RATIO = 1e6
 # Ratio of the costs of two schemes above which a fit is abandoned.
-DEARER = 1.2
+ABANDON_COST_RATIO = 1.2
 # Initial ratio of the tolerance to the target error, since errors of steps add up.
 USUAL_SHARE = 0.1
 
 
-def first_look(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
+def first_tolerance_trial(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
     """Return the fit by one trial of a scheme with variable steps; None if it fails."""
-    return _look(pilot, candidate, _first_tolerance(pilot, goal))
+    return _tolerance_trial(pilot, candidate, _first_tolerance(pilot, goal))
 
 
-def expected(found: Fit, goal: float) -> Fit:
+def extrapolated_fit(found: Fit, goal: float) -> Fit:
     """Extrapolate a fit to another error at the end, by the order."""
     if not 0.0 < found.error < math.inf:
         return found
@@ -47,10 +47,10 @@ def fit_of_tolerance(
     """
     tolerance, best = _first_tolerance(pilot, goal), None
     for count in range(MOST_TRIALS):
-        found = first if first is not None and count == 0 else _look(pilot, candidate, tolerance)
+        found = first if first is not None and count == 0 else _tolerance_trial(pilot, candidate, tolerance)
         if found is None:
-            after = tolerance / FAR
-        elif not found.trial.error < LARGE:
+            after = tolerance / MAX_TOLERANCE_RATIO
+        elif not found.trial.error < LARGE_ERROR:
             after = tolerance * USUAL_SHARE
         else:
             end = found.error
@@ -58,11 +58,11 @@ def fit_of_tolerance(
                 break
             if end <= goal and (best is None or found.cost < best.cost):
                 best = found
-            if goal / NEAR <= end <= goal or expected(found, goal).cost > DEARER * limit:
+            if goal / GOAL_RATIO <= end <= goal or extrapolated_fit(found, goal).cost > ABANDON_COST_RATIO * limit:
                 break
             # Aim at the geometric mean of the accepted range.
-            ratio = goal / (math.sqrt(NEAR) * end) if end > 0.0 else FAR
-            after = tolerance * min(max(ratio, 1.0 / FAR), FAR)
+            ratio = goal / (math.sqrt(GOAL_RATIO) * end) if end > 0.0 else MAX_TOLERANCE_RATIO
+            after = tolerance * min(max(ratio, 1.0 / MAX_TOLERANCE_RATIO), MAX_TOLERANCE_RATIO)
         if candidate.reaching(after).method == candidate.reaching(tolerance).method:
             break
         tolerance = after
@@ -74,7 +74,7 @@ def _first_tolerance(pilot: Pilot, goal: float) -> float:
     return goal * USUAL_SHARE / math.sqrt(max(1.0, pilot.sensitivity.whole))
 
 
-def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
+def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
     """Return the fit by a trial with one tolerance; None if it fails.
 
     An error that may be rounding is bounded by what the tolerance allows.
@@ -83,7 +83,7 @@ def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
     trial = own_steps_of(pilot, tried)
     if trial is None:
         return None
-    noise = CLEARLY * max(pilot.noise, roundoff(pilot, trial.steps, 0, True, 1.0))
+    noise = MEASURABLE_RATIO * max(pilot.noise, roundoff(pilot, trial.steps, 0, True, 1.0))
     error = trial.error if trial.error > noise else min(trial.error, trial.steps * tolerance)
     end = error * tried.growth(pilot, trial)
     return Fit(pilot, tried, max(1, math.ceil(trial.steps * pilot.windows)), end, trial)

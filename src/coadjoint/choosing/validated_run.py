@@ -15,7 +15,7 @@ from coadjoint.choosing.member_sample import sample_of
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.final_state import EVERY
+from coadjoint.runs.final_state import ENDS_ONLY
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, read_attitude
@@ -25,14 +25,14 @@ from coadjoint.systems.system_checks import System, check_system
 
 # Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
 # evaluations to the largest one of the sample.
-WORSE = 2.0
+ALLOWED_RATIO = 2.0
 # Number of steps checked along the motion of each state of the sample.
-LOOKED_AT = 64
+CHECKED_STEPS = 64
 # Difference between a step and two half steps by rounding alone.
-ROUNDED = 32 * UNIT_ROUNDOFF
+ROUNDING_DIFFERENCE = 32 * UNIT_ROUNDOFF
 SLACK = 1.0 + 2.0**-40
 # Range of squared norms in which they are compared.
-LEAST, LARGEST = 2.0**-900, 2.0**900
+MIN_SQUARE, MAX_SQUARE = 2.0**-900, 2.0**900
 
 
 class SampledRun(PreparedRun):
@@ -80,18 +80,18 @@ class SampledRun(PreparedRun):
         super().__init__(
             system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
         )
-        self._asked = {"attitude": self._attitude, "watch": watch, "observe": observe, "threads": threads}
-        self._among, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
-        self._whole = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
-        self._halves = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
-        self._timed = bool(system.hamiltonian.timed)
-        self._once = 0.0, self.signed_step
-        self._read: tuple[Any, float] = None, t0
-        self._own, self._allowed = self.choice.method.own_steps, math.inf
-        if self._own:
-            self.most_evaluations = WORSE * self._evaluations(picked, t0)
+        self._options = {"attitude": self._attitude, "watch": watch, "observe": observe, "threads": threads}
+        self._methods, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
+        self._full_step_run = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
+        self._half_step_run = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
+        self._time_dependent = bool(system.hamiltonian.timed)
+        self._one_step_span = 0.0, self.signed_step
+        self._last_span: tuple[Any, float] = None, t0
+        self._variable_steps, self._allowed = self.choice.method.own_steps, math.inf
+        if self._variable_steps:
+            self.most_evaluations = ALLOWED_RATIO * self._evaluations(picked, t0)
         else:
-            self._allowed = max(ROUNDED, WORSE * self._worst_along(picked, t0))
+            self._allowed = max(ROUNDING_DIFFERENCE, ALLOWED_RATIO * self._worst_along(picked, t0))
 
     def __repr__(self) -> str:
         return f"<run of {self.system!r} prepared for the accuracy {self.choice.accuracy:g}: {self.method}>"
@@ -134,19 +134,19 @@ class SampledRun(PreparedRun):
         t0 = self._start_of(t_span)
         given: dict[str, Any] = {"t_eval": t_eval, "attitude": attitude, "progress": progress, "events": events}
         given |= inputs
-        if self._own or self.serves(x0, t0):
+        if self._variable_steps or self.serves(x0, t0):
             found = super().run(x0, t_span, save_every, **given)
-            if _most(found) <= self.most_evaluations:
+            if _max_evaluations(found) <= self.most_evaluations:
                 return with_choice(found, self.choice)
-        alone, choice = self._alone(x0, t_span)
+        alone, choice = self._run_with_own_choice(x0, t_span)
         return with_choice(alone.run(x0, t_span, save_every, **given), choice)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return only the state at the end, as `PreparedRun.end`; times as in `run`. The check takes 5 us."""
         t0 = self._start_of(t_span)
-        if self._own or self.serves(x0, t0):
+        if self._variable_steps or self.serves(x0, t0):
             return super().end(x0, t_span)
-        return self._alone(x0, t_span)[0].run(x0, t_span, EVERY).x[-1]
+        return self._run_with_own_choice(x0, t_span)[0].run(x0, t_span, ENDS_ONLY).x[-1]
 
     def serves(self, x0: Any, t0: float = 0.0) -> bool:
         """Return whether the choice for the sample serves a run from a state, or from all of several.
@@ -162,20 +162,20 @@ class SampledRun(PreparedRun):
         -------
         bool
         """
-        if self._own:
+        if self._variable_steps:
             return self._evaluations(x0, t0) <= self.most_evaluations
-        once = (t0, t0 + self.signed_step) if self._timed else self._once
+        once = (t0, t0 + self.signed_step) if self._time_dependent else self._one_step_span
         try:
-            whole, halves = self._whole.end(x0, once), self._halves.end(x0, once)
+            whole, halves = self._full_step_run.end(x0, once), self._half_step_run.end(x0, once)
         except IntegrationError:
             return False
         if whole.ndim > 1:
             apart, size = _squares(whole, halves)
-            sound = (size > LEAST) & (size < LARGEST)
+            sound = (size > MIN_SQUARE) & (size < MAX_SQUARE)
             return bool(np.all((sound & (apart <= self._allowed**2 * size)) | ~np.any([whole, halves], axis=(0, 2))))
         one, other = whole.tolist(), halves.tolist()
         size = sum(map(mul, one, one))
-        if LEAST < size < LARGEST:
+        if MIN_SQUARE < size < MAX_SQUARE:
             off = list(map(sub, one, other))
             return bool(sum(map(mul, off, off)) <= self._allowed**2 * size)
         # A zero state passes; if squares overflow or underflow, a choice of its own is made.
@@ -183,28 +183,28 @@ class SampledRun(PreparedRun):
 
     def _evaluations(self, x0: Any, t0: float) -> float:
         """Return the largest number of evaluations among runs from some states, over the time prepared."""
-        return _most(self._whole.run(x0, (t0, t0 + self._time), EVERY))
+        return _max_evaluations(self._full_step_run.run(x0, (t0, t0 + self._time), ENDS_ONLY))
 
     def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
         """Return the largest difference along the motions from a sample, relative to the state."""
         steps = max(1, round(self._time / self.signed_step))
-        along = self._whole.run(sample, (t0, t0 + self._time), max(1, steps // LOOKED_AT))
-        if self._timed:
+        along = self._full_step_run.run(sample, (t0, t0 + self._time), max(1, steps // CHECKED_STEPS))
+        if self._time_dependent:
             starts = zip(along.x, along.t.tolist(), strict=True)
             pairs = [(x, (t, t + self.signed_step)) for x, t in starts]
         else:
-            pairs = [(along.x.reshape(-1, along.x.shape[-1]), self._once)]
+            pairs = [(along.x.reshape(-1, along.x.shape[-1]), self._one_step_span)]
         worst = 0.0
         for states, once in pairs:
-            apart, size = _squares(self._whole.end(states, once), self._halves.end(states, once))
+            apart, size = _squares(self._full_step_run.end(states, once), self._half_step_run.end(states, once))
             # Avoids division by zero for states at rest, which stay there.
             worst = max(worst, float(np.max(apart / np.where(size > 0.0, size, 1.0))))
         return math.sqrt(worst)
 
     def _start_of(self, t_span: Any) -> float:
         """Return the initial time; raise ValueError outside the direction and time prepared."""
-        if t_span is self._read[0]:
-            return self._read[1]
+        if t_span is self._last_span[0]:
+            return self._last_span[1]
         t0, t1 = span_of(t_span)
         if not 0.0 <= (t1 - t0) / self._time <= SLACK:
             raise ValueError(
@@ -212,17 +212,17 @@ class SampledRun(PreparedRun):
                 "direction; prepare another run"
             )
         if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
-            self._read = t_span, t0
+            self._last_span = t_span, t0
         return t0
 
-    def _alone(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
+    def _run_with_own_choice(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
         """Return a run, with a choice of its own, for a state that the sample does not represent."""
-        given: Any = {"attitude": self._kind, "methods": self._among}
+        given: Any = {"attitude": self._kind, "methods": self._methods}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
-        return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice
+        return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._options)), choice
 
 
-def _most(found: Solution) -> float:
+def _max_evaluations(found: Solution) -> float:
     return float(np.max(found._state["evaluations"]))
 
 

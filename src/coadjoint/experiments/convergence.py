@@ -19,11 +19,11 @@ SLOPE_TOLERANCE = 0.2  # contribution of the next error term to a slope at the s
 
 # Numbers of steps for slopes: few, large steps for high orders, which soon reach round-off; small ones for low orders,
 # whose slopes converge late.
-LOW_ORDER = (32, 64, 128, 256, 512)
-HIGH_ORDER = (12, 16, 24, 32, 48, 64, 96)
+LOW_ORDER_COUNTS = (32, 64, 128, 256, 512)
+HIGH_ORDER_COUNTS = (12, 16, 24, 32, 48, 64, 96)
 
 
-class Trial(NamedTuple):
+class ReferenceProblem(NamedTuple):
     """A test problem: system, initial state, end time, and the exact state there."""
 
     system: System
@@ -32,14 +32,14 @@ class Trial(NamedTuple):
     exact: npt.NDArray[np.float64]
 
 
-def trial(system: System, x0: npt.ArrayLike, end: float) -> Trial:
+def reference_problem(system: System, x0: npt.ArrayLike, end: float) -> ReferenceProblem:
     """Return a test problem whose exact end state comes from the closed form, or else from 8 Gauss stages.
 
     8 stages have order 16; with step end/64 they are accurate to a few units of round-off.
     """
     start = np.array(x0, dtype=np.float64)
     run = integrate(system, start, (0.0, end), end / 64, GaussLegendre(8), save_every=64, watch=False)
-    return Trial(system, start, end, run.x[-1])
+    return ReferenceProblem(system, start, end, run.x[-1])
 
 
 def roundoff(steps: float, size: float) -> float:
@@ -53,9 +53,9 @@ def roundoff(steps: float, size: float) -> float:
     return 8 * UNIT_ROUNDOFF * steps * size
 
 
-def fitted_order(case: Trial, method: Method, counts: Sequence[int] | None = None) -> OrderFit:
+def fitted_order(case: ReferenceProblem, method: Method, counts: Sequence[int] | None = None) -> OrderFit:
     """Fit the order of a scheme from its error at the end of a trial; default `counts` follow the declared order."""
-    numbers = counts or (HIGH_ORDER if method.order > 3 else LOW_ORDER)
+    numbers = counts or (HIGH_ORDER_COUNTS if method.order > 3 else LOW_ORDER_COUNTS)
     errors = []
     for count in numbers:
         run = integrate(case.system, case.x0, (0.0, case.end), case.end / count, method, save_every=count, watch=False)
@@ -64,7 +64,9 @@ def fitted_order(case: Trial, method: Method, counts: Sequence[int] | None = Non
     return fit_order([case.end / count for count in numbers], errors, floor)
 
 
-def fitted_drift(case: Trial, method: Method, invariant: str, counts: Sequence[int] = HIGH_ORDER) -> OrderFit:
+def fitted_drift(
+    case: ReferenceProblem, method: Method, invariant: str, counts: Sequence[int] = HIGH_ORDER_COUNTS
+) -> OrderFit:
     """Fit the order of the largest drift of an invariant ("energy" or a Casimir) along a trial."""
     drifts, floor = [], []
     for count in counts:

@@ -25,7 +25,7 @@ class Statement(NamedTuple):
     verdict: str
 
 
-def judged(
+def judge(
     key: str,
     place: str,
     statement: str,

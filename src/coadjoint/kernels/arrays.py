@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.interface import described
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.interface import kernel_interface
+from coadjoint.kernels.structures import as_structure
 
 # First number of a contiguous, writable array as a ctypes object; twenty times faster than `array.ctypes`.
-number_at: Any = ctypes.c_double.from_buffer
+as_c_double: Any = ctypes.c_double.from_buffer
 
 
 class Extent(NamedTuple):
@@ -30,13 +30,13 @@ class Extent(NamedTuple):
     remembered: int
 
 
-class Places:
-    """Offsets of named arrays of 8-byte numbers in one contiguous allocation; names in `whole` are int64, all others
-    float64.
+class ArrayOffsets:
+    """Offsets of named arrays of 8-byte numbers in one contiguous allocation; names in `int64_names` are int64, all
+    others float64.
     """
 
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]], whole: Set[str]) -> None:
-        self.shapes, self.whole = shapes, whole
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]], int64_names: Set[str]) -> None:
+        self.shapes, self.int64_names = shapes, int64_names
         self.slices: dict[str, slice] = {}
         self.size = 0
         for name, shape in shapes.items():
@@ -47,41 +47,41 @@ class Places:
 class NamedArrays:
     """Arrays in one contiguous allocation, initially zero; `arrays["x"]` is a view."""
 
-    __slots__ = ("address", "numbers", "places")
+    __slots__ = ("address", "numbers", "offsets")
 
-    def __init__(self, places: Places) -> None:
-        self.places = places
+    def __init__(self, offsets: ArrayOffsets) -> None:
+        self.offsets = offsets
         # At least one number: an empty array has no address.
-        self.numbers = np.zeros(places.size or 1)
-        self.address = ctypes.byref(number_at(self.numbers))
+        self.numbers = np.zeros(offsets.size or 1)
+        self.address = ctypes.byref(as_c_double(self.numbers))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        places = self.places
-        found = self.numbers[places.slices[name]]
-        return (found.view(np.int64) if name in places.whole else found).reshape(places.shapes[name])
+        offsets = self.offsets
+        found = self.numbers[offsets.slices[name]]
+        return (found.view(np.int64) if name in offsets.int64_names else found).reshape(offsets.shapes[name])
 
-    def place_of(self, name: str) -> int:
+    def address_of(self, name: str) -> int:
         """Return the memory address of an array."""
-        return ctypes.addressof(number_at(self.numbers)) + 8 * self.places.slices[name].start
+        return ctypes.addressof(as_c_double(self.numbers)) + 8 * self.offsets.slices[name].start
 
     def take(self, members: NDArray[np.int64], axis: int) -> NamedArrays:
         """Return the arrays of these members, in this order, along an axis common to all arrays."""
-        other = NamedArrays(self.places)
-        for name in self.places.shapes:
+        other = NamedArrays(self.offsets)
+        for name in self.offsets.shapes:
             self[name].take(members, axis=axis, out=other[name])
         return other
 
-    def only(self, names: Iterable[str]) -> NamedArrays:
+    def subset(self, names: Iterable[str]) -> NamedArrays:
         """Return a copy of some of the arrays."""
-        places = self.places
-        other = NamedArrays(Places({name: places.shapes[name] for name in names}, places.whole))
-        for name in other.places.shapes:
+        offsets = self.offsets
+        other = NamedArrays(ArrayOffsets({name: offsets.shapes[name] for name in names}, offsets.int64_names))
+        for name in other.offsets.shapes:
             other[name][:] = self[name]
         return other
 
     def copy(self) -> NamedArrays:
         """Return an independent copy."""
-        other = NamedArrays(self.places)
+        other = NamedArrays(self.offsets)
         other.numbers[:] = self.numbers
         return other
 
@@ -101,15 +101,15 @@ class Layout:
 
     def __init__(self, extent: Extent) -> None:
         self.extent = extent
-        self.table = pointed(extent)
+        self.table = as_structure(extent)
         self.address = ctypes.byref(self.table)
-        self.saved, self.state = self._places("saved"), self._places("state")
+        self.saved, self.state = self._offsets("saved"), self._offsets("state")
 
-    def _places(self, kind: str) -> Places:
-        description = described()
+    def _offsets(self, kind: str) -> ArrayOffsets:
+        description = kernel_interface()
         sizes = {**description.codes["Limit"], **self.extent._asdict()}
         arrays = description.arrays[kind]
-        return Places(
+        return ArrayOffsets(
             {name: tuple(sizes[axis] for axis in array.axes) for name, array in arrays.items()},
             {name for name, array in arrays.items() if array.kind == "integers"},
         )

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.system_checks import System
 
-WIDEST = 48  # diagonals on either side; each unknown costs two multiplications per pair of diagonals
-MOST_NUMBERS = 2**25  # largest number of entries of the factors
-MOST_COUPLINGS = 64  # average couplings per coordinate; with more there is no narrow band
+MAX_HALF_BANDWIDTH = 48  # diagonals on either side; each unknown costs two multiplications per pair of diagonals
+MAX_NUMBERS = 2**25  # largest number of entries of the factors
+MAX_MEAN_COUPLINGS = 64  # average couplings per coordinate; with more there is no narrow band
 
 NO_BAND: tuple[int, NDArray[np.uint32]] = (-1, np.zeros(0, dtype=np.uint32))
 
@@ -38,7 +38,7 @@ def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[
         if bends is None:
             return NO_BAND
         pattern = pattern + _pattern(n, np.concatenate([i, j]), np.concatenate([j, i])) @ bends
-    if pattern.nnz > MOST_COUPLINGS * n:
+    if pattern.nnz > MAX_MEAN_COUPLINGS * n:
         return NO_BAND
     both = (pattern + pattern.T).tocsr()
     order = reverse_cuthill_mckee(both, symmetric_mode=True)
@@ -47,7 +47,7 @@ def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[
     rows, columns = both.nonzero()
     band = int(np.max(np.abs(position[rows].astype(np.int64) - position[columns].astype(np.int64)), initial=0))
     reach = stages * (band + 1) - 1
-    fits = reach <= WIDEST and stages * n * (3 * reach + 1) <= MOST_NUMBERS
+    fits = reach <= MAX_HALF_BANDWIDTH and stages * n * (3 * reach + 1) <= MAX_NUMBERS
     return (band, position) if fits else NO_BAND
 
 
@@ -67,7 +67,7 @@ def _hessian(system: System, n: int) -> Any:
             columns.append(np.asarray(term.form.indices))
             continue
         groups = list(term.couplings())
-        if sum(len(group) ** 2 for group in groups) > MOST_COUPLINGS * n:
+        if sum(len(group) ** 2 for group in groups) > MAX_MEAN_COUPLINGS * n:
             return None
         rows.extend(np.repeat(group, len(group)) for group in groups)
         columns.extend(np.tile(group, len(group)) for group in groups)

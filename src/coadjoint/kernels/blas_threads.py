@@ -10,29 +10,29 @@ from typing import Any
 
 from coadjoint.systems.system_checks import shape_of
 
-ALONE = 128
+SINGLE_THREAD_ROWS = 128
 """Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""
 
 
-def rows_of(system: Any) -> int:
+def matrix_rows(system: Any) -> int:
     """Return the number of rows of the matrices of a system; 0 if its states are vectors."""
     shape = shape_of(system)
     return 0 if len(shape) == 1 else int(shape[-1])
 
 
-def members_at_once(rows: int) -> int:
+def concurrent_members(rows: int) -> int:
     """Return the number of members to advance concurrently, one thread each: the number of cores, or 1 for matrices of
-    more than `ALONE` rows, whose products BLAS distributes over threads itself.
+    more than `SINGLE_THREAD_ROWS` rows, whose products BLAS distributes over threads itself.
     """
-    return 1 if rows > ALONE else os.cpu_count() or 1
+    return 1 if rows > SINGLE_THREAD_ROWS else os.cpu_count() or 1
 
 
 @contextmanager
-def threads_of_blas(rows: int, workers: int) -> Iterator[None]:
+def limited_blas_threads(rows: int, workers: int) -> Iterator[None]:
     """Limit BLAS to one thread within the context, if matrices are small or there are several `workers`; do nothing if
     `rows` is 0 (vector states).
     """
-    if not rows or (rows > ALONE and workers == 1):
+    if not rows or (rows > SINGLE_THREAD_ROWS and workers == 1):
         yield
     else:
         with _pools().limit(limits=1):

@@ -11,8 +11,8 @@ import numba
 import numpy as np
 from numba import carray, types
 
-from coadjoint.kernels.fresh_code import compiled_digests, compiled_once, fresh
-from coadjoint.kernels.function_contents import key_of
+from coadjoint.kernels.fresh_code import compile_cached, compiled_digests, fresh_dispatchers
+from coadjoint.kernels.function_contents import compilation_key
 from coadjoint.systems.user_functions import MultipleOf
 
 SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
@@ -29,24 +29,24 @@ def callback_of(
         try:
             return _compiled(function, size, results, scalar, flat, timed)
         except Exception as error:  # Numba raises exceptions of many types
-            raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
+            raise TypeError(f"{what} cannot be compiled by Numba: {numba_error_text(error)}") from error
 
-    return compiled_once(function, (size, results, scalar, flat, timed), what, make)
-
-
-MANY = 48
-SECONDS_EACH = 0.05
+    return compile_cached(function, (size, results, scalar, flat, timed), what, make)
 
 
-def tell_of_many(functions: Sequence[Callable[..., Any]]) -> None:
+WARNING_COUNT = 48
+SECONDS_PER_FUNCTION = 0.05
+
+
+def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
     """Warn before compilation if there are so many functions of a Hamiltonian that compiling them takes seconds."""
-    if len(functions) < MANY:
+    if len(functions) < WARNING_COUNT:
         return
-    count = len({key_of(function) for function in functions} - compiled_digests())
-    if count >= MANY:
+    count = len({compilation_key(function) for function in functions} - compiled_digests())
+    if count >= WARNING_COUNT:
         warnings.warn(
-            f"{count} different Python functions are compiled one by one, about {SECONDS_EACH * count:.0f} s in "
-            "all; it is faster to write one function of many commuting coordinates, with an array of constants: "
+            f"{count} different Python functions are compiled one by one, about {SECONDS_PER_FUNCTION * count:.0f} s "
+            "in all; it is faster to write one function of many commuting coordinates, with an array of constants: "
             "SplitHamiltonian([((0, 3, 6), Hamiltonian(value, gradient))])",
             UserWarning,
             stacklevel=2,
@@ -54,7 +54,7 @@ def tell_of_many(functions: Sequence[Callable[..., Any]]) -> None:
 
 
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    body = _BODIES[(scalar, flat and not scalar, timed)](_inner(function), size, results)
+    body = _WRAPPERS[(scalar, flat and not scalar, timed)](_inner(function), size, results)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 
 
@@ -62,20 +62,24 @@ def _inner(function: Any) -> Any:
     """Return a function in the form that compiled code calls."""
     if isinstance(function, MultipleOf):
         return _multiple(_inner(function.function), function.factor, function.scalar)
-    return numba.njit(boundscheck=True, **_WITHIN)(fresh(function)) if inspect.isfunction(function) else fresh(function)
+    return (
+        numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(fresh_dispatchers(function))
+        if inspect.isfunction(function)
+        else fresh_dispatchers(function)
+    )
 
 
 # Called by compiled code only: no Python wrappers are compiled.
-_WITHIN: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_INTERNAL_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
     if scalar:
-        return numba.njit(**_WITHIN)(lambda *arguments: factor * inner(*arguments))
-    return numba.njit(**_WITHIN)(lambda *arguments: factor * np.asarray(inner(*arguments)))
+        return numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: factor * inner(*arguments))
+    return numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: factor * np.asarray(inner(*arguments)))
 
 
-def reason_of(error: Exception) -> str:
+def numba_error_text(error: Exception) -> str:
     """Return the informative lines of a Numba error, joined to one line."""
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
     telling = [
@@ -139,7 +143,7 @@ def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
 
 
 # The result is NaN until the function returns: if it raises, the NaN remains and stops the run.
-_BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., None]]] = {
+_WRAPPERS: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., None]]] = {
     (True, False, False): _numbers,
     (True, False, True): _timed_numbers,
     (False, False, False): _value,

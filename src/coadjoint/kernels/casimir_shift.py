@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import number_at
+from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import packer, pointed
+from coadjoint.kernels.structures import as_structure, packer
 from coadjoint.program.shifts.group_correction import UnshiftTables
 
 # Multiplications per call; interrupts are handled between calls.
-MOST_PRODUCTS = 2e7
+MAX_PRODUCTS = 2e7
 
 
 class Unshifted(NamedTuple):
@@ -41,7 +41,7 @@ class Unshifted(NamedTuple):
     elapsed: int = 0
 
 
-class Unshifting:
+class CompiledShiftCorrection:
     """Prepared tables of one shift.
 
     The generator X of `tables` is multiplied by `rate`. `most` bounds the norm of X for momenta with components of at
@@ -49,10 +49,10 @@ class Unshifting:
     """
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
-        self._keep, self._rate = pointed(tables), rate
+        self._keepalive, self._rate = as_structure(tables), rate
         self.tables, self.rate = tables, rate
-        self._address, self._packed = ctypes.byref(self._keep), packer(Unshifted)
-        self._unshift = kernels().unshift
+        self._address, self._packed = ctypes.byref(self._keepalive), packer(Unshifted)
+        self._kernel = kernels().unshift
         # The norm of X is at most this times the largest component of the momentum.
         self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
         width = max(np.diff(tables.begin).tolist(), default=0)
@@ -76,12 +76,12 @@ class Unshifting:
         to the bit. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays are
         C-contiguous.
         """
-        x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
+        x0, g0, whole = addressof(as_c_double(momenta)), addressof(as_c_double(initial)), addressof(as_c_double(out))
         points, members = out.shape[:2]
-        since = 0 if elapsed is None else addressof(number_at(elapsed))
-        size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
+        since = 0 if elapsed is None else addressof(as_c_double(elapsed))
+        size = int(MAX_PRODUCTS / ((last - first) * self._products)) or 1
         for k in range(0, points, size):
             stop = min(k + size, points)
             # Packed bytes take a tenth of the time of a ctypes structure.
             numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate, since
-            self._unshift(self._address, self._packed(*numbers), schedule)
+            self._kernel(self._address, self._packed(*numbers), schedule)

@@ -10,7 +10,7 @@ from typing import Any
 SOURCE = Path(__file__).parent / "source"
 
 
-def _said(source: Path) -> Any:
+def _read_options(source: Path) -> Any:
     return json.loads((source / "options.json").read_text(encoding="utf-8"))
 
 
@@ -18,15 +18,15 @@ def levels(source: Path = SOURCE) -> tuple[int, ...]:
     """Return the x86-64 levels that the kernels can be built for, highest first; `source` is the folder of the C++
     sources.
     """
-    return tuple(sorted((int(name.removeprefix("v")) for name in _said(source)["levels"]), reverse=True))
+    return tuple(sorted((int(name.removeprefix("v")) for name in _read_options(source)["levels"]), reverse=True))
 
 
 def tuning(level: int | None, source: Path = SOURCE) -> list[str]:
     """Return the compiler options of one of `levels`; None is a processor that is not x86-64."""
-    said = _said(source)
+    said = _read_options(source)
     return list(said["elsewhere"] if level is None else said["levels"][f"v{level}"])
 
 
 def options(own: Sequence[str], source: Path = SOURCE) -> list[str]:
     """Return all compiler options for a source file; `own` are the options of `tuning`, or a replacement for them."""
-    return [*_said(source)["always"], *own, "-DNDEBUG", "-fPIC", f"-I{source}"]
+    return [*_read_options(source)["always"], *own, "-DNDEBUG", "-fPIC", f"-I{source}"]

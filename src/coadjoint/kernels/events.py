@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.recording_tables import Watch
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.structures import as_structure
 
-ROWS, SPARE = 4, 2**14
-"""Rows that can be recorded: `ROWS` per step and member, plus `SPARE`."""
+ROWS_PER_STEP, SPARE_ROWS = 4, 2**14
+"""Rows that can be recorded: `ROWS_PER_STEP` per step and member, plus `SPARE_ROWS`."""
 STEPS_BACK = 3
 """Number of past values of each event that a loop keeps."""
 
@@ -32,7 +32,7 @@ class EventTables(NamedTuple):
     places: NDArray[np.float64]
 
 
-class Noted(NamedTuple):
+class FlaggedSteps(NamedTuple):
     """Rows recorded by the loops, r of them, each a step of a member with a possible crossing.
 
     `codes` (r, E) are `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step;
@@ -47,15 +47,15 @@ class Noted(NamedTuple):
     before: NDArray[np.float64]
     after: NDArray[np.float64]
 
-    def in_order_of(self, members: NDArray[np.int64]) -> Noted:
+    def with_members(self, members: NDArray[np.int64]) -> FlaggedSteps:
         """Return the rows with these member numbers, sorted by member and step."""
-        return self._replace(members=members).chosen(np.lexsort((self.steps, members)))
+        return self._replace(members=members).select(np.lexsort((self.steps, members)))
 
-    def chosen(self, places: NDArray[Any]) -> Noted:
+    def select(self, places: NDArray[Any]) -> FlaggedSteps:
         """Return some of the rows, by a mask or by indices."""
         members, steps, codes = self.members[places], self.steps[places], self.codes[places]
         states, groups = self.states[places], self.groups[places]
-        return Noted(members, steps, codes, states, groups, self.before[places], self.after[places])
+        return FlaggedSteps(members, steps, codes, states, groups, self.before[places], self.after[places])
 
 
 class EventArrays:
@@ -73,7 +73,7 @@ class EventArrays:
         members, count = left.shape
         # A step is recorded at its end or after the next one, by a series once per crossing. Untouched pages of the
         # allocation take no memory.
-        capacity = ROWS * members * chunk + SPARE
+        capacity = ROWS_PER_STEP * members * chunk + SPARE_ROWS
         self.limit = np.full(members, np.iinfo(np.int64).max)
         self.tables = EventTables(
             watch,
@@ -88,16 +88,16 @@ class EventArrays:
             np.empty((capacity, size + square + 2 * count)),
         )
         self._size, self._square, self._count = size, square, count
-        self._structure: Any = pointed(self.tables)
+        self._structure: Any = as_structure(self.tables)
         self.address = ctypes.addressof(self._structure)
 
     @staticmethod
-    def bytes_of(members: int, count: int, size: int, square: int) -> tuple[int, int]:
+    def required_bytes(members: int, count: int, size: int, square: int) -> tuple[int, int]:
         """Return the bytes needed for the members, and for each step of a chunk."""
         width = size + square
-        return 8 * members * (2 * width + 4 * count + 1), 8 * ROWS * members * (width + 3 * count + 2)
+        return 8 * members * (2 * width + 4 * count + 1), 8 * ROWS_PER_STEP * members * (width + 3 * count + 2)
 
-    def take(self) -> Noted:
+    def take(self) -> FlaggedSteps:
         """Return and clear the rows recorded since the last call, in any order."""
         count, size, width = self._count, self._size, self._size + self._square
         rows = int(self.tables.noted[0])
@@ -107,7 +107,7 @@ class EventArrays:
             )
         self.tables.noted[0] = 0
         found, places = self.tables.found[:rows].copy(), self.tables.places[:rows].copy()
-        return Noted(
+        return FlaggedSteps(
             found[:, 0],
             found[:, 1],
             found[:, 2:],
@@ -118,11 +118,11 @@ class EventArrays:
         )
 
     def copy(self) -> list[NDArray[Any]]:
-        """Return copies of the arrays that `put_back` restores to repeat the steps from here."""
+        """Return copies of the arrays that `restore_arrays` restores to repeat the steps from here."""
         tables = self.tables
         return [array.copy() for array in (tables.left, tables.limit, tables.before, tables.values)]
 
-    def put_back(self, copies: list[NDArray[Any]]) -> None:
+    def restore_arrays(self, copies: list[NDArray[Any]]) -> None:
         """Restore the arrays from `copy`."""
         tables = self.tables
         for array, copied in zip((tables.left, tables.limit, tables.before, tables.values), copies, strict=True):

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
-from coadjoint.kernels.functions import CompiledFunction, Kept
+from coadjoint.kernels.functions import CompiledFunction, Owners
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.program.term_table import TermTable
-from coadjoint.systems.system_checks import System, tabulated
+from coadjoint.systems.system_checks import System, has_compiled_bracket
 
 
-def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
+def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     """Return the vector field of a system with its functions compiled, and the owners of the compiled functions.
 
     `called` means that the field is a call into Python, so that the bracket is not read. Raise TypeError if a function
@@ -26,11 +26,11 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
     for term in system.hamiltonian.terms():
         table.add(term)
     terms = table.table()
-    addresses, keep = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
+    addresses, keepalive = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
     none = np.zeros(0, dtype=np.int64)
     if called:
         read = (none, none, none, np.zeros(0))
-    elif tabulated(system):
+    elif has_compiled_bracket(system):
         read = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
     else:
         raise TypeError(
@@ -47,7 +47,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
         compiled = CompiledFunction(
             system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"
         )
-        structure, keep = np.array([compiled.address], dtype=np.int64), (*keep, compiled)
+        structure, keepalive = np.array([compiled.address], dtype=np.int64), (*keepalive, compiled)
     field = Field(
         system.dim,
         float(system.sign),
@@ -61,7 +61,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
         addresses,
         max(1, int(np.max(np.diff(terms.row.astype(np.int64)), initial=0))),
     )
-    return field, keep
+    return field, keepalive
 
 
 def group_of(system: System, representation: Any) -> GroupField:

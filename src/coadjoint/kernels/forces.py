@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import CompiledLoop, remembered
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.kernels.matrix_tables import stream_tables
-from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
+from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, inner_loop_integers, named_step_tables
 from coadjoint.kernels.stepping import STEP_LOOP
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.optional_packages import need
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
-NOTHING = np.zeros(1, dtype=np.int64)
+NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
 
 
@@ -42,8 +42,8 @@ class ForceTable(NamedTuple):
     seed: int = 0
     stream: int = 0
     sets: int = 0
-    begin: NDArray[np.int64] = NOTHING
-    direction: NDArray[np.int64] = NOTHING
+    begin: NDArray[np.int64] = NO_INTEGERS
+    direction: NDArray[np.int64] = NO_INTEGERS
     extent: int = 0
     place: int = 0
     turning: NDArray[np.float64] = NO_NUMBERS
@@ -57,7 +57,9 @@ class Account(NamedTuple):
     invariant: str
 
 
-def _of_matrices(function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any) -> Callable[..., Any]:
+def _adapted_matrix_function(
+    function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any
+) -> Callable[..., Any]:
     import numba
 
     inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
@@ -85,25 +87,25 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
     (for a system of matrices, those of degree two).
     """
     found, plain = [], system.system
-    accounted = plain.quadratic_casimirs if isinstance(plain, MatrixSystem) else plain.casimirs
+    tracked_casimirs = plain.quadratic_casimirs if isinstance(plain, MatrixSystem) else plain.casimirs
     for label, force in zip(system.labels, system.forces, strict=True):
-        followed = ["energy", *(() if force.casimirs else accounted)]
+        followed = ["energy", *(() if force.casimirs else tracked_casimirs)]
         found += [Account(label, name) for name in followed]
     return tuple(found)
 
 
-class _Reader:
-    """Builder of the table of a force; `keep` holds the machine code of its function."""
+class _ForceTableBuilder:
+    """Builder of the table of a force; `keepalive` holds the machine code of its function."""
 
     def __init__(self, system: Any, account: int, accounts: int) -> None:
         self.n, self._accounts = system.dim, (account, accounts)
         self._shape = (*system.shape, bool(system.complex)) if isinstance(system, MatrixSystem) else None
-        self.keep: tuple[CompiledFunction, ...] = ()
+        self.keepalive: tuple[CompiledFunction, ...] = ()
 
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
         matrix, vector = np.array(rate, dtype=np.float64), np.array(aim, dtype=np.float64)
         shape = codes("Shape")[("MULTIPLE", "DIAGONAL", "FULL")[matrix.ndim]]
-        function = np.array([kept.address for kept in self.keep], dtype=np.int64)
+        function = np.array([kept.address for kept in self.keepalive], dtype=np.int64)
         return ForceTable(
             codes("ForceKind")[kind], *self._accounts, shape, matrix.ravel(), vector.ravel(), function, **more
         )
@@ -162,18 +164,20 @@ class _Reader:
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         need(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
-        taken = _taking(function, arguments, self._shape)
-        self.keep = (CompiledFunction(taken, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+        taken = _adapted_arguments(function, arguments, self._shape)
+        self.keepalive = (CompiledFunction(taken, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
 
 
-def _taking(function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None) -> Callable[..., Any]:
+def _adapted_arguments(
+    function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None
+) -> Callable[..., Any]:
     """Return a function of (y) or (y, t), as the kernels call it, from one with other arguments.
 
     For a system of matrices `shape` is the shape of a state and whether entries are complex; the function takes such
     states.
     """
     if shape is not None:
-        return _of_matrices(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
+        return _adapted_matrix_function(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
     if arguments in ("x", "x, t"):
         return function
     import numba
@@ -205,21 +209,25 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     """
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
-    keep: list[Any] = []
+    keepalive: list[Any] = []
     for label, force in zip(system.labels, system.forces, strict=True):
         count = sum(account.force == label for account in accounts)
-        reader = _Reader(system.system, first, count)
+        reader = _ForceTableBuilder(system.system, first, count)
         tables.append(force.given_to(reader, system.system))
         first += count
-        keep += reader.keep
+        keepalive += reader.keepalive
     plain = system.system
     every = isinstance(plain, MatrixSystem) or all(force.casimirs for force in system.forces)
     followed = watch_tables(plain, {} if every else system.casimirs)
-    places, kept = places_of(inner, plain, representation)
-    read = [pointed(table) for table in tables]
+    places, kept = inner_loop_integers(inner, plain, representation)
+    read = [as_structure(table) for table in tables]
     matrices, numbers, made = _matrices(plain)
     whole = [*places, len(tables), *map(ctypes.addressof, read), *matrices]
-    found = step_tables_of(plain, "forced", followed, whole, representation, (*keep, *made, *read, *kept), numbers)
-    held: dict[int, Any] = {PLACE_OF_INNER: inner, **dict(enumerate(tables, len(places) + 1))}
-    memory = remembered(STEP_LOOP, found.tables)
-    return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, accounts=accounts, held=held)
+    found = named_step_tables(
+        plain, "forced", followed, whole, representation, (*keepalive, *made, *read, *kept), numbers
+    )
+    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(tables, len(places) + 1))}
+    memory = scheme_memory(STEP_LOOP, found.tables)
+    return CompiledLoop(
+        STEP_LOOP, found.tables, found.keepalive, memory=memory, accounts=accounts, referenced=referenced
+    )

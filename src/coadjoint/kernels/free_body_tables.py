@@ -16,7 +16,7 @@ from coadjoint.program.blocks import Kind
 from coadjoint.program.parts.part import BodyShare
 from coadjoint.program.table import Program
 
-MOST_SWEEPS = 16
+MAX_SWEEPS = 16
 DIRECT, TOGETHER = 1, 2  # bits of `direct`
 
 
@@ -79,7 +79,7 @@ def principal_axes(matrix: Sequence[Sequence[float]]) -> tuple[list[float], list
     """
     M = [list(row) for row in matrix]
     Q = [[float(i == j) for j in range(3)] for i in range(3)]
-    for _ in range(MOST_SWEEPS):
+    for _ in range(MAX_SWEEPS):
         if M[0][1] == M[0][2] == M[1][2] == 0.0:
             break
         for p, q in ((0, 1), (0, 2), (1, 2)):

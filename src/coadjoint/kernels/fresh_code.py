@@ -11,13 +11,13 @@ import numba
 
 from coadjoint.kernels.function_contents import contents_of
 
-MOST_KEPT = 4096
+MAX_CACHED = 4096
 _COMPILED: dict[Any, Any] = {}
 _FRESH: dict[str, Any] = {}
 _warned: set[str] = set()
 
 
-def compiled_once(read: Any, more: tuple[Any, ...], name: str, make: Callable[[], Any]) -> Any:
+def compile_cached(read: Any, more: tuple[Any, ...], name: str, make: Callable[[], Any]) -> Any:
     """Return the cached result of `make`, valid while `read` and everything its functions read is unchanged.
 
     Values that cannot be compared are compiled again on each call, with a warning.
@@ -37,7 +37,7 @@ def compiled_once(read: Any, more: tuple[Any, ...], name: str, make: Callable[[]
     key = found.digest, more
     if key not in _COMPILED:
         made = make()
-        _keep(_COMPILED, key, made)
+        _cache(_COMPILED, key, made)
     return _COMPILED[key]
 
 
@@ -46,23 +46,23 @@ def compiled_digests() -> set[str]:
     return {digest for digest, _ in _COMPILED}
 
 
-def fresh(function: Any) -> Any:
+def fresh_dispatchers(function: Any) -> Any:
     """Return a function for Numba to compile in which each dispatcher is replaced by one without machine code.
 
     Numba treats globals as constants, and a dispatcher does not recompile when they change.
     """
     if isinstance(function, types.FunctionType):
         return _copied(function, {})
-    return _renewed(function, {}, False)
+    return _with_fresh_dispatchers(function, {}, False)
 
 
-def _keep(kept: dict[Any, Any], key: Any, value: Any) -> None:
-    while len(kept) >= MOST_KEPT:
-        del kept[next(iter(kept))]
-    kept[key] = value
+def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
+    while len(cache) >= MAX_CACHED:
+        del cache[next(iter(cache))]
+    cache[key] = value
 
 
-def _renewed(value: Any, made: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
+def _with_fresh_dispatchers(value: Any, made: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
     """Return a value with fresh dispatchers; if `compiles`, plain functions are compiled too.
 
     `made` holds each dispatcher with its fresh copy, so that ids are not reused.
@@ -70,54 +70,56 @@ def _renewed(value: Any, made: dict[int, tuple[Any, Any]], compiles: bool) -> An
     if id(value) in made:
         return made[id(value)][1]
     if isinstance(value, tuple) and type(value) is tuple:
-        return tuple(_renewed(one, made, compiles) for one in value)
+        return tuple(_with_fresh_dispatchers(one, made, compiles) for one in value)
     if isinstance(value, types.FunctionType) and compiles:
-        return _renewed(numba.njit(value), made, compiles)
+        return _with_fresh_dispatchers(numba.njit(value), made, compiles)
     if not isinstance(value, numba.core.dispatcher.Dispatcher):
         return value
     found = contents_of(value)
     if found.unknown or found.digest not in _FRESH:
         new: Any = None
 
-        def promise(copy: types.FunctionType) -> None:
+        def register_copy(copy: types.FunctionType) -> None:
             nonlocal new
             new = type(value)(copy, value.locals, value.targetoptions)
             made[id(value)] = value, new
 
-        _copied(value.py_func, made, promise)
+        _copied(value.py_func, made, register_copy)
         if not value._can_compile:
             for signature in value.nopython_signatures:
                 new.compile(signature)
             new.disable_compile()
         if found.unknown:
             return new
-        _keep(_FRESH, found.digest, new)
+        _cache(_FRESH, found.digest, new)
     return _FRESH[found.digest]
 
 
 def _copied(
     function: types.FunctionType,
     made: dict[int, tuple[Any, Any]],
-    promise: Callable[[types.FunctionType], None] | None = None,
+    register_copy: Callable[[types.FunctionType], None] | None = None,
 ) -> types.FunctionType:
-    """Return a copy of a function that reads fresh dispatchers; recursive functions read what `promise` registers."""
+    """Return a copy of a function that reads fresh dispatchers; recursive functions read what `register_copy`
+    registers.
+    """
     cells = tuple(types.CellType() for _ in function.__closure__ or ())
     names = dict(function.__globals__)
     copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells or None)
     copy.__kwdefaults__, copy.__qualname__ = function.__kwdefaults__, function.__qualname__
     copy.__module__ = function.__module__
     vars(copy).update(vars(function))
-    if promise is not None:
-        promise(copy)
+    if register_copy is not None:
+        register_copy(copy)
     own = (function.__module__ or "").startswith("coadjoint.")
     for new, old in zip(cells, function.__closure__ or (), strict=True):
         try:
-            new.cell_contents = _renewed(old.cell_contents, made, own)
+            new.cell_contents = _with_fresh_dispatchers(old.cell_contents, made, own)
         except ValueError:  # an empty cell
             pass
     attributes = _attributes(function.__code__)
     for name in attributes & names.keys():
-        names[name] = _renewed(_module(names[name], attributes, made), made, False)
+        names[name] = _with_fresh_dispatchers(_module(names[name], attributes, made), made, False)
     return copy
 
 
@@ -125,7 +127,7 @@ def _module(value: Any, attributes: set[str], made: dict[int, tuple[Any, Any]]) 
     """Return a copy of a module with fresh dispatchers if it has any that are read; return other values unchanged."""
     if not isinstance(value, types.ModuleType):
         return value
-    new = {name: _renewed(vars(value)[name], made, False) for name in attributes & vars(value).keys()}
+    new = {name: _with_fresh_dispatchers(vars(value)[name], made, False) for name in attributes & vars(value).keys()}
     if all(vars(value)[name] is own for name, own in new.items()):
         return value
     copy = types.ModuleType(value.__name__)

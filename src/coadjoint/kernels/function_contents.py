@@ -19,15 +19,15 @@ import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 
-PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), type(NotImplemented), Fraction, range)
-LARGEST = 10**6
+PLAIN_TYPES = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), type(NotImplemented), Fraction, range)
+MAX_OBJECTS = 10**6
 """Largest number of objects in one digest."""
-PACKAGES = frozenset({"numpy", "scipy", "numba", "llvmlite"})
+KNOWN_PACKAGES = frozenset({"numpy", "scipy", "numba", "llvmlite"})
 """Packages whose functions and classes are identified by name, like those of the standard library."""
-DYNAMIC = frozenset({"globals", "locals", "vars", "eval", "exec", "__import__", "open", "input"})
+DYNAMIC_BUILTINS = frozenset({"globals", "locals", "vars", "eval", "exec", "__import__", "open", "input"})
 """Builtins with which a function can read values that its code does not name."""
 SCALARS = (bool, int, float, complex, str, bytes)
-NOT_CONTENT = frozenset(
+IGNORED_ATTRIBUTES = frozenset(
     "__dict__ __weakref__ __doc__ __module__ __qualname__ __annotations__ __annotate__ __annotate_func__ "
     "__annotations_cache__ __firstlineno__ __static_attributes__ __abstractmethods__ _abc_impl __parameters__ "
     "__orig_bases__ __dataclass_fields__ __dataclass_params__ __match_args__ __slots__ __wrapped__".split()
@@ -57,48 +57,48 @@ def contents_of(value: Any, written: bool = False) -> Contents:
     >>> one == other, one == again
     (False, True)
     """
-    walk = _Walk(written)
+    walk = _Digester(written)
     walk.add(value)
     return Contents(walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)))
 
 
-class _Walk:
+class _Digester:
     """One traversal: objects with an identity are numbered in order of first visit, data are added by content."""
 
     def __init__(self, written: bool) -> None:
         self.digest, self.unknown = hashlib.blake2b(digest_size=32), list[str]()
-        self._written, self._left = written, LARGEST
-        self._met: dict[Any, int] = {}
+        self._written, self._remaining = written, MAX_OBJECTS
+        self._visited: dict[Any, int] = {}
         self._arrays: dict[int, bytes] = {}
         self._open: list[Any] = []
-        self._held: list[Any] = []  # keeps visited objects alive, so that ids are not reused
+        self._references: list[Any] = []  # keeps visited objects alive, so that ids are not reused
 
-    def _say(self, *words: Any) -> None:
+    def _update(self, *words: Any) -> None:
         self.digest.update("".join(f"{len(text)}:{text};" for text in map(str, words)).encode("utf-8", "surrogatepass"))
 
     def _give_up(self, what: str) -> None:
         self.unknown.append(what)
-        self._say("unknown", what)
+        self._update("unknown", what)
 
     def _is_new(self, value: Any, *more: Any) -> bool:
         """Return whether an object is visited for the first time; otherwise add its number."""
         key = (id(value), *more)
-        if key in self._met:
-            self._say("again", self._met[key])
+        if key in self._visited:
+            self._update("again", self._visited[key])
             return False
-        self._met[key] = len(self._met)
-        self._held.append(value)
+        self._visited[key] = len(self._visited)
+        self._references.append(value)
         return True
 
     def add(self, value: Any) -> None:
         """Add a value according to its type."""
         kind = type(value)
-        self._left -= 1
-        if self._left < 0:
-            if self._left == -1:
-                self._give_up(f"more than {LARGEST} objects")
-        elif kind in PLAIN:
-            self._say(kind.__name__, repr(value))
+        self._remaining -= 1
+        if self._remaining < 0:
+            if self._remaining == -1:
+                self._give_up(f"more than {MAX_OBJECTS} objects")
+        elif kind in PLAIN_TYPES:
+            self._update(kind.__name__, repr(value))
         elif isinstance(value, np.ndarray | np.generic):
             self._add_array(value)
         elif kind in (tuple, list, dict, set, frozenset, types.MappingProxyType):
@@ -106,7 +106,7 @@ class _Walk:
         elif kind is types.CodeType:
             self._add_code(value)
         elif kind is Polynomial:
-            self._say("polynomial")
+            self._update("polynomial")
             self._add_unordered(value.monomials.items())
         elif self._is_new(value):
             self._add_object(value)
@@ -114,25 +114,27 @@ class _Walk:
     def _add_array(self, value: Any) -> None:
         array = np.asarray(value)
         kind = array.dtype.str if array.dtype.names is None else array.dtype.descr
-        self._say("array", type(value).__name__, kind, array.shape, array.flags.c_contiguous, array.flags.f_contiguous)
+        self._update(
+            "array", type(value).__name__, kind, array.shape, array.flags.c_contiguous, array.flags.f_contiguous
+        )
         if array.dtype.hasobject:
             self.add(array.ravel().tolist())
         else:
             if id(value) not in self._arrays:
                 self._arrays[id(value)] = hashlib.sha256(np.ascontiguousarray(array).data).digest()
-                self._held.append(value)
+                self._references.append(value)
             self.digest.update(self._arrays[id(value)])
         if isinstance(value, np.ndarray) and type(value) is not np.ndarray:
             self.add(dict(sorted(getattr(value, "__dict__", {}).items())))
 
     def _add_container(self, value: Any) -> None:
         if any(value is one for one in self._open):
-            self._say("inside of itself")
-        elif len(value) > self._left:
+            self._update("inside of itself")
+        elif len(value) > self._remaining:
             self._give_up(f"a {type(value).__name__} of {len(value)} entries")
         else:
             self._open.append(value)
-            self._say(type(value).__name__, len(value))
+            self._update(type(value).__name__, len(value))
             if isinstance(value, set | frozenset):
                 self._add_unordered(value)
             else:
@@ -142,7 +144,7 @@ class _Walk:
 
     def _add_unordered(self, values: Iterable[Any]) -> None:
         found = [contents_of(value, self._written) for value in values]
-        self._say(*sorted(one.digest for one in found))
+        self._update(*sorted(one.digest for one in found))
         self.unknown += [what for one in found for what in one.unknown]
 
     def _add_object(self, value: Any) -> None:
@@ -151,12 +153,12 @@ class _Walk:
         if isinstance(value, types.FunctionType):
             self._add_function(value)
         elif numba and isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher
-            self._say("compiled")
+            self._update("compiled")
             options = getattr(value, "targetoptions", {})
             more = _types_of_locals(value)
             self.add([value.py_func, dict(sorted(options.items())), getattr(value, "_can_compile", True), *more])
             if not getattr(value, "_can_compile", True):
-                self._say(*map(str, value.nopython_signatures))
+                self._update(*map(str, value.nopython_signatures))
         elif numba and isinstance(getattr(value, "_pyfunc", None), types.FunctionType):  # a callback
             compiler = getattr(value, "_compiler", None)
             options = sorted(getattr(compiler, "targetoptions", {}).items())
@@ -175,17 +177,17 @@ class _Walk:
         elif isinstance(value, types.BuiltinFunctionType) and not isinstance(value.__self__, types.ModuleType | None):
             self.add(["builtin method", value.__name__, value.__self__])
         elif isinstance(value, types.ModuleType):
-            self._say("module", value.__name__)
+            self._update("module", value.__name__)
         elif isinstance(value, type):
             self._add_class(value)
         elif isinstance(value, types.CellType):
-            self.add(["cell", *_inside(value)])
-        elif kind is type(_read_by):
+            self.add(["cell", *_cell_value(value)])
+        elif kind is type(_global_reads):
             self.add(["cached", value.__wrapped__])
         elif isinstance(getattr(value, "__qualname__", None), str) and (callable(value) or hasattr(kind, "__get__")):
             self._add_named(value)
         elif isinstance(value, np.ufunc) and not hasattr(value, "_dispatcher"):
-            self._say("ufunc", value.__name__)
+            self._update("ufunc", value.__name__)
         else:
             self._add_instance(value)
 
@@ -193,15 +195,15 @@ class _Walk:
         """Add a C function or a descriptor by its name, which identifies it only in known packages."""
         owner = getattr(value, "__objclass__", None)
         module = getattr(value, "__module__", None) or getattr(owner, "__module__", None) or "builtins"
-        self._say("named", module, value.__qualname__)
+        self._update("named", module, value.__qualname__)
         if not _is_known(module) and owner is None:
             self._give_up(f"{module}.{value.__qualname__}")
 
     def _add_class(self, kind: type) -> None:
-        self._say("class", kind.__module__, kind.__qualname__)
+        self._update("class", kind.__module__, kind.__qualname__)
         if not _is_known(kind.__module__) and not _is_own(kind.__module__):
             self.add(kind.__bases__)
-            self.add({name: own for name, own in sorted(vars(kind).items()) if name not in NOT_CONTENT})
+            self.add({name: own for name, own in sorted(vars(kind).items()) if name not in IGNORED_ATTRIBUTES})
 
     def _add_instance(self, value: Any) -> None:
         kind = type(value)
@@ -231,35 +233,35 @@ class _Walk:
 
     def _add_function(self, function: types.FunctionType) -> None:
         module = function.__module__ or ""
-        self._say("function")
+        self._update("function")
         if _is_known(module):
-            self._say(module, function.__qualname__)
+            self._update(module, function.__qualname__)
         elif self._written:
             text = _source(function)
             if text is None:
                 self._give_up(f"the source of {function.__qualname__}")
-            self._say(text)
+            self._update(text)
         else:
             self._add_code(function.__code__)
-        read = _read_by(function.__code__)
+        read = _global_reads(function.__code__)
         self.add(function.__defaults__)
         self.add(dict(sorted((function.__kwdefaults__ or {}).items())))
         self.add({name: own for name, own in sorted(vars(function).items()) if name != "__wrapped__"})
         for name, cell in sorted(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)):
-            self._say("closed over", name)
-            for own in _inside(cell):
+            self._update("closed over", name)
+            for own in _cell_value(cell):
                 self._add_read(own, read.attributes)
         if _is_known(module) or _is_own(module):
             return
         builtins: dict[str, Any] = cast(Any, function).__builtins__
         for name in read.names:
             if name in function.__globals__:
-                self._say("global", name)
+                self._update("global", name)
                 self._add_read(function.__globals__[name], read.attributes)
             elif name in builtins:
                 own = builtins[name]
-                self._say("builtin", name)
-                if name in DYNAMIC:
+                self._update("builtin", name)
+                if name in DYNAMIC_BUILTINS:
                     self._give_up(f"what {function.__qualname__} reads by {name}()")
                 elif not _is_known(getattr(own, "__module__", None) or "builtins"):
                     self.add(own)
@@ -274,24 +276,24 @@ class _Walk:
         """Add a value that a function reads; of a module only the attributes that the function names."""
         if not isinstance(value, types.ModuleType):
             return self.add(value)
-        self._say("module", value.__name__)
+        self._update("module", value.__name__)
         known = _is_known(value.__name__) or _is_own(value.__name__)
         for name in sorted(attributes & vars(value).keys()):
             own = vars(value)[name]
             replaced = isinstance(own, types.FunctionType) and not _is_known(own.__module__ or "")
             if (not known or (replaced and not _is_own(own.__module__ or ""))) and self._is_new(value, name):
-                self._say("attribute", name)
+                self._update("attribute", name)
                 self._add_read(own, attributes)
 
     def _add_code(self, code: types.CodeType) -> None:
         counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
         names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
-        self._say("code", *counts, *names, len(code.co_code))
+        self._update("code", *counts, *names, len(code.co_code))
         self.digest.update(code.co_code + getattr(code, "co_exceptiontable", b""))
         self.add(code.co_consts)
 
 
-class _Read(NamedTuple):
+class _GlobalReads(NamedTuple):
     """The global names that a function reads, the attributes it names, and the modules it imports."""
 
     names: tuple[str, ...]
@@ -300,7 +302,7 @@ class _Read(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4096)
-def _read_by(code: types.CodeType) -> _Read:
+def _global_reads(code: types.CodeType) -> _GlobalReads:
     names, attributes, imports = set[str](), set[str](code.co_names), set[str]()
     for instruction in dis.get_instructions(code):
         if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"):
@@ -309,16 +311,16 @@ def _read_by(code: types.CodeType) -> _Read:
             imports.add(instruction.argval)
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            inner = _read_by(constant)
+            inner = _global_reads(constant)
             names |= set(inner.names)
             attributes |= inner.attributes
             imports |= set(inner.imports)
         elif isinstance(constant, str):
             attributes.add(constant)  # possibly an argument of getattr
-    return _Read(tuple(sorted(names)), frozenset(attributes), tuple(sorted(imports)))
+    return _GlobalReads(tuple(sorted(names)), frozenset(attributes), tuple(sorted(imports)))
 
 
-def _inside(cell: types.CellType) -> list[Any]:
+def _cell_value(cell: types.CellType) -> list[Any]:
     try:
         return [cell.cell_contents]
     except ValueError:  # an empty cell
@@ -341,9 +343,11 @@ def _is_own(module: str) -> bool:
 
 @functools.lru_cache(maxsize=4096)
 def _is_known(module: str) -> bool:
-    """Return whether a module belongs to the standard library or to `PACKAGES`; files that shadow its name do not."""
+    """Return whether a module belongs to the standard library or to `KNOWN_PACKAGES`; files that shadow its name do
+    not.
+    """
     top = module.partition(".")[0]
-    if top in PACKAGES:
+    if top in KNOWN_PACKAGES:
         return True
     if top not in sys.stdlib_module_names:
         return False
@@ -374,7 +378,7 @@ def _codes_in(text: str, name: str) -> frozenset[types.CodeType]:
     return frozenset(found)
 
 
-def key_of(function: Any) -> Any:
+def compilation_key(function: Any) -> Any:
     """Return a key that is equal for functions that compile to the same code; a unique object if that is unknown."""
     found = contents_of(function)
     return object() if found.unknown else found.digest

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.invariants.logarithmic import Forms
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.structures import as_structure
 from coadjoint.optional_packages import installed, need
 
 
@@ -36,51 +36,51 @@ class CompiledFunction:
         from coadjoint.kernels.callbacks import callback_of
 
         self._callback = callback_of(function, size, results, scalar, flat, timed, what)
-        self._given = function, size, results, scalar, flat, timed, what
+        self._arguments = function, size, results, scalar, flat, timed, what
         self.address: int = self._callback.address
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that compile the function again in another process."""
-        return _compiled_again, self._given
+        return _recompiled, self._arguments
 
 
-def tell_of_compiling(functions: Iterable[Callable[..., Any]]) -> None:
+def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
     """Warn before compilation if there are so many Python functions that compiling them takes seconds; do nothing
     without Numba.
     """
     if installed("numba"):
-        from coadjoint.kernels.callbacks import tell_of_many
+        from coadjoint.kernels.callbacks import warn_many_functions
 
-        tell_of_many(list(functions))
+        warn_many_functions(list(functions))
 
 
-def _compiled_again(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
+def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
     return CompiledFunction(function, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
 
 
-class TabledFunction:
+class FormulaFunction:
     """A formula table for the kernels, identified by the negative of its address; the object keeps the table alive."""
 
     def __init__(self, forms: Forms) -> None:
-        self._table = pointed(forms)
+        self._table = as_structure(forms)
         self.address: int = -ctypes.addressof(self._table)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that build the formula again in another process."""
-        return TabledFunction, (self._table.source,)
+        return FormulaFunction, (self._table.source,)
 
 
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINTER(ctypes.c_double))
 
 
-class CalledFunction:
+class PythonCallback:
     """A function of (y, t), y an array of `size` numbers, that returns a number and is called in Python, at some
     microseconds per call.
     """
 
     def __init__(self, function: Callable[..., Any], size: int) -> None:
         self._raised: BaseException | None = None
-        self._given = function, size
+        self._arguments = function, size
         block = ctypes.c_double * size
 
         def call(y: int, t: float, out: Any) -> None:
@@ -97,7 +97,7 @@ class CalledFunction:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that make the function callable in another process."""
-        return CalledFunction, self._given
+        return PythonCallback, self._arguments
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that the function raised, if any."""
@@ -105,5 +105,5 @@ class CalledFunction:
         return found
 
 
-Kept = tuple[CompiledFunction | TabledFunction | CalledFunction, ...]
+Owners = tuple[CompiledFunction | FormulaFunction | PythonCallback, ...]
 """Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

@@ -19,7 +19,9 @@ from coadjoint.program.term_table import FUNCTION, LINEAR, POLYNOMIAL
 
 Fields = tuple[tuple[str, str], ...]
 
-BUILT_AGAIN = "they were built for another version; build them again, for instance by `pip install --force-reinstall`"
+REBUILD_ADVICE = (
+    "they were built for another version; build them again, for instance by `pip install --force-reinstall`"
+)
 
 
 class Array(NamedTuple):
@@ -39,7 +41,7 @@ class Description(NamedTuple):
     codes: Mapping[str, Mapping[str, int]]
 
 
-WRITTEN: Mapping[str, Mapping[str, int]] = {
+PYTHON_CODES: Mapping[str, Mapping[str, int]] = {
     "Kind": {kind.name: int(kind) for kind in Kind},
     "TermKind": {"LINEAR": LINEAR, "POLYNOMIAL": POLYNOMIAL, "FUNCTION": FUNCTION},
     "Role": {
@@ -56,7 +58,7 @@ WRITTEN: Mapping[str, Mapping[str, int]] = {
 }
 """Codes that Python also defines: complete lists, except for the limits, of which `program` needs some."""
 
-USED: Mapping[str, Iterable[str]] = {
+LOOKED_UP_CODES: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
     "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
@@ -98,13 +100,14 @@ TYPES = ("numbers", "integers")
 """Types of the arrays of a run: float64 and int64."""
 
 
-def parsed(text: str) -> Description:
+def parse_description(text: str) -> Description:
     r"""Parse a description: one line for each table, kind of arrays and list of codes, with its kind, name and entries.
 
     Examples
     --------
-    >>> said = parsed("table Pair:number left;number right;\narrays saved:numbers x points * size;\ncodes Way:UP 1;")
-    >>> said.tables["Pair"], said.arrays["saved"]["x"].axes, said.codes["Way"]
+    >>> text = "table Pair:number left;number right;\narrays saved:numbers x points * size;\ncodes Way:UP 1;"
+    >>> parsed = parse_description(text)
+    >>> parsed.tables["Pair"], parsed.arrays["saved"]["x"].axes, parsed.codes["Way"]
     ((('number', 'left'), ('number', 'right')), ('points', 'size'), {'UP': 1})
     """
     found: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
@@ -126,52 +129,52 @@ def check(description: Description) -> None:
     package.
     """
     codes, arrays = description.codes, description.arrays
-    for what, values in WRITTEN.items():
+    for what, values in PYTHON_CODES.items():
         for name, value in values.items():
-            _agree(f"{what}.{name}", value, codes.get(what, {}).get(name))
+            _check_equal(f"{what}.{name}", value, codes.get(what, {}).get(name))
         if what != "Limit":
-            _agree(f"{what}: names", sorted(values), sorted(codes[what]))
-    for what, names in USED.items():
+            _check_equal(f"{what}: names", sorted(values), sorted(codes[what]))
+    for what, names in LOOKED_UP_CODES.items():
         for name in names:
             if name not in codes.get(what, {}):
-                _agree(f"{what}.{name}", "a number", None)
+                _check_equal(f"{what}.{name}", "a number", None)
     axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
     for kind, used in ARRAYS.items():
-        _agree(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
+        _check_equal(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
         for name, array in arrays[kind].items():
             unknown = sorted(set(array.axes) - axes)
             if unknown:
-                _agree(f"axes of {kind}.{name}", "numbers of Extent and limits", unknown)
+                _check_equal(f"axes of {kind}.{name}", "numbers of Extent and limits", unknown)
             if array.kind not in TYPES:
-                _agree(f"type of {kind}.{name}", " or ".join(TYPES), array.kind)
+                _check_equal(f"type of {kind}.{name}", " or ".join(TYPES), array.kind)
 
 
 def check_fields(name: str, fields: Iterable[str]) -> None:
     """Raise ImportError if the kernels have no table of this name, or one with other fields than in Python."""
-    there = described().tables.get(name)
+    there = kernel_interface().tables.get(name)
     if there is None:
-        raise ImportError(f"the compiled kernels have no table {name}: {BUILT_AGAIN}")
-    _agree(f"table {name}: fields", sorted(fields), sorted(field for _, field in there))
+        raise ImportError(f"the compiled kernels have no table {name}: {REBUILD_ADVICE}")
+    _check_equal(f"table {name}: fields", sorted(fields), sorted(field for _, field in there))
 
 
-def _agree(name: str, own: Any, theirs: Any) -> None:
+def _check_equal(name: str, own: Any, theirs: Any) -> None:
     if own == theirs:
         return
     if isinstance(own, list) and isinstance(theirs, list):
         own, theirs = (sorted(set(one) - set(other)) for one, other in ((own, theirs), (theirs, own)))
         raise ImportError(
             f"{name}: {_listed(own)} only in this package, {_listed(theirs)} only in the compiled kernels: "
-            f"{BUILT_AGAIN}"
+            f"{REBUILD_ADVICE}"
         )
     said = "missing" if theirs is None else theirs
-    raise ImportError(f"{name} is {own} in this package and {said} in the compiled kernels: {BUILT_AGAIN}")
+    raise ImportError(f"{name} is {own} in this package and {said} in the compiled kernels: {REBUILD_ADVICE}")
 
 
 def _listed(names: list[str]) -> str:
     return ", ".join(names) or "nothing"
 
 
-def text_of_kernels() -> str:
+def interface_text() -> str:
     """Return the description as text from the loaded library."""
     describe = kernels().description
     describe.restype = ctypes.c_char_p
@@ -179,23 +182,23 @@ def text_of_kernels() -> str:
 
 
 @cache
-def described() -> Description:
+def kernel_interface() -> Description:
     """Return the description of the loaded kernels, checked once; raise ImportError if they are missing or of another
     version.
     """
     try:
-        description = parsed(text_of_kernels())
+        description = parse_description(interface_text())
     except AttributeError as error:
-        raise ImportError(f"the compiled kernels do not describe themselves: {BUILT_AGAIN}") from error
+        raise ImportError(f"the compiled kernels do not describe themselves: {REBUILD_ADVICE}") from error
     check(description)
     return description
 
 
 def codes(name: str) -> Mapping[str, int]:
     """Return the codes of a list, by name."""
-    return described().codes[name]
+    return kernel_interface().codes[name]
 
 
 def limit(name: str) -> int:
     """Return a limit or a count of the kernels."""
-    return described().codes["Limit"][name]
+    return kernel_interface().codes["Limit"][name]

@@ -71,14 +71,14 @@ def level_in_use() -> int | None:
                 return level
         raise ImportError(
             f"COADJOINT_LEVEL is {short(asked)}, but {can_use}, and of the kernels {_listed(built)} "
-            f"{'is' if len(built) == 1 else 'are'} built{_how_to_build(asked) if asked in _names(known) else ''}"
+            f"{'is' if len(built) == 1 else 'are'} built{_build_advice(asked) if asked in _names(known) else ''}"
         )
     if not built:
         raise _missing(f"_kernels_v{highest}")
     if not usable:
         raise ImportError(
             f"the compiled kernels in {FOLDER} are built for {_listed(built)}, but {can_use}"
-            f"{_how_to_build(f'v{known[0]}')}"
+            f"{_build_advice(f'v{known[0]}')}"
         )
     return usable[0]
 
@@ -91,7 +91,7 @@ def _listed(some: Sequence[int]) -> str:
     return ", ".join(_names(some)) or "none"
 
 
-def _how_to_build(level: str) -> str:
+def _build_advice(level: str) -> str:
     return f": build it by `COADJOINT_LEVELS={level} pip install --force-reinstall --no-binary coadjoint coadjoint`"
 
 
@@ -108,7 +108,7 @@ def kernels() -> ctypes.CDLL:
 
 
 @functools.cache
-def listening_kernels() -> ctypes.PyDLL:
+def interruptible_kernels() -> ctypes.PyDLL:
     """Return the same library with its loops, which are called while Python's global lock is held.
 
     The loops release the lock while they work, and acquire it periodically to check for signals; exceptions of handlers

@@ -13,13 +13,13 @@ import numpy as np
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.library import kernels, listening_kernels
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.library import interruptible_kernels, kernels
+from coadjoint.kernels.structures import as_structure
 from coadjoint.program.parts.part import Parts
 
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
 # are passed as C types: conversion by declared argtypes takes half as long as a short call.
-number: Any = ctypes.c_int64
+as_int64: Any = ctypes.c_int64
 
 
 @dataclass(frozen=True)
@@ -49,31 +49,31 @@ class CompiledLoop:
 
     name: str
     tables: Any
-    keep: tuple[Any, ...] = ()
+    keepalive: tuple[Any, ...] = ()
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
     accounts: tuple[tuple[str, str], ...] = ()
     parts: Parts | None = None
-    held: Mapping[int, Any] = field(default_factory=dict)
+    referenced: Mapping[int, Any] = field(default_factory=dict)
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that a function of the user raised in the loop, if any."""
-        return next((error for kept in self.keep if (error := getattr(kept, "raised", lambda: None)())), None)
+        return next((error for kept in self.keepalive if (error := getattr(kept, "raised", lambda: None)())), None)
 
 
-class Stop:
+class StopFlag:
     """A flag with which another thread stops the loops of a run."""
 
     def __init__(self) -> None:
-        self._said = ctypes.c_int64(0)
-        self.address = ctypes.byref(self._said)
+        self._flag = ctypes.c_int64(0)
+        self.address = ctypes.byref(self._flag)
 
-    def say(self) -> None:
+    def request(self) -> None:
         """Stop all loops that were given this flag, within a fraction of a second."""
-        self._said.value = 1
+        self._flag.value = 1
 
 
-class Crew:
+class MemberBatch:
     """The members first to last - 1 that one call of a loop advances, with the tables that it reads for them.
 
     Parameters
@@ -81,7 +81,7 @@ class Crew:
     loop : str
         Name of the loop in the library.
     tables, watch : NamedTuple
-        Tables of the scheme and of the invariants, plain or `pointed`.
+        Tables of the scheme and of the invariants, plain or `as_structure`.
     first, last : int
         The members.
     stride : int
@@ -96,75 +96,75 @@ class Crew:
     ) -> None:
         self.count = last - first
         members = np.arange(base, last)
-        places = number(first - base), number(last - base), number(stride)
-        self._places = ctypes.c_void_p(members.ctypes.data), *places
+        places = as_int64(first - base), as_int64(last - base), as_int64(stride)
+        self._positions = ctypes.c_void_p(members.ctypes.data), *places
         self._loop, self._members = _loop(loop), members
-        self._read(pointed(tables), pointed(watch))
+        self._read(as_structure(tables), as_structure(watch))
 
     def _read(self, tables: Any, watch: Any) -> None:
-        self._given = tables, watch
-        self._advance = partial(self._loop, ctypes.byref(tables), ctypes.byref(watch), *self._places)
+        self._pointed_tables = tables, watch
+        self._advance = partial(self._loop, ctypes.byref(tables), ctypes.byref(watch), *self._positions)
 
-    def reading(self, tables: Any, watch: Any) -> Crew:
-        """Return the same members with other `pointed` tables; faster than a new crew."""
-        other: Crew = object.__new__(Crew)
-        other.count, other._places = self.count, self._places
+    def with_tables(self, tables: Any, watch: Any) -> MemberBatch:
+        """Return the same members with other `as_structure` tables; faster than a new crew."""
+        other: MemberBatch = object.__new__(MemberBatch)
+        other.count, other._positions = self.count, self._positions
         other._loop, other._members = self._loop, self._members
         other._read(tables, watch)
         return other
 
-    def among(self, members: Any) -> Crew:
+    def among(self, members: Any) -> MemberBatch:
         """Return a crew of other members, ascending, with the same tables; its constants must not differ by member."""
-        other: Crew = object.__new__(Crew)
+        other: MemberBatch = object.__new__(MemberBatch)
         other._loop, other._members, other.count = self._loop, np.array(members, dtype=np.int64), len(members)
         address = ctypes.c_void_p(other._members.ctypes.data)
-        other._places = address, number(0), number(other.count), number(0)
-        other._read(*self._given)
+        other._positions = address, as_int64(0), as_int64(other.count), as_int64(0)
+        other._read(*self._pointed_tables)
         return other
 
     def advance(
-        self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: Stop
+        self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: StopFlag
     ) -> int:
-        """Take the steps k0 + 1 to k1 of the `pointed` schedule, and save the start if k0 is 0; return the number of
-        failed members.
+        """Take the steps k0 + 1 to k1 of the `as_structure` schedule, and save the start if k0 is 0; return the number
+        of failed members.
 
         Members whose energy is not finite after the last step count as failed. Signals are handled several times a
         second in the main thread, other threads check `stop`; the resulting exception, such as KeyboardInterrupt,
         invalidates the arrays of the crew. Raise MemoryError if there is no memory for the working arrays.
         """
-        wrong: int = self._advance(
-            layout.address, schedule, saved.address, state.address, number(k0), number(k1), stop.address
+        failed_count: int = self._advance(
+            layout.address, schedule, saved.address, state.address, as_int64(k0), as_int64(k1), stop.address
         )
-        return wrong if wrong >= 0 else refused(wrong)
+        return failed_count if failed_count >= 0 else raise_outcome(failed_count)
 
-    def repeated(
-        self, layout: Layout, schedule: bytes, saved: NamedArrays, state: NamedArrays, steps: int, stop: Stop
+    def bound_advance(
+        self, layout: Layout, schedule: bytes, saved: NamedArrays, state: NamedArrays, steps: int, stop: StopFlag
     ) -> Callable[[], int]:
         """Return a function that takes the steps 1 to `steps`, for many calls with the same arrays.
 
-        It returns the number of failed members, or a negative outcome for `refused`.
+        It returns the number of failed members, or a negative outcome for `raise_outcome`.
         """
         arrays = layout.address, schedule, saved.address, state.address
-        return partial(self._advance, *arrays, number(0), number(steps), stop.address)
+        return partial(self._advance, *arrays, as_int64(0), as_int64(steps), stop.address)
 
 
 @cache
 def _loop(name: str) -> Any:
-    found = getattr(listening_kernels(), name)
-    found.restype = number
+    found = getattr(interruptible_kernels(), name)
+    found.restype = as_int64
     return found
 
 
-def refused(outcome: int) -> int:
+def raise_outcome(outcome: int) -> int:
     """Raise the exception of a loop that ended before its last step."""
     if outcome == codes("Outcome")["NO_MEMORY"]:
         raise MemoryError("there is no memory for the working arrays of the loop")
     raise KeyboardInterrupt
 
 
-def remembered(loop: str, tables: Any) -> int:
+def scheme_memory(loop: str, tables: Any) -> int:
     """Return the numbers of scheme memory per member for a loop in the library and its tables."""
-    ask, table = getattr(kernels(), f"{loop}_remembers"), pointed(tables)
+    ask, table = getattr(kernels(), f"{loop}_remembers"), as_structure(tables)
     ask.restype = ctypes.c_int64
     count = int(ask(ctypes.byref(table)))
     if count < 0:

@@ -34,9 +34,9 @@ class MatrixFunction:
         except MissingPackageError as reason:
             self._call_python(stream, shape, complex_entries, str(reason))
         except Exception as error:  # Numba raises exceptions of many types
-            from coadjoint.kernels.callbacks import reason_of
+            from coadjoint.kernels.callbacks import numba_error_text
 
-            self._call_python(stream, shape, complex_entries, reason_of(error))
+            self._call_python(stream, shape, complex_entries, numba_error_text(error))
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that the function raised, if any."""
@@ -52,8 +52,8 @@ class MatrixFunction:
             try:
                 if self._raised is not None:
                     raise self._raised
-                given = np.frombuffer(memoryview(block.from_address(W)), dtype=kind)
-                out[:] = stream(given.reshape(shape).copy(), t)
+                matrix = np.frombuffer(memoryview(block.from_address(W)), dtype=kind)
+                out[:] = stream(matrix.reshape(shape).copy(), t)
             except BaseException as error:
                 # NaN stops the member, and the exception is raised again in the thread of the run.
                 self._raised = error
@@ -61,7 +61,7 @@ class MatrixFunction:
 
         self._callback, self.compiled = CALLBACK(call), False
         self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
-        _say_once(_Key(stream.function), reason)
+        _warn_once(_Key(stream.function), reason)
 
 
 class _Key:
@@ -82,7 +82,7 @@ class _Key:
 
 
 @lru_cache(maxsize=256)
-def _say_once(key: _Key, reason: str) -> None:
+def _warn_once(key: _Key, reason: str) -> None:
     function = key.function
     name = getattr(function, "__name__", type(function).__name__)
     warnings.warn(
@@ -96,46 +96,46 @@ def _say_once(key: _Key, reason: str) -> None:
 def _compiled(
     function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
 ) -> Any:
-    from coadjoint.kernels.fresh_code import compiled_once
+    from coadjoint.kernels.fresh_code import compile_cached
 
     more = "stream", N, complex_entries, timed, tuple(map(tuple, traceless))
     name = f"the stream {getattr(function, '__name__', type(function).__name__)}"
-    return compiled_once(function, more, name, lambda: _made(function, N, complex_entries, timed, traceless))
+    return compile_cached(function, more, name, lambda: _adapted(function, N, complex_entries, timed, traceless))
 
 
-def _made(
+def _adapted(
     function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
 ) -> Any:
     import numba
     from numba import carray
 
     from coadjoint.kernels.callbacks import SIGNATURE
-    from coadjoint.kernels.fresh_code import fresh
+    from coadjoint.kernels.fresh_code import fresh_dispatchers
 
     inner: Any = (
-        numba.njit(error_model="numpy", boundscheck=True)(fresh(function))
+        numba.njit(error_model="numpy", boundscheck=True)(fresh_dispatchers(function))
         if inspect.isfunction(function)
-        else fresh(function)
+        else fresh_dispatchers(function)
     )
 
     blocks = np.array(traceless, dtype=np.int64).reshape(-1, 2)
 
     @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
-    def centre(given: Any) -> None:
+    def centre(matrix: Any) -> None:
         for first, last in blocks:
-            mean = 0.0 * given[0, 0]
+            mean = 0.0 * matrix[0, 0]
             for i in range(first, last):
-                mean += given[i, i]
+                mean += matrix[i, i]
             mean /= last - first
             for i in range(first, last):
-                given[i, i] -= mean
+                matrix[i, i] -= mean
 
     def of_complex(W: Any, t: float, P: Any) -> None:
         out = carray(P, (2 * N * N,))
         out[:] = np.nan
-        given = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
-        centre(given)
-        found = inner(given, t) if timed else inner(given)
+        matrix = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
+        centre(matrix)
+        found = inner(matrix, t) if timed else inner(matrix)
         for i in range(N):
             for j in range(N):
                 value = complex(found[i, j])
@@ -145,9 +145,9 @@ def _made(
     def of_real(W: Any, t: float, P: Any) -> None:
         out = carray(P, (N * N,))
         out[:] = np.nan
-        given = carray(W, (N * N,)).copy().reshape((N, N))
-        centre(given)
-        found = inner(given, t) if timed else inner(given)
+        matrix = carray(W, (N * N,)).copy().reshape((N, N))
+        centre(matrix)
+        found = inner(matrix, t) if timed else inner(matrix)
         for i in range(N):
             for j in range(N):
                 out[i * N + j] = found[i, j]

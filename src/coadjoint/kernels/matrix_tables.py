@@ -11,8 +11,8 @@ import numpy as np
 
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.matrix_functions import MatrixFunction
-from coadjoint.kernels.step_tables import step_numbers
-from coadjoint.kernels.tables import Compiled
+from coadjoint.kernels.step_tables import numeric_step_tables
+from coadjoint.kernels.tables import CompiledTables
 from coadjoint.systems.matrices.function_stream import FunctionStream
 
 ROUTINES: dict[int, str] = {}
@@ -64,11 +64,11 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
 
 def matrix_tables(
     system: Any, step: str, stages: int, coefficients: Sequence[float], fractions: Sequence[float]
-) -> Compiled:
+) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step of a matrix system with substeps of these fractions."""
-    whole, numbers, keep = stream_tables(system)
+    whole, numbers, keepalive = stream_tables(system)
     precisions = "zc" if system.complex else "ds"
     whole += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
     whole += [stages, int(system.complex), int(not system.algebra.skew)]
-    made = step_numbers(system, step, whole, [*coefficients, *numbers], fractions)
-    return Compiled(made.tables, (*made.keep, *keep))
+    made = numeric_step_tables(system, step, whole, [*coefficients, *numbers], fractions)
+    return CompiledTables(made.tables, (*made.keepalive, *keepalive))

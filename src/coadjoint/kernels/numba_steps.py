@@ -19,19 +19,19 @@ import numpy as np
 from numba import carray, types
 from numba.extending import overload_method
 
-from coadjoint.kernels.callbacks import reason_of
-from coadjoint.kernels.fresh_code import compiled_once, fresh
+from coadjoint.kernels.callbacks import numba_error_text
+from coadjoint.kernels.fresh_code import compile_cached, fresh_dispatchers
 from coadjoint.kernels.library import kernels
 
 NUMBERS = types.CPointer(types.float64)
 SIGNATURE = types.int64(types.CPointer(types.int64), NUMBERS, types.float64, types.float64, NUMBERS)
 
-SeenSystem = namedtuple("SeenSystem", ("dim", "sign", "place", "hamiltonian"))
-SeenHamiltonian = namedtuple("SeenHamiltonian", ("dim", "place"))
+SystemView = namedtuple("SystemView", ("dim", "sign", "place", "hamiltonian"))
+HamiltonianView = namedtuple("HamiltonianView", ("dim", "place"))
 DifferentiableSystem = namedtuple("DifferentiableSystem", ("dim", "sign", "place", "hamiltonian"))
 DifferentiableHamiltonian = namedtuple("DifferentiableHamiltonian", ("dim", "place"))
-SYSTEMS = (SeenSystem, DifferentiableSystem)
-HAMILTONIANS = (SeenHamiltonian, DifferentiableHamiltonian)
+SYSTEMS = (SystemView, DifferentiableSystem)
+HAMILTONIANS = (HamiltonianView, DifferentiableHamiltonian)
 
 
 def _kernel(name: str, *arguments: Any, result: Any = None) -> Any:
@@ -84,7 +84,7 @@ def _number(kernel: Any, read: Any) -> Callable[..., Any]:
 
 
 @numba.njit(inline="always")
-def _as_it_is(x: Any) -> Any:
+def _identity(x: Any) -> Any:
     return x
 
 
@@ -93,9 +93,9 @@ def _copied(x: Any) -> Any:
     return np.ascontiguousarray(x).astype(np.float64)
 
 
-def _offer(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: Any) -> None:
+def _add_method(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: Any) -> None:
     """Add a method to tuples of these kinds in compiled code."""
-    direct, copying = make(kernel, _as_it_is), make(kernel, _copied)
+    direct, copying = make(kernel, _identity), make(kernel, _copied)
 
     def chosen(self: Any, x: Any) -> Any:
         if getattr(self, "instance_class", None) not in kinds:
@@ -110,13 +110,13 @@ def _offer(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: 
         overload_method(kind, name)(timed if "t" in inspect.signature(direct).parameters else chosen)
 
 
-_offer(SYSTEMS, "vector_field", _vector, FIELD)
-_offer(SYSTEMS, "structure_matrix", _structure, STRUCTURE)
-_offer(SYSTEMS, "energy", _number, ENERGY)
-_offer(SYSTEMS[1:], "jacobian", _matrix, JACOBIAN)
-_offer(HAMILTONIANS, "gradient", _vector, GRADIENT)
-_offer(HAMILTONIANS, "value", _number, ENERGY)
-_offer(HAMILTONIANS[1:], "hessian", _matrix, HESSIAN)
+_add_method(SYSTEMS, "vector_field", _vector, FIELD)
+_add_method(SYSTEMS, "structure_matrix", _structure, STRUCTURE)
+_add_method(SYSTEMS, "energy", _number, ENERGY)
+_add_method(SYSTEMS[1:], "jacobian", _matrix, JACOBIAN)
+_add_method(HAMILTONIANS, "gradient", _vector, GRADIENT)
+_add_method(HAMILTONIANS, "value", _number, ENERGY)
+_add_method(HAMILTONIANS[1:], "hessian", _matrix, HESSIAN)
 
 
 def compiled_step(
@@ -128,20 +128,20 @@ def compiled_step(
     Return the callback, with its ``address``, or None and the reason why Numba cannot compile the step.
     """
     try:
-        return compiled_once(
+        return compile_cached(
             (function, names, values),
             ("step", derivatives),
             function.__qualname__,
             lambda: _compiled(function, names, values, derivatives),
         ), ""
     except Exception as error:  # Numba raises exceptions of many types
-        return None, f"Numba cannot compile them ({reason_of(error)})"
+        return None, f"Numba cannot compile them ({numba_error_text(error)})"
 
 
 def _compiled(function: Callable[..., Any], names: tuple[str, ...], values: tuple[Any, ...], derivatives: bool) -> Any:
     scheme: Any = namedtuple("Scheme", names or ("nothing",))(*(values or (0,)))
     system_kind, hamiltonian_kind = SYSTEMS[derivatives], HAMILTONIANS[derivatives]
-    inner = numba.njit(error_model="numpy", boundscheck=True)(fresh(function))
+    inner = numba.njit(error_model="numpy", boundscheck=True)(fresh_dispatchers(function))
 
     def call(seen: Any, x: Any, t: float, h: float, out: Any) -> int:
         numbers = carray(seen, (2,))

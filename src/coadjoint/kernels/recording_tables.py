@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import address, packer, pointed
+from coadjoint.kernels.structures import address, as_structure, packer
 from coadjoint.program.term_table import Terms
 
 
@@ -67,22 +67,22 @@ def schedule_of(
     return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events)
 
 
-AFTER_ONE = np.array([1], dtype=np.int64)
+SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 
-def schedule_of_parts(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
+def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
     """Return a `Schedule` as bytes in which each member takes one step of its own and saves the result.
 
     The run does not end with this step, so that no energy is computed. The arrays must live as long.
     """
-    places = (AFTER_ONE.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
+    places = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
     return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *places, 0)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill out (K, members, I) with invariants at the saved points (K, members, n) and K times."""
     x, t = np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(times, dtype=np.float64)
-    table = pointed(watch)
+    table = as_structure(watch)
     kernels().watch_values(
         ctypes.byref(table), address(x), address(t), *(ctypes.c_int64(size) for size in x.shape), address(out)
     )

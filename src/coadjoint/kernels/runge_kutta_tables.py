@@ -12,7 +12,7 @@ from coadjoint.kernels.bandwidth import NO_BAND, narrow_band
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.runge_kutta import RungeKuttaTables
-from coadjoint.kernels.tables import Compiled
+from coadjoint.kernels.tables import CompiledTables
 from coadjoint.systems.system_checks import System
 
 
@@ -36,12 +36,12 @@ class Tableau(Protocol):
 
 def runge_kutta_tables(
     system: System, method: Tableau, representation: Any = None, fractions: Sequence[float] = (1.0,)
-) -> Compiled:
+) -> CompiledTables:
     """Return `RungeKuttaTables`, which do not depend on the step, for a method whose substeps have these fractions.
 
     Raise TypeError if a function of the user cannot be compiled.
     """
-    field, keep = field_of(system)
+    field, keepalive = field_of(system)
     group = group_of(system, representation)
     node, scale, mix, out = method.coefficients()
     linear, implicit = method.solver in ("structure", "gradient"), method.solver == "implicit"
@@ -72,7 +72,7 @@ def runge_kutta_tables(
         fraction,
         moment,
     )
-    return Compiled(tables, keep)
+    return CompiledTables(tables, keepalive)
 
 
 def _ratios(fractions: Sequence[float]) -> list[float]:

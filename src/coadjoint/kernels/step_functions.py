@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.optional_packages import MissingPackageError, need
-from coadjoint.systems.system_checks import tabulated
+from coadjoint.systems.system_checks import has_compiled_bracket
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
@@ -34,7 +34,7 @@ class StepFunction:
         self.compiled = found is not None
         if found is None:
             if method.compiles:
-                _say_once(type(method), reason)
+                _warn_once(type(method), reason)
             self._callback = CALLBACK(self._called(method, system))
             self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
         else:
@@ -70,13 +70,13 @@ def checked_step(found: Any, n: int, method: Any) -> Any:
     return state.astype(np.float64)
 
 
-_said: set[type] = set()
+_warned_types: set[type] = set()
 
 
-def _say_once(scheme: type, reason: str) -> None:
-    if scheme in _said:
+def _warn_once(scheme: type, reason: str) -> None:
+    if scheme in _warned_types:
         return
-    _said.add(scheme)
+    _warned_types.add(scheme)
     warnings.warn(
         f"the steps of {scheme.__name__} are Python calls, some hundred times slower than compiled ones: {reason}",
         RuntimeWarning,
@@ -86,7 +86,7 @@ def _say_once(scheme: type, reason: str) -> None:
 
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:
     """Return the step compiled by Numba and "", or None and the reason."""
-    if not tabulated(system):
+    if not has_compiled_bracket(system):
         return None, f"{system.name} has no structure constants in memory, which compiled steps read"
     try:
         need("a compiled step", "numba")

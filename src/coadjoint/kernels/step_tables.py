@@ -14,13 +14,13 @@ from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.recording_tables import Watch
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
-from coadjoint.kernels.structures import pointed
-from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
+from coadjoint.kernels.structures import as_structure
+from coadjoint.kernels.tables import CompiledTables, addresses_of, invariants_table, watch_tables
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.term_table import TermTable
-from coadjoint.systems.system_checks import System, tabulated
+from coadjoint.systems.system_checks import System, has_compiled_bracket
 
-PLACE_OF_INNER = 1
+INNER_LOOP_INDEX = 1
 """Index, among the integers, of the address of the tables of an inner loop."""
 
 
@@ -40,7 +40,7 @@ class CompiledStep(Protocol):
 
 def step_tables(
     system: System, method: CompiledStep, representation: Any = None, fractions: Sequence[float] = (1.0,)
-) -> Compiled:
+) -> CompiledTables:
     """Return the tables, a `Stepping` independent of the step, of a step method whose substeps have these fractions.
 
     Raise TypeError if a function of the user cannot be compiled.
@@ -48,37 +48,39 @@ def step_tables(
     restored = method.restored(system)
     watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
     made = _tables(system, group_of(system, representation), watched.tables, *method.constants())
-    return _stepping(step_address(method.compiled_step), fractions, *made, watched.keep)
+    return _stepping(step_address(method.compiled_step), fractions, *made, watched.keepalive)
 
 
-def function_tables(system: System, function: int, fractions: Sequence[float] = (1.0,)) -> Compiled:
+def function_tables(system: System, function: int, fractions: Sequence[float] = (1.0,)) -> CompiledTables:
     """Return the tables, a `Stepping`, of a step that is a function at an address."""
     constant = sum(term.constant for term in system.hamiltonian.terms())
     none = invariants_table([], system.dim)
-    made = _tables(system, group_of(system, None), none.tables, [function], [constant], not tabulated(system))
+    made = _tables(
+        system, group_of(system, None), none.tables, [function], [constant], not has_compiled_bracket(system)
+    )
     return _stepping(step_address("step_function"), fractions, *made, ())
 
 
-def step_numbers(
+def numeric_step_tables(
     system: System, step: str, whole: Sequence[int], coefficients: Sequence[float], fractions: Sequence[float] = (1.0,)
-) -> Compiled:
+) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step that reads only integers, coefficients and the dimension."""
     none = invariants_table([], system.dim)
     made = _tables(system, group_of(system, None), none.tables, whole, coefficients, True)
-    return _stepping(step_address(step), fractions, *made, none.keep)
+    return _stepping(step_address(step), fractions, *made, none.keepalive)
 
 
-def tables_around(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> Compiled:
+def wrapped_step_tables(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step that takes one step of `inner` and then restores energy and
     invariants.
 
     `inner` is a loop for one member; `restored` maps names to `Polynomial` or `Quadratic`.
     """
-    places, keep = places_of(inner, system, None)
-    return step_tables_of(system, step, watch_tables(system, restored), places, None, keep)
+    places, keepalive = inner_loop_integers(inner, system, None)
+    return named_step_tables(system, step, watch_tables(system, restored), places, None, keepalive)
 
 
-def places_of(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
+def inner_loop_integers(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
     """Return the integers with which a step calls the steps of `inner`, a loop for one member, and the objects to keep
     alive.
 
@@ -87,27 +89,29 @@ def places_of(inner: CompiledLoop, system: System, representation: Any) -> tuple
     """
     loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
     none = invariants_table([], system.dim)
-    read, watch = pointed(inner.tables), pointed(none.tables)
-    keep, turning = (*none.keep, *inner.keep, inner, read, watch), 0
+    read, watch = as_structure(inner.tables), as_structure(none.tables)
+    keepalive, turning = (*none.keepalive, *inner.keepalive, inner, read, watch), 0
     if inner.shift and representation is not None and system.algebra is not None:
         rho = None if isinstance(representation, str) else representation
-        tables = pointed(unshift_tables(system.algebra, rho, system.sign, inner.shift))
-        keep, turning = (*keep, tables), ctypes.addressof(tables)
-    return [loop or 0, ctypes.addressof(read), ctypes.addressof(watch), inner.memory, turning], keep
+        tables = as_structure(unshift_tables(system.algebra, rho, system.sign, inner.shift))
+        keepalive, turning = (*keepalive, tables), ctypes.addressof(tables)
+    return [loop or 0, ctypes.addressof(read), ctypes.addressof(watch), inner.memory, turning], keepalive
 
 
-def step_tables_of(
+def named_step_tables(
     system: System,
     step: str,
-    kept: Compiled,
+    kept: CompiledTables,
     whole: Sequence[int],
     representation: Any,
-    keep: tuple[Any, ...],
+    keepalive: tuple[Any, ...],
     coefficients: Sequence[float] = (),
-) -> Compiled:
+) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and the invariants `kept`."""
-    made = _tables(system, group_of(system, representation), kept.tables, whole, coefficients, not tabulated(system))
-    return _stepping(step_address(step), (1.0,), *made, (*kept.keep, *keep))
+    made = _tables(
+        system, group_of(system, representation), kept.tables, whole, coefficients, not has_compiled_bracket(system)
+    )
+    return _stepping(step_address(step), (1.0,), *made, (*kept.keepalive, *keepalive))
 
 
 def _tables(
@@ -118,18 +122,18 @@ def _tables(
     numbers: Sequence[float],
     called: bool = False,
 ) -> tuple[StepTables, tuple[Any, ...]]:
-    field, keep = field_of(system, called)
+    field, keepalive = field_of(system, called)
     table = TermTable()
     for term in system.hamiltonian.terms():
         table.add(term)
     values, values_kept = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
     whole, coefficients = np.array(integers, dtype=np.int64), np.array(numbers, dtype=np.float64)
-    return StepTables(field, values, group, kept, whole, coefficients), (*keep, *values_kept)
+    return StepTables(field, values, group, kept, whole, coefficients), (*keepalive, *values_kept)
 
 
 def _stepping(
-    step: int, fractions: Sequence[float], tables: StepTables, keep: tuple[Any, ...], more: tuple[Any, ...]
-) -> Compiled:
+    step: int, fractions: Sequence[float], tables: StepTables, keepalive: tuple[Any, ...], more: tuple[Any, ...]
+) -> CompiledTables:
     lengths, moments = substeps(fractions)
     stepping = Stepping(np.array([step], dtype=np.int64), len(lengths), lengths, moments, tables)
-    return Compiled(stepping, (*keep, *more))
+    return CompiledTables(stepping, (*keepalive, *more))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.kernels.interface import check_fields, described
+from coadjoint.kernels.interface import check_fields, kernel_interface
 
 # Types of fields in `source/boundary/tables.hpp`: numbers, or elements of arrays.
 SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
@@ -23,7 +23,7 @@ ARRAYS: dict[str, Any] = {
     "numbers": np.dtype(np.float64),
     "constants": np.dtype(np.float64),
 }
-VARIED = frozenset(("addresses", "constants"))
+PER_MEMBER_TYPES = frozenset(("addresses", "constants"))
 """Types of arrays with one column per member if the constants of members differ."""
 
 
@@ -31,7 +31,7 @@ VARIED = frozenset(("addresses", "constants"))
 def structures() -> dict[str, Any]:
     """Return the C structures of the tables by name."""
     found: dict[str, Any] = {}
-    for name, fields in described().tables.items():
+    for name, fields in kernel_interface().tables.items():
         members = [
             (label, SCALARS.get(kind) or (ctypes.c_void_p if kind in ARRAYS else found[kind])) for kind, label in fields
         ]
@@ -47,22 +47,22 @@ def structure_of_table(kind: Any) -> Any:
 
 
 @functools.cache
-def varied_fields(kind: Any) -> frozenset[str]:
+def per_member_fields(kind: Any) -> frozenset[str]:
     """Return the arrays of a table class with one column per member if constants of members differ.
 
     Examples
     --------
     >>> from coadjoint.kernels.field import GroupField
-    >>> sorted(varied_fields(GroupField))
+    >>> sorted(per_member_fields(GroupField))
     ['value']
     """
     structure = structure_of_table(kind)
     return frozenset(
-        name for (name, _), token in zip(structure._fields_, structure.kinds, strict=True) if token in VARIED
+        name for (name, _), token in zip(structure._fields_, structure.kinds, strict=True) if token in PER_MEMBER_TYPES
     )
 
 
-def pointed(table: Any) -> Any:
+def as_structure(table: Any) -> Any:
     """Return a named tuple as the C structure of its name, which keeps the arrays alive; return a structure unchanged.
 
     Raise TypeError if an array is not C-contiguous or has another type than the kernels read, ImportError if the
@@ -82,7 +82,7 @@ def pointed(table: Any) -> Any:
                 raise TypeError(f"{kind.__name__}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
             setattr(filled, field, value.ctypes.data)
         else:
-            setattr(filled, field, pointed(value))
+            setattr(filled, field, as_structure(value))
     filled.source = table
     return filled
 
@@ -90,7 +90,7 @@ def pointed(table: Any) -> Any:
 @functools.cache
 def packer(kind: Any) -> Callable[..., bytes]:
     """Return a function from the fields of a table, in the order of the class, to its bytes; ten times faster than
-    `pointed`.
+    `as_structure`.
 
     The table has plain numbers and addresses only; arrays are given by address.
     """

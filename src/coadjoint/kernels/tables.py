@@ -12,7 +12,7 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.free_body_tables import body_tables
-from coadjoint.kernels.functions import CalledFunction, CompiledFunction, Kept, TabledFunction, tell_of_compiling
+from coadjoint.kernels.functions import CompiledFunction, FormulaFunction, Owners, PythonCallback, warn_slow_compilation
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.recording_tables import Watch
 from coadjoint.program.actions import Action, empty_action
@@ -27,36 +27,36 @@ from coadjoint.systems.user_functions import Formula, forms_of, takes_time
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 
 
-class Compiled(NamedTuple):
+class CompiledTables(NamedTuple):
     """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
 
     tables: Any
-    keep: tuple[Any, ...]
+    keepalive: tuple[Any, ...]
 
 
 def addresses_of(
     functions: Mapping[int, FunctionTerm], count: int, which: str, owner: str
-) -> tuple[NDArray[np.int64], Kept]:
+) -> tuple[NDArray[np.int64], Owners]:
     """Compile the values, gradients or Hessians of FUNCTION terms, given by term number, out of `count` terms.
 
     Return the addresses (count,), 0 for other terms, and the owners of the machine code. Messages call the functions
     those of `owner`.
     """
     addresses = np.zeros(count, dtype=np.int64)
-    keep: list[CompiledFunction | TabledFunction | CalledFunction] = []
+    keepalive: list[CompiledFunction | FormulaFunction | PythonCallback] = []
     if not functions:
         return addresses, ()
-    tell_of_compiling(one for term in functions.values() if forms_of(one := getattr(term, which)) is None)
+    warn_slow_compilation(one for term in functions.values() if forms_of(one := getattr(term, which)) is None)
     for k, term in functions.items():
         function = getattr(term, which)
         if (forms := forms_of(function)) is not None:
-            keep.append(TabledFunction(forms))
-            addresses[k] = keep[-1].address
+            keepalive.append(FormulaFunction(forms))
+            addresses[k] = keepalive[-1].address
             continue
         size = len(term.coordinates)
         if which == "value" and getattr(term.value, "called_in_python", False):
-            keep.append(CalledFunction(term.value, size))
-            addresses[k] = keep[-1].address
+            keepalive.append(PythonCallback(term.value, size))
+            addresses[k] = keepalive[-1].address
             continue
         results = size ** ORDERS[which]
         compiled = CompiledFunction(
@@ -68,18 +68,18 @@ def addresses_of(
             timed=term.timed,
             what=f"the {which} of {owner}",
         )
-        keep.append(compiled)
+        keepalive.append(compiled)
         addresses[k] = compiled.address
-    return addresses, tuple(keep)
+    return addresses, tuple(keepalive)
 
 
-def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
+def flow_tables(program: Program, h: float, compensated: bool) -> CompiledTables:
     """Return `FlowTables` of a program with float64 constants, for a step h (negative for backward).
 
     `compensated` selects compensated summation of the momentum.
     """
     count = len(program.terms.kind)
-    addresses, keep = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
+    addresses, keepalive = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
     group = program.group if program.group is not None else empty_action()
     rows = program.rows
     edges = program.terms.row[program.share]
@@ -107,7 +107,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
         *body_tables(program),
         h,
     )
-    return Compiled(tables, keep)
+    return CompiledTables(tables, keepalive)
 
 
 def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
@@ -119,7 +119,7 @@ def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
     return action._replace(kind=kind)
 
 
-def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
+def watch_tables(system: Any, invariants: Mapping[str, Any]) -> CompiledTables:
     """Return a `Watch` of the energy of a system, then of the given `Polynomial`, `Quadratic` or `Invariant` by name.
 
     The cost of a quadratic invariant is proportional to its nonzero entries.
@@ -127,7 +127,7 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
     return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim)
 
 
-def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> Compiled:
+def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:
     """Return a `Watch` for states with accounts: energy and invariants as in `watch_tables`, then each less its
     accounts.
 
@@ -140,7 +140,7 @@ def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequenc
 
 def invariants_table(
     invariants: Sequence[tuple[str, Any]], size: int, taken: Sequence[Sequence[int]] | None = None
-) -> Compiled:
+) -> CompiledTables:
     """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages.
 
     `taken` has for each invariant the indices of entries of a state that are subtracted from it.
@@ -186,7 +186,7 @@ def invariants_table(
         np.array(period, dtype=np.float64),
         longest,
     )
-    return Compiled(watch, tuple(kept for _, keep in pairs for kept in keep))
+    return CompiledTables(watch, tuple(kept for _, keepalive in pairs for kept in keepalive))
 
 
 def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:

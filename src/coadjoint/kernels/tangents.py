@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.flow import FlowTables
-from coadjoint.kernels.functions import CompiledFunction, Kept
-from coadjoint.kernels.loop import CompiledLoop, remembered
+from coadjoint.kernels.functions import CompiledFunction, Owners
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.kernels.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.system_checks import System
 
-NUMBERS_OF_A_STRETCH = 3
+STRETCH_ENTRIES = 3
 """Numbers that store a product of lengths, (high + low) 2^exponent."""
 
 
@@ -54,7 +54,7 @@ class RungeKuttaTangents(NamedTuple):
     tangents: Tangents
 
 
-LOOPS: Mapping[type, tuple[str, Any]] = {
+TANGENT_LOOPS: Mapping[type, tuple[str, Any]] = {
     FlowTables: ("flow_tangents_advance", FlowTangents),
     RungeKuttaTables: ("runge_kutta_tangents_advance", RungeKuttaTangents),
 }
@@ -68,17 +68,17 @@ def with_tangents(
     computed.
 
     `functions` are the functions of the user by term number. The memory of a member ends with the data of
-    `stretches_in`. Raise TypeError if a second derivative is unknown or cannot be compiled.
+    `stretch_logarithms`. Raise TypeError if a second derivative is unknown or cannot be compiled.
     """
-    name, kind = LOOPS[type(loop.tables)]
+    name, kind = TANGENT_LOOPS[type(loop.tables)]
     check_differentiable(system)
     terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms
-    hessians, keep = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
+    hessians, keepalive = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
     derivative, kept = _derivative_of_structure(system)
     carried, size = frame.vectors.shape
     vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
     tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
-    return CompiledLoop(name, tables, (*loop.keep, *keep, *kept), memory=remembered(name, tables))
+    return CompiledLoop(name, tables, (*loop.keepalive, *keepalive, *kept), memory=scheme_memory(name, tables))
 
 
 def check_differentiable(system: System) -> None:
@@ -94,7 +94,7 @@ def check_differentiable(system: System) -> None:
         )
 
 
-def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Kept]:
+def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
     if system.algebra is not None:
         return np.zeros(0, dtype=np.int64), ()
     assert system.derivative_function is not None
@@ -112,12 +112,12 @@ def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Kept]:
 
 def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
     """Return the tangent vectors (members, count, size) stored in the memory of members between calls of the loop."""
-    own = memory[:, memory.shape[1] - count * (size + 2 * NUMBERS_OF_A_STRETCH) :]
+    own = memory[:, memory.shape[1] - count * (size + 2 * STRETCH_ENTRIES) :]
     return own[:, : count * size].reshape(-1, count, size)
 
 
-def stretches_in(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def stretch_logarithms(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Return the logarithms (members, count) of the accumulated growth of each vector up to the last step."""
-    own = memory[:, memory.shape[1] - count * NUMBERS_OF_A_STRETCH :].reshape(-1, count, NUMBERS_OF_A_STRETCH)
+    own = memory[:, memory.shape[1] - count * STRETCH_ENTRIES :].reshape(-1, count, STRETCH_ENTRIES)
     high, low, exponent = np.moveaxis(own, 2, 0)
     return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))

@@ -8,14 +8,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.structures import varied_fields
+from coadjoint.kernels.structures import per_member_fields
 
 Tables = TypeVar("Tables", bound=tuple[Any, ...])
 
 
 def _varies(tables: Any, name: str) -> bool:
     kind: Any = type(tables)
-    return hasattr(kind, "_fields") and name in varied_fields(kind)
+    return hasattr(kind, "_fields") and name in per_member_fields(kind)
 
 
 def _fields(tables: Any) -> Sequence[str]:
@@ -50,7 +50,7 @@ def stacked(members: Sequence[Tables]) -> Tables:
     """
     first = members[0]
     columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
-    return _remade(first, [_stacked_column(first, name, item, column) for name, item, column in columns])
+    return _rebuilt(first, [_stacked_column(first, name, item, column) for name, item, column in columns])
 
 
 def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) -> Any:
@@ -62,7 +62,7 @@ def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) ->
     return item
 
 
-def _remade(tables: Tables, items: list[Any]) -> Tables:
+def _rebuilt(tables: Tables, items: list[Any]) -> Tables:
     kind: Any = type(tables)
     made: Tables = kind._make(items) if hasattr(kind, "_make") else kind(items)
     return made

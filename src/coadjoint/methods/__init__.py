@@ -53,9 +53,9 @@ if not TYPE_CHECKING:  # type checkers see the names above and report any other
 
     def __getattr__(name: str) -> Any:
         if name not in _HOME:
-            from coadjoint.errors import no_attribute
+            from coadjoint.errors import unknown_attribute
 
-            raise no_attribute("co.methods", name, __all__)
+            raise unknown_attribute("co.methods", name, __all__)
         found = getattr(importlib.import_module(_HOME[name]), name)
         globals()[name] = found
         return found

@@ -18,14 +18,14 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
+TYPICAL_DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
 
 class Exponentials(NamedTuple):
@@ -47,16 +47,19 @@ class Exponentials(NamedTuple):
         return found
 
 
-def _over(denominator: int, *numerators: int) -> list[Fraction]:
+def _as_fractions(denominator: int, *numerators: int) -> list[Fraction]:
     return [Fraction(numerator, denominator) for numerator in numerators]
 
 
 SCHEMES = {
-    2: Exponentials([(0, _over(2, 1))], [_over(1, 0, 1)]),
-    3: Exponentials([(0, _over(3, 1)), (0, _over(3, 0, 2))], [_over(3, 1, 0, 0), _over(12, -1, 0, 9)]),
+    2: Exponentials([(0, _as_fractions(2, 1))], [_as_fractions(1, 0, 1)]),
+    3: Exponentials(
+        [(0, _as_fractions(3, 1)), (0, _as_fractions(3, 0, 2))],
+        [_as_fractions(3, 1, 0, 0), _as_fractions(12, -1, 0, 9)],
+    ),
     4: Exponentials(
-        [(0, _over(2, 1)), (0, _over(2, 0, 1)), (1, _over(2, -1, 0, 2))],
-        [_over(12, 3, 2, 2, -1), _over(12, -1, 2, 2, 3)],
+        [(0, _as_fractions(2, 1)), (0, _as_fractions(2, 0, 1)), (1, _as_fractions(2, -1, 0, 2))],
+        [_as_fractions(12, 3, 2, 2, -1), _as_fractions(12, -1, 2, 2, 3)],
     ),
 }
 """Order -> the midpoint, Heun's third-order and the classical Runge-Kutta method, on a group."""
@@ -110,7 +113,7 @@ class CommutatorFree(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "an exponential in the step is too large for its series"}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "order", read_whole(self.order, "order of CommutatorFree", 2, 4))
+        object.__setattr__(self, "order", read_integer(self.order, "order of CommutatorFree", 2, 4))
 
     def properties(self, system: System) -> Properties:
         """Return the properties: the coadjoint orbit is kept, with every Casimir.
@@ -154,15 +157,15 @@ class CommutatorFree(CompiledStepMethod):
 
         whole, coefficients = self.constants()
         found = matrix_tables(system, "commutator_free_matrices", whole[0], coefficients, fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep)
+        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
-            return self._moved(orbit, x, t, h, None)[0]
+            return self._advanced(orbit, x, t, h, None)[0]
         matrices = cast(MatrixSystem, system)
-        end = self._moved(orbit, matrices.matrices(x), t, h, None)[0]
+        end = self._advanced(orbit, matrices.matrices(x), t, h, None)[0]
         return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -172,23 +175,23 @@ class CommutatorFree(CompiledStepMethod):
         """
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
-            return self._moved(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
+            return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
         matrices = cast(MatrixSystem, system)
         units = matrices.algebra.projected(matrices.from_vector(np.eye(matrices.dim)))
-        end, changes = self._moved(orbit, matrices.matrices(x), t, h, units)
+        end, changes = self._advanced(orbit, matrices.matrices(x), t, h, units)
         return matrices.to_vector(end), matrices.to_vector(changes).T
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return "formula", except for matrices with a stream given as a function."""
-        return orbit_of(system, "CommutatorFree").bent_by
+        return orbit_of(system, "CommutatorFree").derivative_by
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         orbit = orbit_of(system, "CommutatorFree")
         if not isinstance(orbit, VectorOrbit):
             raise TypeError(f"a step of {self} on matrices is not known as a power series in exact numbers")
-        return self._moved(orbit, x, 0 * h, h, None, type(h).count)[0]
+        return self._advanced(orbit, x, 0 * h, h, None, type(h).count)[0]
 
-    def _moved(
+    def _advanced(
         self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
     ) -> tuple[NDArray[Any], Any]:
         """Return the new state, and its derivative if that of x is given."""
@@ -199,14 +202,16 @@ class CommutatorFree(CompiledStepMethod):
         for i, node in enumerate(scheme.nodes):
             if i > 0:
                 start, combination = scheme.stages[i - 1]
-                states.append(moved(orbit, states[start], combined(combination, gradients, h), number, degree))
+                states.append(
+                    apply_exponential(orbit, states[start], combined(combination, gradients, h), number, degree)
+                )
             state, change = states[i]
             time = t + h * number(node.numerator) / node.denominator
-            bend = None if change is None else orbit.bend(state, change, time)
-            gradients.append((orbit.gradient(state, time), bend))
+            gradient_change = None if change is None else orbit.gradient_change(state, change, time)
+            gradients.append((orbit.gradient(state, time), gradient_change))
         end = states[0]
         for combination in scheme.out:
-            end = moved(orbit, end, combined(combination, gradients, h), number, degree)
+            end = apply_exponential(orbit, end, combined(combination, gradients, h), number, degree)
         return end
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
@@ -214,7 +219,7 @@ class CommutatorFree(CompiledStepMethod):
         from coadjoint.methods.protocol.cost_model import work_of_evaluations, work_of_products
 
         scheme = SCHEMES[self.order]
-        products = DEGREE * (len(scheme.stages) + len(scheme.out))
+        products = TYPICAL_DEGREE * (len(scheme.stages) + len(scheme.out))
         if isinstance(orbit_of(system, "CommutatorFree"), MatrixOrbit):
             return work_of_products(system, substeps * products)
         return work_of_evaluations(system, substeps * (len(scheme.nodes) + products), self.explicit)
@@ -224,10 +229,12 @@ def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any
     """Return h times a combination of gradients, and of their derivatives if they are known."""
     parts = [(h * a.numerator / a.denominator, k) for a, k in zip(combination, gradients, strict=False) if a]
     k = sum(factor * gradient for factor, (gradient, _) in parts)
-    return k, None if gradients[0][1] is None else sum(factor * bend for factor, (_, bend) in parts)
+    return k, None if gradients[0][1] is None else sum(
+        factor * gradient_change for factor, (_, gradient_change) in parts
+    )
 
 
-def moved(
+def apply_exponential(
     orbit: VectorOrbit | MatrixOrbit,
     state: tuple[Any, Any],
     combination: tuple[Any, Any],
@@ -238,7 +245,7 @@ def moved(
     (y, dy), D = state, orbit.generator(*combination)
     substeps = 1
     if degree is None:
-        substeps, degree = extent(D.norm(), roundoff(number))
+        substeps, degree = substeps_and_degree(D.norm(), roundoff(number))
     for _ in range(substeps):
         total, spread = y, dy
         for power in range(degree, 0, -1):
@@ -250,7 +257,7 @@ def moved(
     return y, dy
 
 
-def extent(norm: float, unit: Any) -> tuple[int, int]:
+def substeps_and_degree(norm: float, unit: Any) -> tuple[int, int]:
     """Return the number of substeps of an exponential, each of norm at most 1, and the degree with a remainder below
     rounding.
     """

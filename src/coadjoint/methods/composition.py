@@ -67,7 +67,7 @@ class Composition(Composed):
 
     def __post_init__(self) -> None:
         check_base(self.base, "a Composition", "Splitting(order=2)")
-        object.__setattr__(self, "coefficients", _fractions_given(self.coefficients, self.base))
+        object.__setattr__(self, "coefficients", _validated_fractions(self.coefficients, self.base))
         if not self.base.symmetric:
             raise ValueError(f"Composition needs a symmetric base, which {self.base} is not{self.base.instead}")
         if sum(map(abs, self.coefficients)) > LARGEST_SUM:
@@ -144,7 +144,7 @@ class Composition(Composed):
         return [cls(Splitting(order=2), fractions), cls(GaussLegendre(1), fractions)]
 
 
-def _fractions_given(coefficients: Any, base: Method) -> tuple[float, ...]:
+def _validated_fractions(coefficients: Any, base: Method) -> tuple[float, ...]:
     found = read_finite(coefficients, "coefficients")
     if found.ndim != 1:
         raise ValueError(f"coefficients has shape {found.shape}; give a sequence of numbers")

@@ -13,7 +13,7 @@ from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number, convert
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_choice
 
 HALF = Fraction(1, 2)
@@ -78,7 +78,7 @@ class ExplicitRungeKutta(RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return the properties: only linear invariants are kept; every system is supported."""
-        check_vectors(system)
+        check_vector_states(system)
         attitude = "none" if system.algebra is None else "integrated"
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.method import Method, Representation, check_base, declared_by
+from coadjoint.methods.protocol.method import Method, Representation, check_base, declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
-WAYS = ("formula", "complex step", "differences")
+TANGENT_METHODS = ("formula", "complex step", "differences")
 
 
-def serving(system: Any, method: Method) -> Method:
+def effective_scheme(system: Any, method: Method) -> Method:
     """Return the scheme with which a run integrates a system: `Forced` around the given one if it has forces.
 
     Raise TypeError if the given scheme is already `Forced`.
@@ -33,9 +33,9 @@ def serving(system: Any, method: Method) -> Method:
     return Forced(method) if isinstance(one, ForcedSystem) else method
 
 
-def check_serves(system: Any, method: Method) -> None:
+def check_supports(system: Any, method: Method) -> None:
     """Raise the error of a scheme for a system that it does not support, with forces or without."""
-    serving(system, method).properties(system)
+    effective_scheme(system, method).properties(system)
 
 
 def check_direction(system: Any, h: float) -> None:
@@ -113,7 +113,7 @@ class Forced(Method):
         """Return the properties of the base on the Hamiltonian part, without those that the forces break."""
         if not isinstance(system, ForcedSystem):
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
-        inner = declared_by(self.base, system.system)
+        inner = declared_properties(self.base, system.system)
         breaking = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.casimirs]
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
@@ -147,7 +147,7 @@ class Forced(Method):
 
     def tangent_by(self, system: Any, x: Any, t: float, h: float) -> str:
         """Return the least accurate way in which a factor of the derivative is computed."""
-        return max(self._with_tangent(system, x, t, h)[2], key=WAYS.index)
+        return max(self._with_tangent(system, x, t, h)[2], key=TANGENT_METHODS.index)
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
         from coadjoint.methods.protocol.step_derivatives import derivative_of
@@ -155,19 +155,19 @@ class Forced(Method):
         self.properties(system)
         plain, half, y, P, ways = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
 
-        def through(force: Force, at: float) -> None:
+        def chain_tangent(force: Force, at: float) -> None:
             nonlocal y, P
             found = derivative_of(lambda z: force.flow(plain, z, at, half), y)
             y, P = found.value, found.derivative @ P
             ways.append(found.by)
 
         for force in system.forces:
-            through(force, t)
+            chain_tangent(force, t)
         ways.append(self.base.tangent_by(plain, y, t, h))
         y, own = self.base.tangent(plain, y, t, h)
         P = own @ P
         for force in reversed(system.forces):
-            through(force, t + half)
+            chain_tangent(force, t + half)
         return y, P, ways
 
     def work(self, system: Any, group: Representation = None) -> Work:

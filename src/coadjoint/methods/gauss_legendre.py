@@ -15,8 +15,8 @@ from coadjoint.methods.protocol.method import has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System, check_vectors
-from coadjoint.validation import read_whole
+from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.validation import read_integer
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
@@ -32,18 +32,18 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
 
 
 # Largest number of stages or iterations: nodes for more take minutes to compute, and float64 runs gain nothing.
-MOST = 256
+MAX_STAGES = 256
 
 
-def stages_given(value: Any, what: str) -> int:
+def validated_stages(value: Any, what: str) -> int:
     """Validate a number of stages or iterations; raise an error that names the parameter.
 
     Examples
     --------
-    >>> stages_given(2, "stages")
+    >>> validated_stages(2, "stages")
     2
     """
-    return read_whole(value, what, 1, MOST, why="no step is worth more")
+    return read_integer(value, what, 1, MAX_STAGES, why="no step is worth more")
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class GaussLegendre(RungeKuttaMethod):
     symmetric = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", stages_given(self.stages, "stages of GaussLegendre"))
+        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of GaussLegendre"))
 
     @property
     def solver(self) -> str:
@@ -110,7 +110,7 @@ class GaussLegendre(RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return the properties: quadratic invariants are kept, and a constant bracket; every system is supported."""
-        check_vectors(system)
+        check_vector_states(system)
         attitude = "none" if system.algebra is None else "coadjoint"
         poisson, energy = _has_constant_bracket(system), has_quadratic_energy(system)
         return Properties(poisson=poisson, energy=energy, casimirs="quadratic", attitude=attitude)

@@ -19,7 +19,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -76,7 +76,7 @@ class IsospectralGauss(SteppedMethod):
     symmetric = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", read_whole(self.stages, "stages", 1, MOST_STAGES))
+        object.__setattr__(self, "stages", read_integer(self.stages, "stages", 1, MOST_STAGES))
 
     @property
     def order(self) -> int:
@@ -102,13 +102,13 @@ class IsospectralGauss(SteppedMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
-        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
         from coadjoint.kernels.matrix_tables import matrix_tables
         from coadjoint.kernels.stepping import STEP_LOOP
 
         a, b = _coefficients(self.stages)
         found = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
+        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive, memory=scheme_memory(STEP_LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""

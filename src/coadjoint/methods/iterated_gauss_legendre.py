@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
+from coadjoint.methods.gauss_legendre import gauss_tableau, validated_stages
 from coadjoint.methods.numerics.gauss_coefficients import gauss_nodes
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", stages_given(self.stages, "stages of IteratedGaussLegendre"))
+        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of IteratedGaussLegendre"))
         if self.iterations is not None:
-            count = stages_given(self.iterations, "iterations of IteratedGaussLegendre")
+            count = validated_stages(self.iterations, "iterations of IteratedGaussLegendre")
             object.__setattr__(self, "iterations", count)
 
     @property
@@ -78,7 +78,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return the properties: only linear invariants are kept; every system is supported."""
-        check_vectors(system)
+        check_vector_states(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
     @property

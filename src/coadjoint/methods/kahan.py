@@ -14,14 +14,14 @@ from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation, has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from coadjoint.methods.protocol.cost_model import Work
 
-COLUMNS = 24  # typical number of products with f' in a step of many dimensions
+TYPICAL_COLUMNS = 24  # typical number of products with f' in a step of many dimensions
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Kahan(CompiledStepMethod):
         ValueError
             The field is not quadratic: H is not quadratic or depends on time, or J is not linear.
         """
-        check_vectors(system)
+        check_vector_states(system)
         if not has_quadratic_energy(system):
             raise ValueError(
                 f"Kahan needs a quadratic vector field, but the Hamiltonian of {system.name} is not quadratic or "
@@ -99,7 +99,7 @@ class Kahan(CompiledStepMethod):
         """Return the work of the field, of its derivative, and of the linear system."""
         from coadjoint.methods.protocol.cost_model import work_of_evaluations
 
-        return work_of_evaluations(system, substeps * (1 + min(system.dim, COLUMNS)), self.explicit)
+        return work_of_evaluations(system, substeps * (1 + min(system.dim, TYPICAL_COLUMNS)), self.explicit)
 
 
 def derivative(system: System, x: NDArray[Any], t: Any) -> NDArray[Any]:

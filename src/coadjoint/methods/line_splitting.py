@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -20,7 +20,7 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -30,7 +30,7 @@ Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
 
 ORDERS = (2, 4, 6, 8, 10)
-TRANSFORM = 0.08  # cost of both Fourier transforms per number and factor of 2 in N, in units of a rotation
+TRANSFORM_COST = 0.08  # cost of both Fourier transforms per number and factor of 2 in N, in units of a rotation
 
 
 class Line(NamedTuple):
@@ -90,7 +90,7 @@ class LineSplitting(SteppedMethod):
     symmetric = True
 
     def __post_init__(self) -> None:
-        order = read_whole(self.order, "order of LineSplitting", min(ORDERS), max(ORDERS))
+        order = read_integer(self.order, "order of LineSplitting", min(ORDERS), max(ORDERS))
         if order not in ORDERS:
             raise ValueError(f"LineSplitting has the orders 2, 4, 6, 8 and 10, not {order}")
         object.__setattr__(self, "order", order)
@@ -122,7 +122,7 @@ class LineSplitting(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.step_tables import step_numbers
+        from coadjoint.kernels.step_tables import numeric_step_tables
         from coadjoint.kernels.stepping import STEP_LOOP
 
         torus = torus_of(system)
@@ -130,32 +130,32 @@ class LineSplitting(SteppedMethod):
         whole = [torus.algebra.N, int(constant is not None), *np.ravel(lines(torus.algebra.N)).tolist()]
         numbers = [factor.ravel()] + ([] if constant is None else [constant.ravel().view(np.float64)])
         lengths = [outer * inner for outer in fractions for inner in self.fractions]
-        found = step_numbers(torus, "line_splitting", whole, np.concatenate(numbers).tolist(), lengths)  # type: ignore[arg-type]
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep)
+        found = numeric_step_tables(torus, "line_splitting", whole, np.concatenate(numbers).tolist(), lengths)  # type: ignore[arg-type]
+        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""
         from coadjoint.methods.protocol.cost_model import Work
 
         numbers = system.dim / 2  # N^2 numbers, transformed for each of N lines
-        cost = substeps * len(self.fractions) * TRANSFORM * numbers**1.5 * np.log2(1.0 + numbers)
+        cost = substeps * len(self.fractions) * TRANSFORM_COST * numbers**1.5 * np.log2(1.0 + numbers)
         return Work(lambda iterations, evaluations: cost)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
-        found = matrix_of(self._moved(torus, modes_of(torus.matrices(x)), h, None)[0])
+        found = matrix_of(self._advanced(torus, modes_of(torus.matrices(x)), h, None)[0])
         return np.asarray(torus.to_vector(found) if torus.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative in coordinates, for the projection on the algebra."""
         torus = torus_of(system)
-        check_room(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
+        check_available_memory(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
         units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
-        moved, changes = self._moved(torus, modes_of(torus.matrices(x)), h, modes_of(units))
+        moved, changes = self._advanced(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(moved)), torus.to_vector(matrix_of(changes)).T
 
-    def _moved(
+    def _advanced(
         self, torus: MatrixSystem, v: Complexes, h: float, changes: Complexes | None
     ) -> tuple[Complexes, Complexes]:
         """Return modes after a step, and changes of them (directions, N, N)."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
+from coadjoint.methods.gauss_legendre import gauss_tableau, validated_stages
 from coadjoint.methods.numerics.gauss_coefficients import gauss_nodes
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.method import has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_choice
 
 FREEZES = ("structure", "gradient")
@@ -74,9 +74,9 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", stages_given(self.stages, "stages of ModifiedGaussLegendre"))
+        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of ModifiedGaussLegendre"))
         if self.iterations is not None:
-            count = stages_given(self.iterations, "iterations of ModifiedGaussLegendre")
+            count = validated_stages(self.iterations, "iterations of ModifiedGaussLegendre")
             object.__setattr__(self, "iterations", count)
         read_choice(self.freeze, "freeze", FREEZES)
 
@@ -104,7 +104,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
             The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra
             (``freeze="gradient"``).
         """
-        check_vectors(system)
+        check_vector_states(system)
         if self.freeze == "structure":
             if not has_quadratic_energy(system):
                 raise ValueError(

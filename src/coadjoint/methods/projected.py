@@ -108,14 +108,16 @@ class Projected(WithBase):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop whose steps contain one step of the loop of the base each."""
-        from coadjoint.kernels.loop import CompiledLoop, remembered
-        from coadjoint.kernels.step_tables import PLACE_OF_INNER, tables_around
+        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, wrapped_step_tables
         from coadjoint.kernels.stepping import STEP_LOOP
 
         inner = self.base.loop(system, h)
-        found = tables_around(system, "projected", inner, self.restored(system))
-        memory = remembered(STEP_LOOP, found.tables)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
+        found = wrapped_step_tables(system, "projected", inner, self.restored(system))
+        memory = scheme_memory(STEP_LOOP, found.tables)
+        return CompiledLoop(
+            STEP_LOOP, found.tables, found.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
+        )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, computed in NumPy for any number type; the invariants keep their values at x.

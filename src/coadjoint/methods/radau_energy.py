@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.gauss_legendre import stages_given
+from coadjoint.methods.gauss_legendre import validated_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
-from coadjoint.methods.numerics.solvers import settle
+from coadjoint.methods.numerics.solvers import iterate_to_stagnation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "
@@ -63,7 +63,7 @@ class RadauEnergy(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": NO_MULTIPLIER}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", stages_given(self.stages, "stages of RadauEnergy"))
+        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of RadauEnergy"))
 
     @property
     def order(self) -> int:
@@ -78,7 +78,7 @@ class RadauEnergy(CompiledStepMethod):
         ValueError
             The Hamiltonian depends on time.
         """
-        check_vectors(system)
+        check_vector_states(system)
         if system.hamiltonian.timed:
             raise ValueError(
                 f"RadauEnergy keeps the energy, but that of {system.name} depends on time; "
@@ -156,7 +156,7 @@ class RadauEnergy(CompiledStepMethod):
             multipliers[:] = multipliers + change
             return slopes + change[:, None] * points
 
-        slopes = settle(step, slopes_at)
+        slopes = iterate_to_stagnation(step, slopes_at)
         points = np.concatenate([step.x[None], step.points(slopes)])
         projections = [X @ system.hamiltonian.gradient(X, t) for X in points]
         if any(projection * projections[0] <= 0 for projection in projections):

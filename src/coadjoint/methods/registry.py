@@ -73,7 +73,7 @@ def register(scheme: Scheme) -> Scheme:
     if not dataclasses.is_dataclass(scheme):
         raise TypeError(f"{scheme.__name__} is not a dataclass, so its parameters cannot be stored; make it one")
     name = scheme.__name__
-    known = _own().get(name) or _loaded.get(name) or _registered.get(name)
+    known = _built_in().get(name) or _loaded.get(name) or _registered.get(name)
     if known is not None and (known.__module__, known.__qualname__) != (scheme.__module__, scheme.__qualname__):
         raise ValueError(f"there is another scheme {name}, in {known.__module__}; give this one another name")
     _registered[name] = scheme
@@ -99,7 +99,7 @@ def forget(name: str) -> None:
 
 def _schemes() -> dict[str, type[Method]]:
     """Return all schemes by name: those of this folder, of entry points, and registered ones."""
-    return dict(sorted((_own() | _of_entry_points() | _registered).items()))
+    return dict(sorted((_built_in() | _of_entry_points() | _registered).items()))
 
 
 @cache
@@ -116,7 +116,7 @@ def _of_entry_points() -> dict[str, type[Method]]:
 
 
 @cache
-def _own() -> dict[str, type[Method]]:
+def _built_in() -> dict[str, type[Method]]:
     """Return every concrete scheme that a file of this folder defines; there is no list to update for a new scheme."""
     package = importlib.import_module("coadjoint.methods")
     found: dict[str, type[Method]] = {}
@@ -253,7 +253,7 @@ def read_method(given: Any) -> Method:
     if isinstance(given, Mapping):
         return from_description(given)
     if isinstance(given, str):
-        if given.lower() in ADAPTIVE:
+        if given.lower() in ADAPTIVE_NAMES:
             raise ValueError(
                 f"{given} chooses each step by an estimate of the error, and loses what a scheme keeps; give "
                 "Splitting(order=4), GaussLegendre(stages=3), or accuracy= in place of method="
@@ -266,7 +266,7 @@ def read_method(given: Any) -> Method:
     raise TypeError(f"method is {short(given)}; it must be a scheme such as Splitting(order=2)")
 
 
-ADAPTIVE = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "dopri5", "vode", "tsit5", "odeint"))
+ADAPTIVE_NAMES = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "dopri5", "vode", "tsit5", "odeint"))
 TABLEAUS = {"rk4": "rk4", "runge2": "runge2"}
 
 

@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.numerics.motion_speed import Speed, speed_of
-from coadjoint.methods.numerics.step_length import MANY
+from coadjoint.methods.numerics.step_length import TOO_MANY_STEPS_MESSAGE
 from coadjoint.methods.protocol.composed import with_settled_base
-from coadjoint.methods.protocol.method import OWN_LOOKS, Finer, Method, Representation, check_base
+from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation, check_base
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
-NO_STEP = (
+NO_STEP_MESSAGE = (
     "the speed of the motion fell to zero or below (a smaller stride may help), or grew until the steps no longer "
-    f"change the time, {MANY}"
+    f"change the time, {TOO_MANY_STEPS_MESSAGE}"
 )
 MOST_STEPS = 10**7
 """Largest number of steps in Python."""
@@ -128,7 +128,7 @@ class ReversibleSteps(Method):
     @property
     def failures(self) -> Mapping[str, str]:  # type: ignore[override]
         """Those of the base, and a vanishing speed."""
-        return {"UNDEFINED": NO_STEP} | dict(self.base.failures)
+        return {"UNDEFINED": NO_STEP_MESSAGE} | dict(self.base.failures)
 
     @property
     def largest(self) -> float:  # type: ignore[override]
@@ -152,7 +152,7 @@ class ReversibleSteps(Method):
         ValueError
             The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not defined for it.
         """
-        check_vectors(system)
+        check_vector_states(system)
         kept = self.base.properties(system)
         if system.hamiltonian.timed:
             raise ValueError(
@@ -167,19 +167,21 @@ class ReversibleSteps(Method):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop with variable steps around the loop of the base."""
-        from coadjoint.kernels.loop import CompiledLoop, remembered
-        from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
+        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, inner_loop_integers, named_step_tables
         from coadjoint.kernels.stepping import STEP_LOOP
         from coadjoint.kernels.tables import invariants_table
 
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
-        places, keep = places_of(inner, system, representation)
+        places, keepalive = inner_loop_integers(inner, system, representation)
         followed = invariants_table([("the speed", speed.given)], system.dim)
         step = f"reversible_{speed.kind}"
-        found = step_tables_of(system, step, followed, places, representation, keep, [self.stride])
-        memory = remembered(STEP_LOOP, found.tables)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
+        found = named_step_tables(system, step, followed, places, representation, keepalive, [self.stride])
+        memory = scheme_memory(STEP_LOOP, found.tables)
+        return CompiledLoop(
+            STEP_LOOP, found.tables, found.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
+        )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return the motion over h by variable steps from a fresh start, in NumPy for any number type.
@@ -197,7 +199,7 @@ class ReversibleSteps(Method):
             rate = rate if h.real > 0 else -rate
             rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate
             if not (rho.real > 0 and Q.real > 0):
-                raise IntegrationError(NO_STEP, step=1, time=float(t), residual=float(rho.real))
+                raise IntegrationError(NO_STEP_MESSAGE, step=1, time=float(t), residual=float(rho.real))
             length = self.stride / rho if h.real > 0 else -(self.stride / rho)
             ahead = h - since
             if abs(ahead.real) <= abs(length.real):
@@ -226,9 +228,9 @@ class ReversibleSteps(Method):
 
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
-    def finer(self, steps: int, times: float) -> Finer:
+    def finer(self, steps: int, times: float) -> FinerRun:
         """Return a run with a shorter stride, whose output points only sample the size of the motion."""
-        return Finer(replace(self, stride=self.stride / times), max(steps, OWN_LOOKS), times**-self.order)
+        return FinerRun(replace(self, stride=self.stride / times), max(steps, SIZE_SAMPLES), times**-self.order)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the steps of the settled base."""

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.numerics.solvers import settle
+from coadjoint.methods.numerics.solvers import iterate_to_stagnation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 
 if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-ITERATIONS = 8  # typical number per step
+TYPICAL_ITERATIONS = 8  # typical number per step
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class SphericalMidpoint(CompiledStepMethod):
         ValueError
             The algebra does not consist of copies of so(3).
         """
-        check_vectors(system)
+        check_vector_states(system)
         spins = spins_of(system)
         return Properties(poisson=True, energy=_keeps_energy(system, spins), casimirs="all", attitude="none")
 
@@ -127,7 +127,7 @@ class SphericalMidpoint(CompiledStepMethod):
         self.properties(system)
         spins = spins_of(system)
         step = begin(_middle, system, x, t, h)
-        slopes = settle(step, lambda points: step.fields(on_spheres(spins, step.x, points[0])[None]))
+        slopes = iterate_to_stagnation(step, lambda points: step.fields(on_spheres(spins, step.x, points[0])[None]))
         return step, slopes[0]
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:

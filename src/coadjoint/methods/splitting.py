@@ -14,15 +14,15 @@ from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.decompose import CALLED, check_parts
+from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_parts
 from coadjoint.program.sweeps import Sweep
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
-from coadjoint.systems.hamiltonians.separable import MOST_COORDINATES
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.system_checks import System, check_vectors
-from coadjoint.validation import read_choice, read_finite, read_flag, read_list, read_number, read_whole
+from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.validation import read_bool, read_choice, read_finite, read_integer, read_list, read_number
 
 if TYPE_CHECKING:
     from coadjoint.program.describe import Description
@@ -111,7 +111,7 @@ class Splitting(FlowMethod):
     def __post_init__(self) -> None:
         for name in ("compensated", "adjoint"):
             if name == "adjoint" or self.compensated is not None:
-                object.__setattr__(self, name, read_flag(getattr(self, name), name))
+                object.__setattr__(self, name, read_bool(getattr(self, name), name))
         order = read_number(self.order, "order")
         if order.is_integer():
             object.__setattr__(self, "order", int(order))
@@ -128,8 +128,8 @@ class Splitting(FlowMethod):
             raise ValueError(f"adjoint=True is for order 1, a single sweep, not for order {self.order}")
         read_choice(self.rotation, "rotation", ("exact", "rational"))
         if isinstance(self.parts, str):
-            read_choice(self.parts, "choice of parts", ("auto", "coordinates", *CALLED))
-            if self.parts in CALLED and self.rotation == "rational":
+            read_choice(self.parts, "choice of parts", ("auto", "coordinates", *BODY_FLOW_CHOICES))
+            if self.parts in BODY_FLOW_CHOICES and self.rotation == "rational":
                 raise ValueError(f'parts="{self.parts}" has no rational rotations; take rotation="exact"')
         elif isinstance(self.parts, Mapping):
             object.__setattr__(self, "parts", ChosenParts.from_mapping(self.parts))
@@ -137,7 +137,7 @@ class Splitting(FlowMethod):
             object.__setattr__(self, "parts", _sets_of_coordinates(self.parts))
 
     @classmethod
-    @QUIET
+    @ignore_overflow
     def tuned(cls, system: LiePoissonSystem, x0: npt.ArrayLike, order: int = 2, **options: Any) -> Splitting:
         """Return a splitting whose parts are chosen for given states: shift and order with the smallest error there.
 
@@ -259,7 +259,7 @@ class Splitting(FlowMethod):
             For a system without a Lie algebra, whose split flows are not linear; for a Hamiltonian that does not split
             into functions of commuting coordinates; for parts that do not match it.
         """
-        check_vectors(system)
+        check_vector_states(system)
         if isinstance(system, PoissonSystem):
             raise ValueError(
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
@@ -287,7 +287,7 @@ class Splitting(FlowMethod):
 def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
     rule = "it must be 'auto', 'coordinates', 'free_body', 'bonds', or sets of coordinates such as [[0, 1], [2]]"
     groups = [read_list(group, "a set of parts", rule) for group in read_list(parts, "parts", rule)]
-    sets = tuple(tuple(read_whole(i, "a coordinate in parts", 0, MOST_COORDINATES) for i in group) for group in groups)
+    sets = tuple(tuple(read_integer(i, "a coordinate in parts", 0, MAX_COORDINATES) for i in group) for group in groups)
     seen: set[int] = set()
     for i in (i for group in sets for i in group):
         if i in seen:

@@ -12,7 +12,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, check_one_system, unforced
 
-RULE: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
+PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """The first scheme that supports the system is suggested."""
 
 
@@ -51,9 +51,9 @@ def suggested_scheme(system: System) -> Method:
     (Splitting(order=4...), GaussLegendre(stages=3...))
     """
     check_one_system(system)
-    *first, last = RULE
+    *first, last = PREFERRED_SCHEMES
     if isinstance(system, MatrixSystem):
-        first = sorted(_serving(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
+        first = sorted(_supporting_schemes(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
     for method in first:
         try:
             method.properties(system)
@@ -64,7 +64,7 @@ def suggested_scheme(system: System) -> Method:
     return last
 
 
-def _serving(system: MatrixSystem) -> Iterator[Method]:
+def _supporting_schemes(system: MatrixSystem) -> Iterator[Method]:
     """Yield the registered schemes that support a system, each as its first example."""
     for name in names():
         method = scheme(name).examples()[0]

@@ -21,9 +21,9 @@ from coadjoint.program.numbers import Number
 from coadjoint.program.sweeps import Sweep
 from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_choice, read_whole
+from coadjoint.validation import read_choice, read_integer
 
-JUMPS = {"triple": 1, "suzuki": 2}
+SIDE_STEPS = {"triple": 1, "suzuki": 2}
 """Number of steps on each side of the middle one."""
 
 
@@ -69,13 +69,13 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     """
     if not isinstance(base, Method):
         raise TypeError(f"base is {short(base)}; give a scheme such as Splitting(order=1)")
-    wanted = read_whole(order, "order", 2, HIGHEST_ORDER)
-    read_choice(jump, "jump", JUMPS)
+    wanted = read_integer(order, "order", 2, HIGHEST_ORDER)
+    read_choice(jump, "jump", SIDE_STEPS)
     method = base if base.symmetric else base.symmetrized()
     if wanted % 2 or wanted < method.order:
         raise ValueError(f"order is {wanted}; from {base} it is even, and {method.order} or more")
     for reached in range(method.order, wanted, 2):
-        sides = JUMPS[jump]
+        sides = SIDE_STEPS[jump]
         # In decimals, since ** calls pow of the C library, whose bits differ by machine.
         root = float(Context(prec=40).power(Decimal(2 * sides), Decimal(1.0 / (reached + 1))))
         outer = 1.0 / (2 * sides - root)

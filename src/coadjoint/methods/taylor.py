@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.formal.power_series import Dual, expand
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
@@ -21,33 +21,33 @@ from coadjoint.methods.numerics.projection import (
     restored_invariants,
 )
 from coadjoint.methods.numerics.series_cost import LANES, series_operations
-from coadjoint.methods.numerics.step_length import TOO_SHORT, through_own_steps
+from coadjoint.methods.numerics.step_length import TOO_SHORT_MESSAGE, advance_by_own_steps
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
-    SERIES_OF_A_CROWD,
+    LANE_SERIES_FACTOR,
     Operations,
     Work,
     work_of_operations,
     work_of_own_steps,
 )
-from coadjoint.methods.protocol.method import OWN_LOOKS, Finer, Method, Representation
+from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System, check_vectors
-from coadjoint.validation import read_flag, read_number, read_whole
+from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.validation import read_bool, read_integer, read_number
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
 
-MOST = 64
-USUAL, LEAST_ORDER = 16, 4
+MAX_ORDER = 64
+DEFAULT_ORDER, LEAST_ORDER = 16, 4
 ORDERS = range(6, 25, 2)  # sums of higher orders are not unrolled
-FINER = 32.0  # factor by which the tolerance is reduced for an error estimate
-TOO_FAR = "the group element turns too far in one step for its series"
+TOLERANCE_REDUCTION = 32.0  # factor by which the tolerance is reduced for an error estimate
+TOO_FAR_MESSAGE = "the group element turns too far in one step for its series"
 # Typical number of terms in the series of a group element, and largest number beyond the order.
-TERMS_OF_GROUP, MORE_TERMS = 16, 40
+TYPICAL_GROUP_TERMS, MAX_EXTRA_TERMS = 16, 40
 # Largest dimension in which members are computed in vector lanes, see `SMALL` in ``stepping.cpp``.
-WIDEST_TOGETHER = 64
+MAX_LANE_DIMENSION = 64
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
 
 # Cached operations of series of order 1, projected or not, from which those of other orders are scaled.
@@ -127,9 +127,13 @@ class Taylor(CompiledStepMethod):
     def __post_init__(self) -> None:
         if self.tolerance is not None:
             object.__setattr__(self, "tolerance", _read_tolerance(self.tolerance))
-        order = _order_for(self.tolerance) if self.order is None else read_whole(self.order, "order of Taylor", 1, MOST)
+        order = (
+            _order_for(self.tolerance)
+            if self.order is None
+            else read_integer(self.order, "order of Taylor", 1, MAX_ORDER)
+        )
         object.__setattr__(self, "order", order)
-        object.__setattr__(self, "projected", read_flag(self.projected, "projected"))
+        object.__setattr__(self, "projected", read_bool(self.projected, "projected"))
 
     @property
     def own_steps(self) -> bool:
@@ -150,7 +154,7 @@ class Taylor(CompiledStepMethod):
         ValueError
             The field is not a polynomial: J is a function, or the Hamiltonian contains functions.
         """
-        check_vectors(system)
+        check_vector_states(system)
         if system.algebra is None:
             raise ValueError(
                 f"Taylor needs a polynomial structure matrix, and that of {system.name} is a Python function; take "
@@ -177,7 +181,7 @@ class Taylor(CompiledStepMethod):
     @property
     def failures(self) -> Mapping[str, str]:  # type: ignore[override]
         """The message for a group element beyond its series, or for own steps that are too short."""
-        return {"UNDEFINED": TOO_FAR if self.tolerance is None else TOO_SHORT}
+        return {"UNDEFINED": TOO_FAR_MESSAGE if self.tolerance is None else TOO_SHORT_MESSAGE}
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
         """Return the order; and the tolerance, if any."""
@@ -194,8 +198,8 @@ class Taylor(CompiledStepMethod):
         if representation is not None:
             size = system.dim if isinstance(representation, str) else representation.shape[1]
             # The matrix of the group equation and a coefficient of the element for each order, and for orders beyond.
-            need = 8 * (2 * self.order + MORE_TERMS) * size**2
-            check_room(need, f"the series of group elements of {size} x {size} numbers")
+            need = 8 * (2 * self.order + MAX_EXTRA_TERMS) * size**2
+            check_available_memory(need, f"the series of group elements of {size} x {size} numbers")
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
@@ -207,8 +211,8 @@ class Taylor(CompiledStepMethod):
             found = found._replace(vectors=found.vectors + self._vectors_of_group(system, group))
         if self.tolerance is not None:
             return work_of_own_steps(found, self.order)
-        together = group is None and system.dim <= WIDEST_TOGETHER
-        return work_of_operations(found, substeps, SERIES_OF_A_CROWD if together else 1.0)
+        together = group is None and system.dim <= MAX_LANE_DIMENSION
+        return work_of_operations(found, substeps, LANE_SERIES_FACTOR if together else 1.0)
 
     def _vectors_of_group(self, system: System, group: Representation) -> float:
         """Return the number of vectors of rows of a group element that are multiplied in a step."""
@@ -218,7 +222,7 @@ class Taylor(CompiledStepMethod):
         else:
             i, j, k, _ = system.algebra.triples
             size, entries = system.dim, len(np.unique(np.concatenate([i, j]) * system.dim + np.concatenate([k, k])))
-        blocks, terms = -(-size // LANES), max(self.order, TERMS_OF_GROUP)
+        blocks, terms = -(-size // LANES), max(self.order, TYPICAL_GROUP_TERMS)
         return float(blocks * (entries * self.order * (terms - 0.5 * self.order) + size**2))
 
     def reaching(self, system: System, tolerance: float) -> Taylor:
@@ -234,13 +238,13 @@ class Taylor(CompiledStepMethod):
 
         return replace(self, order=min(ORDERS, key=cost), tolerance=given)
 
-    def finer(self, steps: int, times: float) -> Finer:
+    def finer(self, steps: int, times: float) -> FinerRun:
         """Return the same series with a much smaller tolerance, if it has one."""
         if self.tolerance is None:
             return super().finer(steps, times)
-        tolerance = max(self.tolerance / (FINER * times), LEAST_TOLERANCE)
-        more = replace(self, order=min(self.order + 2, MOST), tolerance=tolerance)
-        return Finer(more, max(steps, OWN_LOOKS), min(0.5, tolerance / self.tolerance))
+        tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), LEAST_TOLERANCE)
+        more = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
+        return FinerRun(more, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the scheme whose step consists of these substeps; raise TypeError with a tolerance."""
@@ -271,7 +275,7 @@ class Taylor(CompiledStepMethod):
         given = start.astype(np.float64) if start.dtype != object else start
         number: Number = float if given.dtype != object else type(given[0])
         if self.tolerance is not None:
-            return self._through(system, given, number, t, h)
+            return self._advanced(system, given, number, t, h)
         terms = expand(system.vector_field, given.astype(object), number(h), self.order)
         end = np.asarray(given + np.add.reduce(terms[::-1]), dtype=given.dtype)
         return project(restored_invariants(system), given, end, number, float(t)).y if self.projected else end
@@ -287,27 +291,27 @@ class Taylor(CompiledStepMethod):
         self.properties(system)
         start = np.asarray(x, dtype=np.float64)
 
-        def back(end: NDArray[Any]) -> NDArray[Any]:
+        def to_level_set(end: NDArray[Any]) -> NDArray[Any]:
             if not self.projected:
                 return end
-            return _duals(*project_with_tangent(system, start, *_parted(end), float(t)))
+            return _duals(*project_with_tangent(system, start, *_split_duals(end), float(t)))
 
         duals, field = _duals(start, np.eye(len(start))), system.vector_field
         if self.tolerance is not None:
-            return _parted(through_own_steps(field, duals, float(h), self.order, self.tolerance, back))
-        return _parted(back(duals + sum(reversed(expand(field, duals, float(h), self.order)))))
+            return _split_duals(advance_by_own_steps(field, duals, float(h), self.order, self.tolerance, to_level_set))
+        return _split_duals(to_level_set(duals + sum(reversed(expand(field, duals, float(h), self.order)))))
 
-    def _through(self, system: System, x: NDArray[Any], number: Number, t: Any, h: Any) -> NDArray[Any]:
+    def _advanced(self, system: System, x: NDArray[Any], number: Number, t: Any, h: Any) -> NDArray[Any]:
         """Return the motion over h in own steps."""
         kept = restored_invariants(system)
 
-        def back(z: NDArray[Any]) -> NDArray[Any]:
+        def to_level_set(z: NDArray[Any]) -> NDArray[Any]:
             end = np.asarray(z, dtype=x.dtype)
             return project(kept, x, end, number, float(t)).y.astype(object) if self.projected else z
 
         assert self.tolerance is not None
         start = x.astype(object)
-        end = through_own_steps(system.vector_field, start, number(h), self.order, self.tolerance, back)
+        end = advance_by_own_steps(system.vector_field, start, number(h), self.order, self.tolerance, to_level_set)
         return np.asarray(end, dtype=x.dtype)
 
 
@@ -317,7 +321,7 @@ def _duals(values: NDArray[Any], derivatives: NDArray[Any]) -> NDArray[Any]:
     return found
 
 
-def _parted(duals: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _split_duals(duals: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     values, derivatives = [d.value for d in duals], [d.derivative for d in duals]
     return np.array(values, dtype=np.float64), np.array(derivatives, dtype=np.float64)
 
@@ -335,5 +339,5 @@ def _read_tolerance(given: Any) -> float:
 def _order_for(tolerance: float | None) -> int:
     """Return the order that reaches a tolerance at little cost, for steps of cost about p^1.5."""
     if tolerance is None:
-        return USUAL
+        return DEFAULT_ORDER
     return max(LEAST_ORDER, math.ceil(math.log(1.0 / tolerance) / 1.5) + 1)

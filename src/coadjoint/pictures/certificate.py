@@ -13,8 +13,8 @@ from coadjoint.pictures.style import INK, colour, key, plain_axes, symbol
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GOOD, BAD, OPEN = "#009E73", "#D55E00", "#7F7F7F"
-DEFECTS = {"symmetry": "step back", "reversibility": "reflected step", "poisson": "Poisson bracket"}
+PASS_COLOUR, FAIL_COLOUR, UNDECIDED_COLOUR = "#009E73", "#D55E00", "#7F7F7F"
+DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "poisson": "Poisson bracket"}
 
 
 def draw_certificate(certificate: Any) -> Figure:
@@ -61,11 +61,11 @@ def _draw_errors(axes: Any, row: Any, step: float) -> None:
     axes.set(xlabel="step $h$", ylabel="relative error", title="errors against the reference")
     plain_axes(axes)
     if "steps" not in row.evidence:
-        return _say(axes, row.reason)
+        return _write_note(axes, row.reason)
     steps, errors, rounding = (np.asarray(row.evidence[name]) for name in ("steps", "errors", "round-off"))
     axes.set(xscale="log", yscale="log")
     axes.plot(steps, errors, "o-", color=colour(0), markersize=4, linewidth=0.9, label="error")
-    axes.plot(steps, rounding, ":", color=OPEN, linewidth=0.9, label="round-off, at most")
+    axes.plot(steps, rounding, ":", color=UNDECIDED_COLOUR, linewidth=0.9, label="round-off, at most")
     if "fitted steps" in row.evidence and row.value is not None:
         h, e = np.asarray(row.evidence["fitted steps"]), np.asarray(row.evidence["fitted errors"])
         alone = row.evidence["fitted of"] == "of single steps"
@@ -73,7 +73,7 @@ def _draw_errors(axes: Any, row: Any, step: float) -> None:
         if alone:
             axes.plot(h, e, "s", color=colour(3), markersize=4, label="error of a step")
         axes.plot(h, e[-1] * (h / h[-1]) ** power, "--", color=INK, linewidth=0.9, label=f"$h^{{{power:.2f}}}$")
-    axes.axvline(abs(step), color=OPEN, linewidth=0.6)
+    axes.axvline(abs(step), color=UNDECIDED_COLOUR, linewidth=0.6)
     key(axes)
 
 
@@ -81,7 +81,7 @@ def _draw_defects(axes: Any, rows: dict[str, Any]) -> None:
     axes.set(xlabel="step $h$", ylabel="defect", title="defects")
     plain_axes(axes)
     drawn = 0
-    for number, (name, label) in enumerate(DEFECTS.items()):
+    for number, (name, label) in enumerate(DEFECT_LABELS.items()):
         evidence = rows[name].evidence
         if "steps" not in evidence:
             continue
@@ -90,7 +90,7 @@ def _draw_defects(axes: Any, rows: dict[str, Any]) -> None:
         line = {"color": colour(number), "markersize": 4, "linewidth": 0.9, "label": shown}
         axes.plot(evidence["steps"], evidence["defects"], "o-", **line)
     if not drawn:
-        return _say(axes, "no defect above round-off")
+        return _write_note(axes, "no defect above round-off")
     axes.set(xscale="log", yscale="log")
     key(axes)
 
@@ -106,7 +106,7 @@ def _draw_invariants(axes: Any, rows: Any) -> None:
         name = symbol(row.key.removeprefix("casimir "))
         axes.plot(times, np.where(sizes > 0.0, sizes, np.nan), color=colour(number), linewidth=0.9, label=name)
     if not any(np.any(np.asarray(row.evidence["deviations"])) for row in shown):
-        return _say(axes, "no deviation in any bit" if shown else "no invariant is followed")
+        return _write_note(axes, "no deviation in any bit" if shown else "no invariant is followed")
     axes.set(xscale="log", yscale="log")
     key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
@@ -117,16 +117,16 @@ def _draw_verdicts(axes: Any, rows: Any) -> None:
     below = 1.0 / max(1, len(rows))
     for number, row in enumerate(rows):
         height = 1.0 - (number + 0.6) * below
-        paint = {"holds": GOOD, "fails": BAD}.get(
-            row.verdict, BAD if row.claimed and "not dec" in row.verdict else OPEN
+        paint = {"holds": PASS_COLOUR, "fails": FAIL_COLOUR}.get(
+            row.verdict, FAIL_COLOUR if row.claimed and "not dec" in row.verdict else UNDECIDED_COLOUR
         )
         name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
         axes.text(-0.04, height, name.replace("$", r"\$"), fontsize=8, color=INK, transform=axes.transAxes)
         declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
-        axes.text(0.40, height, declared, fontsize=7.5, color=OPEN, transform=axes.transAxes)
+        axes.text(0.40, height, declared, fontsize=7.5, color=UNDECIDED_COLOUR, transform=axes.transAxes)
         axes.text(0.68, height, row.verdict, fontsize=8, color=paint, weight="bold", transform=axes.transAxes)
 
 
-def _say(axes: Any, text: str) -> None:
+def _write_note(axes: Any, text: str) -> None:
     axes.set(xticks=[], yticks=[])
     axes.text(0.5, 0.5, "\n".join(textwrap.wrap(text, 50)), transform=axes.transAxes, ha="center", fontsize=9)

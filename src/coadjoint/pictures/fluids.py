@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
 from coadjoint.systems.fluids.sphere_euler import SphereEuler, sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
 
 
-def fluid_of(drawn: Drawn) -> FluidSystem:
+def fluid_of(drawn: PlottedRun) -> FluidSystem:
     """Return the fluid of a run, of two fields the one without the second; raise CannotShow for other systems."""
     family = drawn.family
     if isinstance(family, FluidSystem):

@@ -18,7 +18,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.registry import ready_made_systems, telling_of
 
 PAGE = "index.html"
-DOTS = 110  # per inch
+DOTS_PER_INCH = 110  # per inch
 
 _STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff}"
@@ -60,7 +60,7 @@ def piece(name: str) -> Piece:
     if name in SCENES:
         scene = SCENES[name]
         run = scene.run()
-        told = f"{_told(run)}; {run.stats.seconds:.0f} s"
+        told = f"{_caption(run)}; {run.stats.seconds:.0f} s"
         return Piece(name, run.plot(scene.pictures), scene.summary, scene.says, told)
     solution = telling_run(name)
     telling = telling_of(name)
@@ -68,7 +68,7 @@ def piece(name: str) -> Piece:
     first = (ready_made_systems()[name].__doc__ or "").partition("\n\n")[0]
     words = " ".join(first.split()).removeprefix("Return ").replace("``", "")
     summary = words[:1].upper() + words[1:]
-    return Piece(name, solution.plot(), summary, telling.says, _told(solution))
+    return Piece(name, solution.plot(), summary, telling.says, _caption(solution))
 
 
 def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callable[[str], None] = print) -> str:
@@ -108,7 +108,7 @@ def file_of(name: str) -> str:
     return f"{Path(name).name}.png"
 
 
-def _told(solution: Solution) -> str:
+def _caption(solution: Solution) -> str:
     system = solution.system
     given = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
     start, end = solution.t_span

@@ -11,10 +11,10 @@ from coadjoint.pictures.style import INK, dots
 
 Floats = npt.NDArray[np.float64]
 
-FACE, LINES = "#EDF2F8", "#C3CEDB"
+FACE_COLOUR, LINES = "#EDF2F8", "#C3CEDB"
 VIEW = (35.0, 22.0)
 """Direction of view in degrees: around the third axis from the first, and above the plane of the first two."""
-ASIDE = 25.0
+VIEW_OFFSET = 25.0
 """Degrees of azimuth from the middle of a path, so that the label of an axis there does not cover it."""
 
 
@@ -23,7 +23,7 @@ def view_of(points: Floats) -> tuple[float, float]:
     ignored.
     """
     x, y, _ = np.mean(points[np.isfinite(points).all(axis=1)], axis=0)
-    return (float(np.degrees(np.arctan2(y, x))) + ASIDE, VIEW[1]) if np.hypot(x, y) > 0.15 else VIEW
+    return (float(np.degrees(np.arctan2(y, x))) + VIEW_OFFSET, VIEW[1]) if np.hypot(x, y) > 0.15 else VIEW
 
 
 class Globe:
@@ -41,7 +41,7 @@ class Globe:
         axes.set(xlim=(-1.42 * radius, 1.42 * radius), ylim=(-1.42 * radius, 1.42 * radius))
         axes.axis("off")
 
-    def seen(self, points: Floats) -> tuple[Floats, Floats]:
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Project points (..., 3) to (..., 2); also return their depth, positive on the near side."""
         turned = points @ self.frame.T
         return turned[..., :2], turned[..., 2]
@@ -49,7 +49,9 @@ class Globe:
     def _draw_ball(self) -> None:
         from matplotlib.patches import Circle
 
-        self.axes.add_patch(Circle((0.0, 0.0), self.radius, facecolor=FACE, edgecolor=LINES, linewidth=0.8, zorder=0))
+        self.axes.add_patch(
+            Circle((0.0, 0.0), self.radius, facecolor=FACE_COLOUR, edgecolor=LINES, linewidth=0.8, zorder=0)
+        )
         turn = np.linspace(0.0, 2.0 * np.pi, 181)
         c, s, o = np.cos(turn), np.sin(turn), np.zeros_like(turn)
         circles = [np.stack(circle, axis=-1) for circle in ((c, s, o), (c, o, s), (o, c, s))]
@@ -58,7 +60,7 @@ class Globe:
 
     def _draw_axes(self, names: Any) -> None:
         for direction, name in zip(np.eye(3), names, strict=True):
-            ends, depth = self.seen(np.outer([1.0, 1.22], self.radius * direction))
+            ends, depth = self.project(np.outer([1.0, 1.22], self.radius * direction))
             order = 2 if depth[0] > 0.0 else -1
             self.axes.annotate(
                 "",
@@ -67,7 +69,7 @@ class Globe:
                 arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
                 zorder=order,
             )
-            place = ends[1] + 0.1 * self.radius * _towards(ends[1])
+            place = ends[1] + 0.1 * self.radius * _view_axes(ends[1])
             near = depth[0] > 0.0
             paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8} if near else None
             text = {"color": INK, "fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6 if near else -1}
@@ -82,12 +84,12 @@ class Globe:
             near = {"color": colour, "linewidth": linewidth, "alpha": alpha}
             self._path(points, near=near, far={**near, "alpha": 0.28 * alpha}, zorder=3)
             return
-        flat, depth = self.seen(points)
+        flat, depth = self.project(points)
         for side, strength in ((depth >= 0.0, alpha), (depth < 0.0, 0.28 * alpha)):
             self.axes.plot(*flat[side].T, color=colour, alpha=strength, **dots(len(points)))
 
     def _path(self, points: Floats, near: dict[str, Any], far: dict[str, Any] | None, zorder: int) -> None:
-        flat, depth = self.seen(points)
+        flat, depth = self.project(points)
         front = depth >= 0.0
         for side, style, order in ((front, near, zorder), (~front, far, zorder - 1)):
             if style is not None and side.any():
@@ -97,7 +99,7 @@ class Globe:
 
     def mark(self, point: Floats, colour: str, label: str | None = None, marker: str = "o", size: float = 5.0) -> None:
         """Mark a point (3,) of the sphere, hollow on the far side."""
-        flat, depth = self.seen(point)
+        flat, depth = self.project(point)
         filled = colour if depth >= 0.0 else "white"
         self.axes.plot(
             *flat[:, None],
@@ -111,6 +113,6 @@ class Globe:
         )
 
 
-def _towards(flat: Floats) -> Floats:
+def _view_axes(flat: Floats) -> Floats:
     size = float(np.linalg.norm(flat))
     return flat / size if size > 1e-3 else np.array([0.0, 1.0])

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_finite, read_number, read_whole
+from coadjoint.validation import read_finite, read_integer, read_number
 
 BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 
@@ -61,8 +61,8 @@ def level_surface(
     """
     takes_time(function, "function")
     edges, level, period = read_finite(box, "box"), read_number(level, "level"), read_number(period, "period")
-    cells = read_whole(cells, "cells")
-    check_room(BYTES_PER_CELL * cells**3, f"a level surface with {short(cells)} cells along each edge")
+    cells = read_integer(cells, "cells")
+    check_available_memory(BYTES_PER_CELL * cells**3, f"a level surface with {short(cells)} cells along each edge")
     if edges.shape != (3, 2) or not np.all(edges[:, 1] > edges[:, 0]):
         raise ValueError(f"box is {short(edges.tolist())}; it must be three pairs (smallest, largest)")
     axes = [np.linspace(low, high, cells + 1) for low, high in edges.tolist()]
@@ -72,7 +72,7 @@ def level_surface(
     triangles = []
     for tetrahedron in _TETRAHEDRA:
         where = tuple(np.moveaxis(corner + tetrahedron, -1, 0))
-        triangles += _cut(points[where], _one_branch(values[where], period))
+        triangles += _cut(points[where], _unwrap(values[where], period))
     found = np.concatenate(triangles)
     # Drop triangles that degenerate to points, at grid corners on the surface.
     return found[np.any(found != found[:, :1], axis=(1, 2))]
@@ -96,7 +96,7 @@ def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -
         return np.apply_along_axis(one, -1, points)
 
 
-def _one_branch(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.float64]:
+def _unwrap(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.float64]:
     """Shift values by periods so that they vary by less than half a period within a tetrahedron."""
     if period <= 0.0:
         return values

@@ -10,14 +10,14 @@ import numpy as np
 from coadjoint.optional_packages import need
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.runs.solution import check_solution
-from coadjoint.validation import read_list, read_whole
+from coadjoint.validation import read_integer, read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.runs.solution import Solution
 
-MOST_POINTS = 5000
+MAX_POINTS = 5000
 """More points than a printed line resolves."""
 
 
@@ -51,7 +51,7 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     from coadjoint.pictures.figure import ShownFigure
 
     given = read_list(orders, "orders", "give whole numbers such as (4, 6)")
-    wanted = [read_whole(order, "an order") for order in given]
+    wanted = [read_integer(order, "an order") for order in given]
     figure = ShownFigure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
     draw_deviations(axes, solution, wanted)
@@ -64,7 +64,7 @@ def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> Non
     """Draw the deviations of the energy and of modified energies of the first member from the start into axes."""
     series = {"energy $H$": solution.energy}
     series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
-    every = max(1, -(-len(solution.t) // MOST_POINTS))
+    every = max(1, -(-len(solution.t) // MAX_POINTS))
     for place, (label, values) in enumerate(series.items()):
         own = values.reshape(len(values), -1)[:, 0]
         deviation = np.abs(own - own[0])[::every]

@@ -6,18 +6,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from coadjoint.optional_packages import need
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import telling_of
-from coadjoint.validation import read_list, read_whole
+from coadjoint.validation import read_integer, read_list
 
-MOST_FRAMES = 5000
+MAX_FRAMES = 5000
 PIXELS = (64, 4096)
 """Smallest and largest number of pixels along a side."""
-WIDE, HIGH = 8.0, 4.5
+MIN_WIDTH, MIN_HEIGHT = 8.0, 4.5
 """Smallest size of the figure in inches; text scales with the pixels."""
 
 
@@ -27,14 +27,14 @@ class SavedFrames:
     """
 
     def __init__(
-        self, drawn: Drawn, kind: Kind, picture: Picture, places: Sequence[int], size: tuple[int, int]
+        self, drawn: PlottedRun, kind: Kind, picture: Picture, places: Sequence[int], size: tuple[int, int]
     ) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         self.count, self.size, self._places = len(places), size, places
         width, height = size
-        dots = min(width / WIDE, height / HIGH)
+        dots = min(width / MIN_WIDTH, height / MIN_HEIGHT)
         figure = Figure(figsize=(width / dots, height / dots), dpi=dots, layout="compressed", facecolor="white")
         self._canvas = FigureCanvasAgg(figure)
         figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=9, color=INK)
@@ -63,8 +63,8 @@ def frames_of(
     """
     check_solution(solution)
     need("a movie", "matplotlib")
-    count, sides = read_whole(frames, "frames", 2, MOST_FRAMES), _read_size(size)
-    drawn = Drawn(solution)
+    count, sides = read_integer(frames, "frames", 2, MAX_FRAMES), _read_size(size)
+    drawn = PlottedRun(solution)
     kind, read = _moving(drawn, picture)
     places = spread(len(drawn.t), count).tolist()
     if len(places) < 2:
@@ -73,7 +73,7 @@ def frames_of(
 
 
 def _read_size(size: Any) -> tuple[int, int]:
-    sides = [read_whole(side, "a side of size", *PIXELS) for side in read_list(size, "size", "give width and height")]
+    sides = [read_integer(side, "a side of size", *PIXELS) for side in read_list(size, "size", "give width and height")]
     if len(sides) != 2 or any(side % 2 for side in sides):
         raise ValueError(f"size is {size}; give width and height in pixels, even numbers")
     return sides[0], sides[1]
@@ -99,7 +99,7 @@ def _moving_kinds() -> list[str]:
     return [name for name, kind in kinds().items() if kind.moves]
 
 
-def _moving(drawn: Drawn, wanted: Any) -> tuple[Kind, Picture]:
+def _moving(drawn: PlottedRun, wanted: Any) -> tuple[Kind, Picture]:
     """Return the picture of a movie and its kind, at the start."""
     if wanted is None:
         wanted = declared_picture(drawn.family.name)

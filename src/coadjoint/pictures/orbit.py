@@ -13,9 +13,9 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.style import COLOURS, GRID, INK, colour, dots, symbol
 
-SURFACE = "#B8CCE0"
-FARTHEST = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
-LIGHT = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
+SURFACE_COLOUR = "#B8CCE0"
+MAX_COORDINATE = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
+LIGHT_DIRECTION = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
 
 
 def surface_casimir(casimirs: Mapping[str, Any]) -> str | None:
@@ -41,7 +41,7 @@ def draw_orbit(
     stays on the surface, unlike with forces.
     """
     name = surface_casimir(casimirs)
-    members = np.where(np.abs(members) < FARTHEST, members, np.nan)
+    members = np.where(np.abs(members) < MAX_COORDINATE, members, np.nan)
     box = _box_of(members)
     what = "orbit" if joined else "points of the orbit"
     title = f"{what} (no Casimir is known)"
@@ -109,8 +109,8 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
     if not len(triangles):
         return
     # Triangles have no orientation, so both sides are lit alike.
-    brightness = 0.72 + 0.28 * np.abs(normals @ LIGHT)
-    faces = np.column_stack([brightness[:, None] * np.array(to_rgb(SURFACE)), np.full(len(triangles), 0.35)])
+    brightness = 0.72 + 0.28 * np.abs(normals @ LIGHT_DIRECTION)
+    faces = np.column_stack([brightness[:, None] * np.array(to_rgb(SURFACE_COLOUR)), np.full(len(triangles), 0.35)])
     x, y, z = triangles.reshape(-1, 3).T
     mesh = Triangulation(x, y, np.arange(len(x)).reshape(-1, 3))
     surface = axes.plot_trisurf(mesh, z, linewidth=0.0, shade=False, zorder=1)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.errors import IntegrationError
-from coadjoint.pictures.refinement_times import fastest_turn, few_times, times_between
+from coadjoint.pictures.refinement_times import coarse_times, fastest_turn, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
@@ -19,28 +19,28 @@ from coadjoint.runs.summary import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import Telling
 from coadjoint.systems.registry import telling_of
 from coadjoint.systems.system_checks import shape_of
-from coadjoint.validation import read_choice, read_list, read_number, read_whole
+from coadjoint.validation import read_choice, read_integer, read_list, read_number
 
 Floats = npt.NDArray[np.float64]
 
-MOST_MEMBERS = 20
-MOST_POINTS = 20_000  # of a curve; more than printed lines resolve
+MAX_MEMBERS = 20
+MAX_CURVE_POINTS = 20_000  # of a curve; more than printed lines resolve
 SAMPLED = 64  # intervals examined
 NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least FEWEST_SAMPLED intervals
-FEWEST_SAMPLED = 4
-ROUNDS = 4  # of refinement, while the motion turns out to be faster
+MIN_SAMPLED = 4
+REFINEMENTS = 4  # of refinement, while the motion turns out to be faster
 # Largest distance of a motion from the chord, relative to its range: FLAT for curves over time (11 points per circle),
 # NARROW for closed curves, whose repeated chords would form a ribbon (24 points per circle).
-FLAT = 0.015
-NARROW = 0.003
-LARGEST_TURN = 0.26  # radians between points of the path of an axis: 24 points per circle
+CHORD_TOLERANCE = 0.015
+SPACE_CHORD_TOLERANCE = 0.003
+MAX_AXIS_TURN = 0.26  # radians between points of the path of an axis: 24 points per circle
 
 
-class Drawn:
+class PlottedRun:
     """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
 
     `members` selects members by number. `family` is the system without its forces, `telling` its gallery metadata or
@@ -64,17 +64,17 @@ class Drawn:
         self.n = int(np.prod(shape_of(self.system))) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
         self.of_members = states.shape[1]
-        self._chosen = spread(self.of_members, MOST_MEMBERS) if chosen is None else chosen
+        self._chosen = spread(self.of_members, MAX_MEMBERS) if chosen is None else chosen
         self.t = solution.t
-        self.x = self._of_drawn(states)
+        self.x = self._select_members(states)
 
-    def _of_drawn(self, states: Floats) -> Floats:
+    def _select_members(self, states: Floats) -> Floats:
         # A view if all members are drawn, since states may be large.
         every = np.array_equal(self._chosen, np.arange(self.of_members))
         return np.swapaxes(states if every else states[:, self._chosen], 0, 1)
 
     @cached_property
-    def between(self) -> Drawn:
+    def between(self) -> PlottedRun:
         """The run refined by the states between saved points that smooth curves need, if available.
 
         The states are those of `Solution.at`: partial steps of the same scheme. The run itself is returned for noise,
@@ -83,13 +83,13 @@ class Drawn:
         if not isinstance(self.solution, Solution) or self.random or len(self.t) < 2 or not np.isfinite(self.x).all():
             return self
         try:
-            few = few_times(self)
-            looked, found = self if few is None else self._at(few), self
-            for _ in range(ROUNDS):
-                times = times_between(self, looked)
+            few = coarse_times(self)
+            refined_run, found = self if few is None else self._at(few), self
+            for _ in range(REFINEMENTS):
+                times = times_between(self, refined_run)
                 if times is None or len(times) <= len(found.t):
                     break
-                looked = found = self._at(times)
+                refined_run = found = self._at(times)
         except (TypeError, ValueError, IntegrationError):
             return self
         return found
@@ -99,15 +99,15 @@ class Drawn:
         """Whether a force is noise: then there is neither a field, nor a state between two steps."""
         return any(force.random for force in getattr(self.system, "forces", ()))
 
-    def _at(self, times: Floats) -> Drawn:
+    def _at(self, times: Floats) -> PlottedRun:
         """Return the same run at other times, which include the saved ones."""
         found = self.solution.at(times)
         filled = copy.copy(self)
-        for name in ("attitude", "rotation", "kept", "joined", "turned_little", "close", "between"):
+        for name in ("attitude", "rotation", "kept", "joined", "axis_joined", "close", "between"):
             filled.__dict__.pop(name, None)
         states = np.ascontiguousarray(found.x)
         states = states.view(np.float64) if np.iscomplexobj(states) else states
-        filled.t, filled.x = times, self._of_drawn(states.reshape(len(times), -1, self.n))
+        filled.t, filled.x = times, self._select_members(states.reshape(len(times), -1, self.n))
         carried = self.solution.carried == "representation" and found.attitude is not None
         filled.__dict__["attitude"] = self.of_each(found.attitude) if carried else None
         filled.__dict__["between"] = filled
@@ -150,7 +150,7 @@ class Drawn:
         return is_driven(self.system)
 
     @cached_property
-    def left(self) -> Mapping[str, Floats] | None:
+    def unexplained_change(self) -> Mapping[str, Floats] | None:
         """The change of each invariant minus the work of the forces on it, which is an error; None without forces."""
         work = getattr(self.solution, "work", None)
         if not work:
@@ -180,33 +180,33 @@ class Drawn:
         try:
             if isinstance(chosen, str):
                 return self.names.index(read_choice(chosen, "coordinate", self.names))
-            return read_whole(chosen, "a coordinate", 0, self.n - 1)
+            return read_integer(chosen, "a coordinate", 0, self.n - 1)
         except ValueError as reason:
             raise CannotShow(str(reason)) from None
 
     @cached_property
     def kept(self) -> npt.NDArray[np.int64]:
         """Indices of the points of curves in space: all, or about 20 000 evenly spread, and the last."""
-        every = max(1, -(-len(self.t) // MOST_POINTS))
+        every = max(1, -(-len(self.t) // MAX_CURVE_POINTS))
         return np.unique(np.append(np.arange(0, len(self.t), every), len(self.t) - 1))
 
     @cached_property
     def joined(self) -> bool:
         """Whether lines between the points of a curve represent the motion; otherwise points are drawn as dots."""
-        return self._flat(self.kept, NARROW)
+        return self._flat(self.kept, SPACE_CHORD_TOLERANCE)
 
     @cached_property
-    def turned_little(self) -> bool:
+    def axis_joined(self) -> bool:
         """Whether lines between the points of the path of an axis represent the rotation of the attitude."""
         steps = np.abs(np.diff(self.t[self.kept]))
-        return self.joined and (not steps.size or float(np.quantile(steps, 0.9)) * fastest_turn(self) <= LARGEST_TURN)
+        return self.joined and (not steps.size or float(np.quantile(steps, 0.9)) * fastest_turn(self) <= MAX_AXIS_TURN)
 
     @cached_property
     def close(self) -> bool:
         """Whether lines between all saved points represent the motion over time."""
-        return self._flat(np.arange(len(self.t)), FLAT)
+        return self._flat(np.arange(len(self.t)), CHORD_TOLERANCE)
 
-    @QUIET
+    @ignore_overflow
     def _flat(self, kept: npt.NDArray[np.int64], part: float) -> bool:
         """Test whether nine of ten intervals between points are nearly straight, for the first finite member.
 
@@ -220,11 +220,11 @@ class Drawn:
         size = float(np.linalg.norm(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0)))
         if not size > 0.0:
             return True
-        places = spread(len(kept) - 1, min(SAMPLED, max(FEWEST_SAMPLED, NUMBERS_SAMPLED // self.n)))
-        leaves = [self._bend(x, self.t[kept], int(p), m) for p in places]
+        places = spread(len(kept) - 1, min(SAMPLED, max(MIN_SAMPLED, NUMBERS_SAMPLED // self.n)))
+        leaves = [self._chord_distance(x, self.t[kept], int(p), m) for p in places]
         return bool(np.quantile(leaves, 0.9) <= part * size)
 
-    def _bend(self, x: Floats, t: Floats, p: int, m: int) -> float:
+    def _chord_distance(self, x: Floats, t: Floats, p: int, m: int) -> float:
         dt = float(t[p + 1] - t[p])
         before, after = (self.slope(x[q], float(t[q]), m) for q in (p, p + 1))
         bend = float(np.linalg.norm(after - before)) * abs(dt) / 8.0
@@ -268,9 +268,9 @@ def _members(solution: Solution, given: Any) -> npt.NDArray[np.int64]:
     """Validate the members selected."""
     count = 1 if solution.failed is None else len(solution.failed)
     listed = read_list(given, "members", "give numbers of members, such as [0, 3]")
-    chosen = [read_whole(m, "a member", 0, count - 1) for m in listed]
-    if not chosen or len(chosen) > MOST_MEMBERS or len(set(chosen)) < len(chosen):
-        raise ValueError(f"members are {short(given)}; give from 1 to {MOST_MEMBERS} different numbers of members")
+    chosen = [read_integer(m, "a member", 0, count - 1) for m in listed]
+    if not chosen or len(chosen) > MAX_MEMBERS or len(set(chosen)) < len(chosen):
+        raise ValueError(f"members are {short(given)}; give from 1 to {MAX_MEMBERS} different numbers of members")
     return np.array(chosen, dtype=np.int64)
 
 

@@ -9,22 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
-Pair = tuple[Floats, Floats]
+ArrayPair = tuple[Floats, Floats]
 
-TABLE = 4001
+TABLE_SIZE = 4001
 
 
 @dataclass(frozen=True)
 class Projection:
     """A map of the sphere into an ellipse with the half axes `half_width` and 1.
 
-    `half_width` is 2 for maps of the whole sphere, 1 for the view from outside. `onto` maps longitudes and latitudes in
-    radians, relative to the centre, to x, y, and `back` inverts it; invisible points are NaN.
+    `half_width` is 2 for maps of the whole sphere, 1 for the view from outside. `project` maps longitudes and latitudes
+    in radians, relative to the centre, to x, y, and `unproject` inverts it; invisible points are NaN.
     """
 
     half_width: float
-    onto: Callable[[Floats, Floats], Pair]
-    back: Callable[[Floats, Floats], Pair]
+    project: Callable[[Floats, Floats], ArrayPair]
+    unproject: Callable[[Floats, Floats], ArrayPair]
 
     def directions(self, columns: int, centre: tuple[float, float]) -> Floats:
         """Return the unit vectors of square pixels, (rows, columns, 3), lowest row first; NaN outside the map.
@@ -36,14 +36,14 @@ class Projection:
         x, y = np.meshgrid(x, (2 * np.arange(rows) + 1) / rows - 1)
         inside = (x / self.half_width) ** 2 + y**2 <= 1.0
         found = np.full((*x.shape, 3), np.nan)
-        found[inside] = unit_vectors(*self.back(x[inside], y[inside])) @ turned(centre)
+        found[inside] = unit_vectors(*self.unproject(x[inside], y[inside])) @ turned(centre)
         return found
 
-    def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> Pair:
+    def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> ArrayPair:
         """Project a line on the sphere, with NaN where it leaves over an edge of the map."""
         seen = unit_vectors(longitude, latitude) @ turned(centre).T
         across = np.arctan2(seen[:, 1], seen[:, 0])
-        x, y = self.onto(across, np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
+        x, y = self.project(across, np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
         # Tested by the angle, since near the poles the edges of a map are close to each other.
         over = np.append(np.abs(np.diff(across)) > np.pi, False)
         return np.where(over, np.nan, x), y
@@ -72,39 +72,39 @@ def turned(centre: tuple[float, float]) -> Floats:
     return np.stack([middle, right, np.cross(middle, right)])
 
 
-def _mollweide_onto(longitude: Floats, latitude: Floats) -> Pair:
-    turn = np.linspace(-np.pi / 2, np.pi / 2, TABLE)
+def _mollweide_project(longitude: Floats, latitude: Floats) -> ArrayPair:
+    turn = np.linspace(-np.pi / 2, np.pi / 2, TABLE_SIZE)
     theta = np.interp(np.sin(latitude), (2 * turn + np.sin(2 * turn)) / np.pi, turn)
     return 2 * longitude / np.pi * np.cos(theta), np.sin(theta)
 
 
-def _mollweide_back(x: Floats, y: Floats) -> Pair:
+def _mollweide_unproject(x: Floats, y: Floats) -> ArrayPair:
     theta = np.arcsin(y)
     return np.pi * x / (2 * np.cos(theta)), np.arcsin(np.clip((2 * theta + np.sin(2 * theta)) / np.pi, -1.0, 1.0))
 
 
-def _hammer_onto(longitude: Floats, latitude: Floats) -> Pair:
+def _hammer_project(longitude: Floats, latitude: Floats) -> ArrayPair:
     size = np.sqrt(1 + np.cos(latitude) * np.cos(longitude / 2))
     return 2 * np.cos(latitude) * np.sin(longitude / 2) / size, np.sin(latitude) / size
 
 
-def _hammer_back(x: Floats, y: Floats) -> Pair:
+def _hammer_unproject(x: Floats, y: Floats) -> ArrayPair:
     z = np.sqrt(1 - x**2 / 8 - y**2 / 2)
     return 2 * np.arctan2(np.sqrt(2) * z * x, 2 * (2 * z**2 - 1)), np.arcsin(np.clip(np.sqrt(2) * z * y, -1.0, 1.0))
 
 
-def _outside_onto(longitude: Floats, latitude: Floats) -> Pair:
+def _outside_project(longitude: Floats, latitude: Floats) -> ArrayPair:
     x, y, z = np.moveaxis(unit_vectors(longitude, latitude), -1, 0)
     return np.where(x >= 0.0, y, np.nan), np.where(x >= 0.0, z, np.nan)
 
 
-def _outside_back(x: Floats, y: Floats) -> Pair:
+def _outside_unproject(x: Floats, y: Floats) -> ArrayPair:
     return np.arctan2(x, np.sqrt(np.maximum(1 - x**2 - y**2, 0.0))), np.arcsin(y)
 
 
 PROJECTIONS = {
-    "mollweide": Projection(2.0, _mollweide_onto, _mollweide_back),
-    "hammer": Projection(2.0, _hammer_onto, _hammer_back),
-    "outside": Projection(1.0, _outside_onto, _outside_back),
+    "mollweide": Projection(2.0, _mollweide_project, _mollweide_unproject),
+    "hammer": Projection(2.0, _hammer_project, _hammer_unproject),
+    "outside": Projection(1.0, _outside_project, _outside_unproject),
 }
 """Mollweide and Hammer are equal-area maps of the whole sphere; "outside" is the orthographic view."""

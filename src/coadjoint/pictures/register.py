@@ -23,7 +23,7 @@ Update = Callable[[int], None]
 Paint = Callable[["Axes"], Update | None]
 """Draws a picture into axes; kinds with `Kind.moves` return an `Update`."""
 Prepare = Callable[..., Paint]
-"""Function of a `coadjoint.pictures.plot_data.Drawn` and options that returns a `Paint`."""
+"""Function of a `coadjoint.pictures.plot_data.PlottedRun` and options that returns a `Paint`."""
 
 
 class CannotShow(ValueError):

@@ -9,12 +9,12 @@ import numpy as np
 from coadjoint.optional_packages import need
 from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
 from coadjoint.runs.events import Events
-from coadjoint.validation import read_choice, read_list, read_whole
+from coadjoint.validation import read_choice, read_integer, read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FEW = 2000
+MAX_LARGE_DOTS = 2000
 """Number of crossings drawn with dots of full size; larger numbers have smaller dots."""
 
 
@@ -31,7 +31,7 @@ def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> 
     if axes is None:
         axes = ShownFigure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
     plain_axes(axes)
-    size = 2.0 if len(events) <= FEW else max(0.15, 2.0 * (FEW / len(events)) ** 0.5)
+    size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
     for i, colour in enumerate(COLOURS):
         own = events.member % len(COLOURS) == i
         if own.any():
@@ -61,7 +61,7 @@ def places(events: Events, components: Any = None) -> tuple[int, int]:
     across, up = (
         names.index(read_choice(one, "coordinate", names))
         if isinstance(one, str)
-        else read_whole(one, "a coordinate", 0, len(names) - 1)
+        else read_integer(one, "a coordinate", 0, len(names) - 1)
         for one in chosen
     )
     return across, up

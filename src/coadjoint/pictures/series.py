@@ -11,8 +11,8 @@ Floats = npt.NDArray[np.float64]
 
 COLUMNS = 600
 """Number of time intervals that a printed line resolves."""
-LARGEST = 1e280  # larger values with margins of the scale overflow float64
-TOO_MANY = COLUMNS // 2
+MAX_VALUE = 1e280  # larger values with margins of the scale overflow float64
+MAX_TURNING_POINTS = COLUMNS // 2
 """Number of turning points above which an envelope is drawn: two columns per half oscillation."""
 
 
@@ -22,9 +22,9 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     Nonfinite values, and those beyond 1e280, are not drawn. `joined` states whether lines between the points represent
     the series; otherwise dots are drawn. `style` may have ``color``, ``linewidth`` and ``alpha``.
     """
-    values = np.where(np.abs(values) < LARGEST, values, np.nan)
+    values = np.where(np.abs(values) < MAX_VALUE, values, np.nan)
     turns = turning_points(values)
-    if turns > TOO_MANY or (len(t) > 8 * COLUMNS and not joined):
+    if turns > MAX_TURNING_POINTS or (len(t) > 8 * COLUMNS and not joined):
         middle, low, high = envelope(t, values, COLUMNS)
         strength = style.get("alpha", 1.0)
         # The edge keeps envelopes visible that are narrower than a line.
@@ -32,7 +32,7 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
         width = style.get("linewidth", 0.9)
         axes.fill_between(middle, low, high, facecolor=face, edgecolor=edge, linewidth=width, label=label)
         return
-    if joined and not _mostly_alone(values):
+    if joined and not _mostly_isolated(values):
         axes.plot(t, values, label=label, **style)
         return
     style.pop("linewidth", None)
@@ -47,7 +47,7 @@ def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: st
         draw_series(axes, t, values, joined, label=shown, color=colour, linewidth=width, alpha=strength)
 
 
-def _mostly_alone(values: Floats) -> bool:
+def _mostly_isolated(values: Floats) -> bool:
     """Test whether more than a tenth of the points are isolated by gaps, where lines do not show them."""
     known = np.isfinite(values)
     beside = np.append(known[1:], False) | np.insert(known[:-1], 0, False)

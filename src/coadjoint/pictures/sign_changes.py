@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-HALVINGS = 52
+BISECTIONS = 52
 
 
 def flips(field: Callable[[Floats, float], Floats], t: Floats, x: Floats, i: int, most: int | None = None) -> Floats:
@@ -30,7 +30,7 @@ def flips(field: Callable[[Floats, float], Floats], t: Floats, x: Floats, i: int
 def _root(a: float, b: float, slope: float, end_slope: float) -> float:
     """Return the zero in [0, 1] of a cubic Hermite polynomial with a change of sign, by bisection."""
     low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
+    for _ in range(BISECTIONS):
         s = 0.5 * (low + high)
         r = 1.0 - s
         value = a * r * r * (1 + 2 * s) + b * s * s * (3 - 2 * s) + s * r * (slope * r - end_slope * s)

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.optional_packages import need
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, read_picture
 from coadjoint.runs.solution import check_solution
 from coadjoint.short_repr import short
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from coadjoint.runs.solution import Solution
 
-HIGH = 5.6
-WIDE = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture
+FIGURE_HEIGHT = 5.6
+COLUMN_WIDTHS = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture
 
 
 def draw_solution(
@@ -65,15 +65,15 @@ def draw_solution(
     """
     check_solution(solution)
     need("drawing a solution", "matplotlib")
-    drawn = Drawn(solution, members)
+    drawn = PlottedRun(solution, members)
     plain = _components(drawn, components)
-    prepared = _declared(drawn, plain) if panels is None else _asked(drawn, panels, plain)
+    prepared = _declared(drawn, plain) if panels is None else _requested(drawn, panels, plain)
     if axes is not None:
         return _drawn_into(axes, prepared)
     return _figure(solution, drawn, prepared)
 
 
-def _components(drawn: Drawn, chosen: Any) -> Picture:
+def _components(drawn: PlottedRun, chosen: Any) -> Picture:
     """Return the picture of components: those requested, else those that the system declares."""
     if chosen is not None:
         rule = "give numbers or names of coordinates"
@@ -84,7 +84,7 @@ def _components(drawn: Drawn, chosen: Any) -> Picture:
     return Picture("components") if drawn.telling is None else drawn.telling.components
 
 
-def _declared(drawn: Drawn, plain: Picture) -> list[tuple[Kind, Paint]]:
+def _declared(drawn: PlottedRun, plain: Picture) -> list[tuple[Kind, Paint]]:
     """Return drift, components and observed quantities, and the declared pictures that this run can show."""
     wanted = () if drawn.telling is None else drawn.telling.pictures
     own = drawn.telling is not None and plain is drawn.telling.components
@@ -95,7 +95,7 @@ def _declared(drawn: Drawn, plain: Picture) -> list[tuple[Kind, Paint]]:
     return first + (_shown(drawn, wanted) or _shown(drawn, unnamed))
 
 
-def _shown(drawn: Drawn, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
+def _shown(drawn: PlottedRun, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
     found = []
     for picture in pictures:
         with suppress(CannotShow):
@@ -103,12 +103,12 @@ def _shown(drawn: Drawn, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]
     return found
 
 
-def _prepared(drawn: Drawn, picture: str | Picture) -> tuple[Kind, Paint]:
+def _prepared(drawn: PlottedRun, picture: str | Picture) -> tuple[Kind, Paint]:
     kind, read = read_picture(picture)
     return kind, kind.prepare(drawn, **read.options)
 
 
-def _asked(drawn: Drawn, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]]:
+def _requested(drawn: PlottedRun, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]]:
     rule = "give kinds of pictures, such as ['drift', 'coadjoint orbit']"
     given = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
     if not given:
@@ -116,7 +116,7 @@ def _asked(drawn: Drawn, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]
     return [_prepared(drawn, _as_declared(drawn, plain, panel)) for panel in given]
 
 
-def _as_declared(drawn: Drawn, plain: Picture, panel: Any) -> Any:
+def _as_declared(drawn: PlottedRun, plain: Picture, panel: Any) -> Any:
     """Replace a kind given by name by the picture that the system declares of it, if any."""
     told = () if drawn.telling is None else drawn.telling.pictures
     return next((p for p in (plain, *told) if isinstance(panel, str) and p.kind == panel), panel)
@@ -138,13 +138,13 @@ def _drawn_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
     return found
 
 
-def _figure(solution: Solution, drawn: Drawn, prepared: list[tuple[Kind, Paint]]) -> Figure:
+def _figure(solution: Solution, drawn: PlottedRun, prepared: list[tuple[Kind, Paint]]) -> Figure:
     from coadjoint.pictures.figure import ShownFigure
 
     rows = [(kind, paint) for kind, paint in prepared if kind.over_time]
     columns = _columns([(kind, paint) for kind, paint in prepared if not kind.over_time])
-    widths = [WIDE[True]] * bool(rows) + [WIDE[False]] * len(columns)
-    figure = ShownFigure(figsize=(max(7.2, sum(widths)), max(HIGH, 2.4 * len(rows))), layout="constrained")
+    widths = [COLUMN_WIDTHS[True]] * bool(rows) + [COLUMN_WIDTHS[False]] * len(columns)
+    figure = ShownFigure(figsize=(max(7.2, sum(widths)), max(FIGURE_HEIGHT, 2.4 * len(rows))), layout="constrained")
     grid = figure.add_gridspec(1, len(widths), width_ratios=widths)
     over = grid[0].subgridspec(max(1, len(rows)), 1)
     first: Any = None
@@ -174,7 +174,7 @@ def _columns(pictures: list[tuple[Kind, Paint]]) -> list[list[tuple[Kind, Paint]
     return columns
 
 
-def _headline(solution: Solution, drawn: Drawn, letters: int) -> str:
+def _headline(solution: Solution, drawn: PlottedRun, letters: int) -> str:
     parts = [solution.system.name, str(solution.method), f"step {solution.step:g}"]
     if len(drawn.x) < drawn.of_members:
         parts.append(f"{len(drawn.x)} of {drawn.of_members} members")

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
-from coadjoint.validation import read_finite, read_whole
+from coadjoint.validation import read_finite, read_integer
 
 Floats = npt.NDArray[np.float64]
 
 
-def axis_in_space(drawn: Drawn, axis: Any, up: Any) -> tuple[Floats, str]:
+def axis_in_space(drawn: PlottedRun, axis: Any, up: Any) -> tuple[Floats, str]:
     """Return the path of a body axis in space, unit vectors (members, k, 3), and the name of the axis.
 
     `axis` is a number, 0 to 2, or a direction in the body. `up` has the coordinates of a body vector that is constant
@@ -30,17 +30,17 @@ def axis_in_space(drawn: Drawn, axis: Any, up: Any) -> tuple[Floats, str]:
             raise ValueError(f"axis is {given.tolist()}; give the number of an axis, or a direction in the body, (3,)")
         direction, name = given / np.linalg.norm(given), "the axis of the body"
     else:
-        number = read_whole(axis, "axis", 0, 2)
+        number = read_integer(axis, "axis", 0, 2)
         direction, name = np.eye(3)[number], f"body axis {number + 1}"
     path = A @ direction
     if up is not None:
         places = [drawn.place(i) for i in up]
         for m in range(len(path)):
-            path[m] = path[m] @ _raised(A[m, 0] @ drawn.x[m, 0, places]).T
+            path[m] = path[m] @ _rotation_to_vertical(A[m, 0] @ drawn.x[m, 0, places]).T
     return path, name
 
 
-def _raised(vertical: Floats) -> Floats:
+def _rotation_to_vertical(vertical: Floats) -> Floats:
     """Return the shortest rotation of a vector to the third axis."""
     size = float(np.linalg.norm(vertical))
     if size == 0.0:

@@ -15,7 +15,7 @@ from coadjoint.program.graph_layers import layers
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.generator_cost import check_products
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.sparse_rows import fresh, order_by, starts_of
+from coadjoint.program.sparse_rows import order_by, run_starts, starts_of
 
 
 class Action(NamedTuple):
@@ -56,7 +56,7 @@ def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) 
     part_of_angle = parts.part_of_angle
     level = _levels(blocks, part_of_angle)
     groups, blocks = _groups(blocks, part_of_angle, level)
-    return _laid_out(matrices.size, blocks, groups, parts)
+    return _arrange(matrices.size, blocks, groups, parts)
 
 
 class _Groups(NamedTuple):
@@ -80,14 +80,14 @@ def _levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
     _, place = expand(blocks.begin[:-1], blocks.begin[:-1] + blocks.width)
     coordinate, part = blocks.indices[place], part_of_angle[angle]
     order = order_by(part, coordinate)
-    angle, first = angle[order], fresh(part[order], coordinate[order])
+    angle, first = angle[order], run_starts(part[order], coordinate[order])
     again = np.flatnonzero(~first[1:] & (angle[1:] != angle[:-1]))
     if not len(again):
         return np.zeros(len(part_of_angle), dtype=np.int64)
     return layers(len(part_of_angle), angle[again], angle[again + 1])
 
 
-def _alike(blocks: BlockTable) -> Integers:
+def _sharing_labels(blocks: BlockTable) -> Integers:
     """Label the blocks that may share a group: shears, and blocks of one kind with equal constants."""
     shared = np.zeros(len(blocks.kind), dtype=np.int64)
     apart = blocks.entries > 0
@@ -105,10 +105,10 @@ def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tup
 
     Blocks of one level have no coordinate in common, so their order is free.
     """
-    shared = _alike(blocks)
+    shared = _sharing_labels(blocks)
     order = order_by(blocks.angle, blocks.kind, shared)
     member = np.arange(len(blocks.angle))[order]
-    begins = np.flatnonzero(fresh(blocks.angle[member], blocks.kind[member], shared[member]))
+    begins = np.flatnonzero(run_starts(blocks.angle[member], blocks.kind[member], shared[member]))
     leader = member[begins]
     count, kind, angle = np.diff(np.append(begins, len(member))), blocks.kind[leader], blocks.angle[leader]
     rank = _ranks(angle, kind, count, leader)
@@ -116,7 +116,7 @@ def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tup
     order = np.arange(len(leader))[order_by(part, height, kind, count, rank, angle)]
     part, height, angle, begins = part[order], height[order], angle[order], begins[order]
     kind, count = kind[order], count[order]
-    new = fresh(part, height, kind, count)
+    new = run_starts(part, height, kind, count)
     new[1:] |= angle[1:] != angle[:-1] + 1
     new |= (kind == Kind.CUBIC) | (kind == Kind.SERIES)
     chosen = member[expand(begins, begins + count)[1]]
@@ -127,14 +127,14 @@ def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tup
 def _ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
     """Number the groups of one angle and shape by their first blocks."""
     order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
-    first = fresh(angle[order], kind[order], count[order])
+    first = run_starts(angle[order], kind[order], count[order])
     place = np.arange(len(order))
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = place - np.maximum.accumulate(np.where(first, place, 0))
     return rank
 
 
-def _laid_out(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
+def _arrange(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
     first = np.flatnonzero(groups.begins)
     leader = groups.block[first]
     kind = blocks.kind

@@ -38,7 +38,7 @@ class BlockTable(NamedTuple):
         index = expand(self.begin[chosen], self.begin[chosen + 1])[1]
         constant = expand(self.constant_begin[chosen], self.constant_begin[chosen + 1])[1]
         return self._replace(
-            **{name: getattr(self, name)[chosen] for name in ALIKE},
+            **{name: getattr(self, name)[chosen] for name in PER_BLOCK_COLUMNS},
             begin=starts_of(np.diff(self.begin)[chosen]),
             indices=self.indices[index],
             constant_begin=starts_of(np.diff(self.constant_begin)[chosen]),
@@ -47,7 +47,7 @@ class BlockTable(NamedTuple):
 
 
 # Columns with one entry per block.
-ALIKE = ("angle", "kind", "width", "entries", "degree")
+PER_BLOCK_COLUMNS = ("angle", "kind", "width", "entries", "degree")
 
 
 def joined_tables(tables: Sequence[BlockTable]) -> BlockTable:
@@ -55,7 +55,8 @@ def joined_tables(tables: Sequence[BlockTable]) -> BlockTable:
     if len(tables) == 1:
         return tables[0]
     joined: dict[str, Any] = {
-        name: np.concatenate([getattr(table, name) for table in tables]) for name in (*ALIKE, "indices", "constants")
+        name: np.concatenate([getattr(table, name) for table in tables])
+        for name in (*PER_BLOCK_COLUMNS, "indices", "constants")
     }
     for name in ("begin", "constant_begin"):
         joined[name] = joined_starts([getattr(table, name) for table in tables])

@@ -36,7 +36,7 @@ TAYLOR_DEGREE = 20
 # Number of constants of a CUBIC block before the values of its entries.
 CUBIC_HEADER = 6
 # Above this size one column is tested before whole matrix products are formed.
-MOST_MULTIPLIED = 64
+MAX_SQUARED_SIZE = 64
 MOST_SUBSTEPS = 4096
 """Largest number of substeps of norm one in a SERIES block; longer flows are rejected."""
 
@@ -63,7 +63,7 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
     """
     coordinates = tuple(range(size))
     rows, columns, values = (np.array(column) for column in zip(*local, strict=True))
-    if size > MOST_MULTIPLIED and values.dtype == np.float64 and _surely_series(size, rows, columns, values):
+    if size > MAX_SQUARED_SIZE and values.dtype == np.float64 and _surely_series(size, rows, columns, values):
         norm = float(np.max(np.bincount(columns, weights=np.abs(values), minlength=size)))
         return Block(Kind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
     matrix = np.zeros((size, size), dtype=values.dtype)
@@ -115,11 +115,19 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
     else:
         square = matrix @ matrix
         lam = _cubic_factor(matrix, square @ matrix)
-    root = Fraction(_decimal(abs(lam)).sqrt(PRECISE)) if isinstance(lam, Fraction) else abs(lam) ** (type(lam)(1) / 2)
+    root = (
+        Fraction(_decimal(abs(lam)).sqrt(DECIMAL_CONTEXT))
+        if isinstance(lam, Fraction)
+        else abs(lam) ** (type(lam)(1) / 2)
+    )
     numbers = (lam, root, 1 / root, 1 / lam)
-    constants = (*(_rounded(number) for number in numbers[:2]), *_twice(numbers[2]), *_twice(numbers[3]))
+    constants = (
+        *(_rounded(number) for number in numbers[:2]),
+        *_double_double(numbers[2]),
+        *_double_double(numbers[3]),
+    )
     places = np.argwhere((matrix != 0) | (square != 0)).tolist()
-    entries = tuple((i, j, matrix[i, j], *_twice(square[i, j])) for i, j in places)
+    entries = tuple((i, j, matrix[i, j], *_double_double(square[i, j])) for i, j in places)
     return Block(Kind.CUBIC, coordinates, constants, entries)
 
 
@@ -136,18 +144,18 @@ def _exact_square(matrix: NDArray[np.float64]) -> tuple[NDArray[Any], Fraction]:
     return square, cube / rows[i][j]
 
 
-PRECISE = Context(prec=50)
+DECIMAL_CONTEXT = Context(prec=50)
 
 
 def _decimal(value: Fraction) -> Decimal:
-    return PRECISE.divide(Decimal(value.numerator), Decimal(value.denominator))
+    return DECIMAL_CONTEXT.divide(Decimal(value.numerator), Decimal(value.denominator))
 
 
 def _rounded(value: Any) -> Any:
     return float(value) if isinstance(value, Fraction) else value
 
 
-def _twice(value: Any) -> tuple[Any, Any]:
+def _double_double(value: Any) -> tuple[Any, Any]:
     """Split a fraction into two floats with its value as their sum; other numbers are followed by zero."""
     if not isinstance(value, Fraction):
         return value, 0 * value

@@ -12,14 +12,14 @@ from coadjoint.program.blocks import MOST_SUBSTEPS
 
 if TYPE_CHECKING:
     from coadjoint.program.actions import Action
-    from coadjoint.program.interpreter import Reading
+    from coadjoint.program.interpreter import Interpreter
 
 Vectors = NDArray[Any]
 PIECE = 0.25  # largest norm of tau times the generator in one series
-MOST_TERMS = 4096
+MAX_TERMS = 4096
 
 
-class Moving(NamedTuple):
+class FlowState(NamedTuple):
     """State of a flow, or a term of its series: momentum, and optionally a group element (rows) and tangent vectors."""
 
     x: Vectors
@@ -27,19 +27,19 @@ class Moving(NamedTuple):
     tangent: Vectors | None
 
 
-def flow_of_bodies(reading: Reading, part: int, tau: Any, moving: Moving) -> None:
+def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow: FlowState) -> None:
     """Apply the flow of a part of free bodies over the time `tau`, in place.
 
     In x' = sum_a theta_a(x) D_a x with linear theta_a, each term of the time series is bilinear in the earlier ones.
     Raises ValueError if the rotation angle is too large.
     """
-    body = _Bodies(reading, part)
-    count = reading.pieces(lambda: abs(tau) * body.speed(moving.x) / PIECE)
+    body = _Bodies(interpreter, part)
+    count = interpreter.pieces(lambda: abs(tau) * body.speed(state_of_flow.x) / PIECE)
     for _ in range(count):
-        terms = [moving]
-        while len(terms) <= MOST_TERMS:
+        terms = [state_of_flow]
+        while len(terms) <= MAX_TERMS:
             terms.append(body.next_term(terms, tau / count))
-            if reading.negligible(terms):
+            if interpreter.negligible(terms):
                 break
         for start, *more in zip(*terms, strict=True):
             if start is not None:
@@ -66,15 +66,15 @@ class _Entries(NamedTuple):
 class _Bodies:
     """Generators and angular velocities of one part."""
 
-    def __init__(self, reading: Reading, part: int) -> None:
-        program = reading.program
+    def __init__(self, interpreter: Interpreter, part: int) -> None:
+        program = interpreter.program
         first, last = (program.terms.row[program.share[p]] for p in (part, part + 1))
         self.terms = program.terms
         # The first row of a body has no weights, and is not an angular velocity.
         self.rows = [r for r in range(int(first), int(last)) if self.terms.entry[r] < self.terms.entry[r + 1]]
         angles = [r - int(first) for r in self.rows]
-        self.state = _entries(reading, program.state, part, angles)
-        self.group = None if program.group is None else _entries(reading, program.group, part, angles)
+        self.state = _entries(interpreter, program.state, part, angles)
+        self.group = None if program.group is None else _entries(interpreter, program.group, part, angles)
 
     def speed(self, x: Vectors) -> Any:
         """Bound the angular speed of vectors."""
@@ -88,7 +88,7 @@ class _Bodies:
             found[a] = sum((terms.weight[e] * x[terms.column[e]] for e in entries), 0 * x[0])
         return found
 
-    def next_term(self, terms: Sequence[Moving], tau: Any) -> Moving:
+    def next_term(self, terms: Sequence[FlowState], tau: Any) -> FlowState:
         """Return the next term of the series, times its power of tau."""
         n = len(terms)
         sums: list[Any] = [None if item is None else 0 * item for item in terms[0]]
@@ -103,11 +103,11 @@ class _Bodies:
                 np.add.at(sums[2], state.row, (state.value * before.x[state.column])[:, None] * changes[state.owner])
         x, group, tangent = (None if item is None else item * tau / n for item in sums)
         assert x is not None
-        return Moving(x, group, tangent)
+        return FlowState(x, group, tangent)
 
 
-def _entries(reading: Reading, action: Action, part: int, angles: Sequence[int]) -> _Entries:
-    matrices = [reading.generator(action, part, q) for q in angles]
+def _entries(interpreter: Interpreter, action: Action, part: int, angles: Sequence[int]) -> _Entries:
+    matrices = [interpreter.generator(action, part, q) for q in angles]
     found = [(a, *place, value) for a, matrix in enumerate(matrices) for place, value in matrix.items()]
     owner, row, column = (np.array([entry[k] for entry in found], dtype=np.int64) for k in range(3))
     return _Entries(owner, row, column, np.array([entry[3] for entry in found]))

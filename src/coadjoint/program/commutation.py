@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import CHUNK, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts.clashing_forms import BRACKET_ROUNDOFF, surely_clashing
+from coadjoint.program.parts.clashing_forms import BRACKET_ROUNDOFF, surely_noncommuting
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
-from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
+from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
+from coadjoint.program.sparse_rows import order_by, run_starts, run_sums, starts_of
 
 Pairs = tuple[Integers, Integers]
 
 # Largest number of entries of a dense lookup table of forms.
-LARGEST_TABLE = 1 << 22
+MAX_TABLE_SIZE = 1 << 22
 
 
 class Commutation:
@@ -40,7 +40,7 @@ class Commutation:
         """The number of entries in the generator of each coordinate, shape (n,)."""
         return np.diff(self._algebra.actions[0])
 
-    def first_clash(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
+    def first_noncommuting(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
         """Return two of the coordinates whose basis elements do not commute, or None."""
         inside = np.zeros(self._algebra.dim, dtype=bool)
         inside[list(coordinates)] = True
@@ -48,7 +48,7 @@ class Commutation:
         clash = np.flatnonzero(inside[i] & inside[j])
         return (int(i[clash[0]]), int(j[clash[0]])) if clash.size else None
 
-    def clashing(self, label: Integers) -> NDArray[np.bool_]:
+    def has_noncommuting(self, label: Integers) -> NDArray[np.bool_]:
         """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
         i, j, _, _ = self._algebra.triples
         found = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
@@ -56,16 +56,16 @@ class Commutation:
         found[both[(both == label[j]) & (both >= 0)]] = True
         return found
 
-    def touching(self, parts: Parts) -> Pairs:
+    def coupled_pairs(self, parts: Parts) -> Pairs:
         """Return the pairs of parts (first <= second) with noncommuting coordinates, even if the forms commute."""
-        if max(len(parts.offset), self._algebra.dim) > LARGEST_PATTERN:
-            return self._touching(parts)
+        if max(len(parts.offset), self._algebra.dim) > MAX_PATTERN_SIZE:
+            return self._find_coupled_pairs(parts)
         where = (parts.forms.start, parts.forms.coordinate, parts.angle)
-        return _remembered_touching(Pattern((self, parts), *where, *self.pattern))
+        return _cached_coupled_pairs(Pattern((self, parts), *where, *self.pattern))
 
-    def clashes(self, parts: Parts, touching: Pairs) -> Pairs:
+    def noncommuting_pairs(self, parts: Parts, coupled_pairs: Pairs) -> Pairs:
         """Select the noncommuting pairs from touching pairs of parts, first < second."""
-        first, second = touching
+        first, second = coupled_pairs
         apart = first != second
         first, second = first[apart], second[apart]
         several = np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
@@ -76,27 +76,27 @@ class Commutation:
         settled[open_] = ~self._forms_commute(parts, first[open_], second[open_])
         return first[settled], second[settled]
 
-    def _touching(self, parts: Parts) -> Pairs:
+    def _find_coupled_pairs(self, parts: Parts) -> Pairs:
         count, size = len(parts), self._algebra.dim
         i, j, _, _ = self._algebra.triples
-        begins = fresh(i, j)
+        begins = run_starts(i, j)
         i, j = i[begins], j[begins]
         part, coordinate = _without_repeats(parts.part_of_angle[parts.forms.owner], parts.forms.coordinate)
         order = order_by(coordinate)
         held = np.bincount(coordinate, minlength=size)
         start, holder = starts_of(held), part[order]
         if int(held[i] @ held[j]) > count * (count + 1) // 2:
-            if max(count, size) ** 2 <= LARGEST_TABLE:
+            if max(count, size) ** 2 <= MAX_TABLE_SIZE:
                 # Counts of coordinate pairs; float32 suffices, since only zero or nonzero matters.
                 holds, apart = np.zeros((count, size), dtype=np.float32), np.zeros((size, size), dtype=np.float32)
                 holds[part, coordinate], apart[i, j], apart[j, i] = 1.0, 1.0, 1.0
                 first, second = np.nonzero(np.triu(holds @ apart @ holds.T))
                 return first.astype(np.int64), second.astype(np.int64)
-            touching = np.zeros((count, count), dtype=bool)
+            coupled_pairs = np.zeros((count, count), dtype=bool)
             for pair in chunks(np.arange(len(i)), held[i] * held[j]):
                 one, other = _pairs(start, holder, i[pair], j[pair])
-                touching[np.minimum(one, other), np.maximum(one, other)] = True
-            first, second = np.nonzero(touching)
+                coupled_pairs[np.minimum(one, other), np.maximum(one, other)] = True
+            first, second = np.nonzero(coupled_pairs)
             return first.astype(np.int64), second.astype(np.int64)
         one, other = _pairs(start, holder, i, j)
         return _without_repeats(np.minimum(one, other), np.maximum(one, other))
@@ -114,10 +114,10 @@ class Commutation:
         cost = np.diff(start)[forms.coordinate]
         costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
         commute = np.ones(len(first), dtype=bool)
-        if int(costs.sum()) > CHUNK and len(forms.start) * max(size, len(forms.start)) <= LARGEST_TABLE:
+        if int(costs.sum()) > CHUNK and len(forms.start) * max(size, len(forms.start)) <= MAX_TABLE_SIZE:
             dense = np.zeros((len(forms.start) - 1, size))
             dense[forms.owner, forms.coordinate] = values
-            clash = surely_clashing(dense, self._algebra, f, g, costs)
+            clash = surely_noncommuting(dense, self._algebra, f, g, costs)
             commute[pair[clash]] = False
             left = commute[pair]
             pair, f, g, costs = pair[left], f[left], g[left], costs[left]
@@ -134,16 +134,16 @@ class Commutation:
                 continue
             marks = np.zeros(len(order), dtype=bool)
             marks[begins] = True
-            bracket, bound = sums(product[order], marks), sums(np.abs(product[order]), marks)
+            bracket, bound = run_sums(product[order], marks), run_sums(np.abs(product[order]), marks)
             wrong = np.abs(bracket) > BRACKET_ROUNDOFF * bound
             commute[pair[part][which[order[begins]][wrong]]] = False
         return commute
 
 
 @lru_cache(maxsize=1024)
-def _remembered_touching(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
-    commutation, parts = pattern.given
-    return commutation._touching(parts)
+def _cached_coupled_pairs(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
+    commutation, parts = pattern.source
+    return commutation._find_coupled_pairs(parts)
 
 
 class _Lookup:
@@ -152,7 +152,7 @@ class _Lookup:
     def __init__(self, start: Integers, coordinate: Integers, value: NDArray[np.float64], size: int) -> None:
         owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
         self._size, self._table, self._value = size, None, np.append(value, 0.0)
-        if (len(start) - 1) * size <= LARGEST_TABLE:
+        if (len(start) - 1) * size <= MAX_TABLE_SIZE:
             self._table = np.zeros((len(start) - 1, size))
             self._table[owner, coordinate] = value
         self._key = owner * size + coordinate
@@ -176,5 +176,5 @@ def _pairs(start: Integers, holder: Integers, i: Integers, j: Integers) -> Pairs
 def _without_repeats(first: NDArray[Any], second: NDArray[Any]) -> Pairs:
     order = order_by(first, second)
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
-    kept = fresh(first, second)
+    kept = run_starts(first, second)
     return first[kept], second[kept]

@@ -15,9 +15,9 @@ from coadjoint.program.table import Program, build_program
 from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MOST_SHOWN = 6
+MAX_SHOWN = 6
 # Multiplications (with additions) per block.
-WORK = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
+MULTIPLICATIONS_PER_KIND = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
 # Multiplications in the flow of a free body over a short time.
 BODY_WORK = 600
 # Multiplications in the flow of a bond, which has no blocks.
@@ -58,8 +58,8 @@ class Description:
         off = "".join(_subtracted(name, factor) for name, factor in self.shift.items())
         lines = [f"{self.method} on {self.system}: H{off} in {len(self.parts)} parts"]
         for number, part in enumerate(self.parts, start=1):
-            shown = list(part.generators[:MOST_SHOWN])
-            if len(part.generators) > MOST_SHOWN:
+            shown = list(part.generators[:MAX_SHOWN])
+            if len(part.generators) > MAX_SHOWN:
                 shown.append(f"... ({len(part.generators)})")
             kinds = ", ".join(f"{count} {kind}" for kind, count in part.blocks.items()) or "nothing moves"
             lines.append(f"  part {number}: {', '.join(shown)}: {kinds}")
@@ -136,15 +136,15 @@ def action_work(action: Action, number: int) -> tuple[int, int]:
     return multiplications, functions
 
 
-def series_in(action: Action, number: int) -> int:
+def count_series_blocks(action: Action, number: int) -> int:
     """Count the SERIES blocks of one part."""
     runs = range(action.run[number], action.run[number + 1])
     return sum(int(action.angles[run]) * int(action.repeat[run]) for run in runs if action.kind[run] == Kind.SERIES)
 
 
 def _block_work(action: Action, run: int, kind: Kind) -> int:
-    if kind in WORK:
-        return WORK[kind]
+    if kind in MULTIPLICATIONS_PER_KIND:
+        return MULTIPLICATIONS_PER_KIND[kind]
     return int(action.entries[run]) * (2 if kind == Kind.CUBIC else int(action.degree[run]))
 
 
@@ -169,5 +169,5 @@ def share_work(program: Program, number: int) -> tuple[int, int]:
 def _name(system: LiePoissonSystem, form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
     basis = system.algebra.basis
     words = [basis[i] if value == 1 else f"{float(value):.4g} {basis[i]}" for i, value in zip(*form, strict=True)]
-    shown = words if len(words) <= MOST_SHOWN else [*words[:MOST_SHOWN], "..."]
+    shown = words if len(words) <= MAX_SHOWN else [*words[:MAX_SHOWN], "..."]
     return " + ".join(shown).replace("+ -", "- ")

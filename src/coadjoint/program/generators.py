@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, chunks, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of, sums
+from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, run_sums, starts_of
 
 
 class Generators(NamedTuple):
@@ -68,8 +68,8 @@ class BasisMatrices:
             angle, row, column, term = owner[part][entry], self._rows[at], self._columns[at], factor[entry] * value
             order = order_by(angle, row, column)
             angle, row, column, term = angle[order], row[order], column[order], term[order]
-            new = fresh(angle, row, column)
-            total, bound = sums(term, new), sums(abs(term), new)
+            new = run_starts(angle, row, column)
+            total, bound = run_sums(term, new), run_sums(abs(term), new)
             kept = np.asarray(abs(total) > 4 * roundoff(number) * bound, dtype=bool)
             place = np.flatnonzero(new)[kept]
             yield Generators(angle[place], row[place], column[place], total[kept])

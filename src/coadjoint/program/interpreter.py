@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
-from coadjoint.program.body_flow import Moving, flow_of_bodies, largest_of, pieces
+from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, pieces
 from coadjoint.program.elementary import elementary
 from coadjoint.program.numbers import array_of, roundoff
-from coadjoint.program.rational_rotations import bent
+from coadjoint.program.rational_rotations import rational_angle
 from coadjoint.program.run_matrices import run_blocks, run_entries
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
 
-class Reading:
+class Interpreter:
     """Reference interpreter of one program, in its number type.
 
     Slow; used to check the compiled interpreter, to follow a formula, or for more digits.
@@ -29,7 +29,7 @@ class Reading:
         self.program = program
         self.functions = elementary(program.number)
         self._u = roundoff(program.number)
-        self._called = called_parts(program)
+        self._called = body_flow_parts(program)
 
     def steps(
         self,
@@ -67,11 +67,11 @@ class Reading:
             part = int(table.part[r])
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
             if self._called[part]:
-                flow_of_bodies(self, part, tau, Moving(x, group, tangent))
+                apply_body_flow(self, part, tau, FlowState(x, group, tangent))
                 continue
             theta = [tau * angle for angle in self.angles(part, x, moment)]
             turned = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
-            theta, turned = self._bent(part, theta, turned)
+            theta, turned = self._rational_angles(part, theta, turned)
             self.act(self.program.state, part, theta, x)
             if group is not None and self.program.group is not None:
                 self.act(self.program.group, part, theta, group)
@@ -80,13 +80,13 @@ class Reading:
                 for angle, change in enumerate(turned):
                     tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
 
-    def _bent(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
+    def _rational_angles(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
         """Replace angles of rational rotations, and their tangents."""
         base = int(self.program.terms.row[self.program.share[part]])
         w = self.program.frequency[base : base + len(theta)]
         if turned is not None:
             turned = [d / (1 + (f * angle / 2) ** 2) for d, angle, f in zip(turned, theta, w, strict=True)]
-        return [bent(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], turned
+        return [rational_angle(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], turned
 
     def angles(self, part: int, x: NDArray[Any], t: Any) -> list[Any]:
         """Return dH/d(l_a.x) for the forms of a part (operation `angle` of the table)."""
@@ -146,7 +146,7 @@ class Reading:
         """Return the number of time intervals in the flow of a free body."""
         return pieces(reach(), self.functions.ceil)
 
-    def negligible(self, terms: Sequence[Moving]) -> bool:
+    def negligible(self, terms: Sequence[FlowState]) -> bool:
         """Test whether the last two terms of a series are below rounding."""
         whole, last, before = (largest_of(terms[k]) for k in (0, -1, -2))
         return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, before, whole, strict=True))
@@ -245,7 +245,7 @@ class Reading:
         return sine / w, (2 if z > 0 else -2) * half**2
 
 
-def called_parts(program: Program) -> list[bool]:
+def body_flow_parts(program: Program) -> list[bool]:
     """Test for each part whether it consists of free bodies."""
     shares = program.parts.bodies
     return [int(first) in shares for first in program.share[:-1]]

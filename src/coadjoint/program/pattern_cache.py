@@ -6,15 +6,15 @@ from typing import Any, Generic, TypeVar
 
 from numpy.typing import NDArray
 
-Given = TypeVar("Given")
+SourceT = TypeVar("SourceT")
 
-LARGEST_PATTERN = 64  # coordinates, forms or parts; larger patterns are not cached
+MAX_PATTERN_SIZE = 64  # coordinates, forms or parts; larger patterns are not cached
 
 
-class Pattern(Generic[Given]):
+class Pattern(Generic[SourceT]):
     """Hashable set of arrays that determine a cached result; equal if the arrays are equal.
 
-    `given` is the object from which the result is computed; the first one is used for all equal patterns.
+    `source` is the object from which the result is computed; the first one is used for all equal patterns.
 
     Examples
     --------
@@ -25,8 +25,8 @@ class Pattern(Generic[Given]):
     False
     """
 
-    def __init__(self, given: Given, *columns: NDArray[Any]) -> None:
-        self.given = given
+    def __init__(self, source: SourceT, *columns: NDArray[Any]) -> None:
+        self.source = source
         self._key = tuple(_content(column) for column in columns)
         self._hash = hash(self._key)
 

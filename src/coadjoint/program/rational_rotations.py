@@ -85,7 +85,7 @@ def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
 def _coupled(parts: Parts) -> NDArray[np.bool_]:
     """Test for each angle whether it depends on more than its own form."""
     coupled = ~_along(parts.forms, parts.weights)
-    for s, share in parts.special.items():
+    for s, share in parts.nonlinear_shares.items():
         angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
         if isinstance(share, PolynomialShare):
             mixed = [e for e in share.polynomial.monomials if sum(1 for power in e if power) > 1]
@@ -109,7 +109,7 @@ def _along(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
     return along
 
 
-def bent(angle: Any, frequency: Any, atan: Any) -> Any:
+def rational_angle(angle: Any, frequency: Any, atan: Any) -> Any:
     """Return the angle 2/w atan(w angle/2) of a rational rotation of frequency w, or the angle itself for w = 0."""
     return angle if frequency == 0 else 2 / frequency * atan(frequency * angle / 2)
 

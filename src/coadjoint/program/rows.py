@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.numbers import Number, array_of, convert
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
+from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.sweeps import Sweep, Swept
 
 
@@ -46,19 +46,19 @@ class Flows(NamedTuple):
         """Select flows."""
         return Flows(*(column[chosen] for column in self))
 
-    def then(self, other: Flows) -> Flows:
+    def followed_by(self, other: Flows) -> Flows:
         """Append other flows."""
         return Flows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
-class Joining(NamedTuple):
+class JoinRules(NamedTuple):
     """Rules for joining consecutive flows of one part, from its time dependence and rational rotations."""
 
     timed: NDArray[np.bool_]
     rational: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, parts: Parts, frequency: NDArray[Any]) -> Joining:
+    def of(cls, parts: Parts, frequency: NDArray[Any]) -> JoinRules:
         """Construct the rules from the parts of a program and the frequencies of their angles."""
         rational = np.zeros(len(parts), dtype=bool)
         rational[parts.part_of_angle[np.asarray(frequency != 0, dtype=bool)]] = True
@@ -83,29 +83,29 @@ class Joining(NamedTuple):
         return Flows(flows.part, coefficient, flows.moment, turn).take(kept)
 
 
-def rows_of(method: Swept, joining: Joining, sign: int, number: Number) -> Rows:
+def rows_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> Rows:
     """Return the rows of a method, with consecutive flows of one part joined, also across steps.
 
     The coefficients include the `sign` of the equation.
     """
     sweeps, after = tuple(method.sweeps(number)), tuple(method.processor(number))
-    if len(joining.timed) <= LARGEST_PATTERN:
-        return _remembered_rows(sweeps, after, Pattern(joining, *joining), sign, number)
+    if len(joining.timed) <= MAX_PATTERN_SIZE:
+        return _cached_rows(sweeps, after, Pattern(joining, *joining), sign, number)
     return _rows(sweeps, after, joining, sign, number)
 
 
 @lru_cache(maxsize=64)
-def _remembered_rows(
-    sweeps: tuple[Sweep, ...], after: tuple[Sweep, ...], joining: Pattern[Joining], sign: int, number: Number
+def _cached_rows(
+    sweeps: tuple[Sweep, ...], after: tuple[Sweep, ...], joining: Pattern[JoinRules], sign: int, number: Number
 ) -> Rows:
-    return _rows(sweeps, after, joining.given, sign, number)
+    return _rows(sweeps, after, joining.source, sign, number)
 
 
-def _rows(sweeps: Sequence[Sweep], after: Sequence[Sweep], joining: Joining, sign: int, number: Number) -> Rows:
+def _rows(sweeps: Sequence[Sweep], after: Sequence[Sweep], joining: JoinRules, sign: int, number: Number) -> Rows:
     kernel = joining.joined(_flows(sweeps, len(joining.timed), number))
     processor = joining.joined(_flows(after, len(joining.timed), number))
     undone = processor.take(slice(None, None, -1))
-    start = undone._replace(coefficient=-undone.coefficient).then(kernel)
+    start = undone._replace(coefficient=-undone.coefficient).followed_by(kernel)
     step, finish = kernel, processor._replace(moment=processor.moment + 1)
     size = len(kernel.part)
     # The last row belongs to the previous step, so its moment is a whole step earlier.
@@ -115,9 +115,9 @@ def _rows(sweeps: Sequence[Sweep], after: Sequence[Sweep], joining: Joining, sig
             last = kernel.take(slice(-1, None))
             step = kernel.take(slice(0, -1))
             step.coefficient[0] = last.coefficient[0] + step.coefficient[0]
-            start, finish = start.take(slice(0, -1)), last.then(finish)
+            start, finish = start.take(slice(0, -1)), last.followed_by(finish)
     start, finish = joining.joined(start), joining.joined(finish)
-    rows = start.then(step).then(finish)
+    rows = start.followed_by(step).followed_by(finish)
     ends = np.cumsum([0, len(start.part), len(step.part), len(finish.part)])
     return Rows(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
 

@@ -116,12 +116,12 @@ def order_by(*keys: NDArray[Any]) -> Integers | slice:
     return slice(None) if is_ordered(*keys) else np.lexsort(keys[::-1]).astype(np.int64)
 
 
-def fresh(*keys: NDArray[Any]) -> NDArray[np.bool_]:
+def run_starts(*keys: NDArray[Any]) -> NDArray[np.bool_]:
     """Mark sorted rows that differ from the previous one; the first row does.
 
     Examples
     --------
-    >>> fresh(np.array([0, 0, 1]), np.array([3, 3, 3])).tolist()
+    >>> run_starts(np.array([0, 0, 1]), np.array([3, 3, 3])).tolist()
     [True, False, True]
     """
     new = np.zeros(len(keys[0]), dtype=bool)
@@ -131,12 +131,12 @@ def fresh(*keys: NDArray[Any]) -> NDArray[np.bool_]:
     return new
 
 
-def sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
+def run_sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
     """Return sums of consecutive values, from left to right; `first` marks the start of each sum.
 
     Examples
     --------
-    >>> sums(np.array([1.0, 2.0, 4.0]), np.array([True, False, True]))
+    >>> run_sums(np.array([1.0, 2.0, 4.0]), np.array([True, False, True]))
     array([3., 4.])
     """
     if values.dtype == object:

@@ -16,12 +16,12 @@ from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.generator_cost import TooWide
+from coadjoint.program.parts.generator_cost import SplittingTooExpensive
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
-from coadjoint.program.parts.split import NotSplit
-from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
+from coadjoint.program.parts.split import NotSplittable
+from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
-from coadjoint.program.rows import Joining, Rows, rows_of
+from coadjoint.program.rows import JoinRules, Rows, rows_of
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.term_table import Terms, TermTable
@@ -93,7 +93,7 @@ def build_program(
     """
     try:
         decomposition = decompose(system, method.parts)
-    except (NotSplit, TooWide) as reason:
+    except (NotSplittable, SplittingTooExpensive) as reason:
         raise ValueError(f"{type(method).__name__} cannot be used for {system.name}: {reason}") from None
     parts = decomposition.parts
     if decomposition.shift is None and group is not None:
@@ -107,7 +107,7 @@ def build_program(
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
     return Program(
-        rows=rows_of(method, Joining.of(parts, frequency), system.sign, number),
+        rows=rows_of(method, JoinRules.of(parts, frequency), system.sign, number),
         parts=parts,
         terms=table.table(number),
         share=parts.share.astype(np.uint32),
@@ -125,7 +125,7 @@ def _term_table(parts: Parts) -> TermTable:
     """Collect the shares of all parts, in their order."""
     table = TermTable()
     angle = parts.weights.start
-    edges = sorted(parts.special.keys() - parts.bodies.keys())
+    edges = sorted(parts.nonlinear_shares.keys() - parts.bodies.keys())
     for first, last in zip([0, *(s + 1 for s in edges)], [*edges, len(parts.row) - 1], strict=True):
         if last > first:
             rows = parts.row[first : last + 1]
@@ -136,7 +136,7 @@ def _term_table(parts: Parts) -> TermTable:
                 parts.weights.value[begin:end],
             )
             table.add_linear_terms(rows, parts.offset[rows[0] : rows[-1]], weights)
-        share = parts.special.get(last)
+        share = parts.nonlinear_shares.get(last)
         if isinstance(share, PolynomialShare):
             table.add_polynomial(share.coordinates, share.polynomial)
         elif isinstance(share, FunctionShare):
@@ -147,8 +147,8 @@ def _term_table(parts: Parts) -> TermTable:
 def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
     if number is not float:
         return build_action(BasisMatrices.coadjoint(algebra), parts, number)
-    if len(parts.offset) <= LARGEST_PATTERN:
-        return _remembered_action(algebra, Pattern(parts, *parts.forms, parts.angle))
+    if len(parts.offset) <= MAX_PATTERN_SIZE:
+        return _cached_action(algebra, Pattern(parts, *parts.forms, parts.angle))
     if parts not in _ACTIONS:
         _ACTIONS[parts] = build_action(BasisMatrices.coadjoint(algebra), parts, float)
     return _ACTIONS[parts]
@@ -160,8 +160,8 @@ _ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)
-def _remembered_action(algebra: LieAlgebra, forms: Pattern[Parts]) -> Action:
-    return build_action(BasisMatrices.coadjoint(algebra), forms.given, float)
+def _cached_action(algebra: LieAlgebra, forms: Pattern[Parts]) -> Action:
+    return build_action(BasisMatrices.coadjoint(algebra), forms.source, float)
 
 
 def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Number) -> Action | None:

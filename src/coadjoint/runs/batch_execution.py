@@ -7,40 +7,46 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.loop import MemberBatch, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops import Loops
 
 
-def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, workers: int = 1) -> int:
+def run_in_threads(
+    member_batches: Sequence[MemberBatch], arguments: tuple[Any, ...], loops: Loops, workers: int = 1
+) -> int:
     """Advance crews in `workers` threads (1: the calling thread); return the number of members that failed.
 
-    `given` holds the arguments of `Crew.advance` except the last; an exception raised by a user's function in `loops`
-    takes precedence over any other.
+    `arguments` holds the arguments of `MemberBatch.advance` except the last; an exception raised by a user's function
+    in `loops` takes precedence over any other.
     """
-    stop = Stop()
+    stop = StopFlag()
 
-    def take(crew: Crew) -> int:
-        return crew.advance(*(*given, stop))
+    def take(member_batch: MemberBatch) -> int:
+        return member_batch.advance(*(*arguments, stop))
 
     try:
-        wrong = sum(map(take, crews)) if workers == 1 else _sum_in_threads(take, crews, workers, stop)
+        failed_count = (
+            sum(map(take, member_batches)) if workers == 1 else _sum_in_threads(take, member_batches, workers, stop)
+        )
     except BaseException as ended:
         raised = loops.raised()
         if raised is not None:
             raise raised from None
         raise ended
-    if wrong and (raised := loops.raised()) is not None:
+    if failed_count and (raised := loops.raised()) is not None:
         raise raised
-    return wrong
+    return failed_count
 
 
-def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers: int, stop: Stop) -> int:
+def _sum_in_threads(
+    take: Callable[[MemberBatch], int], member_batches: Sequence[MemberBatch], workers: int, stop: StopFlag
+) -> int:
     """Sum the results of `take` over all crews; the first error stops all threads and is raised.
 
     The threads are daemons: those of a pool would make the interpreter wait at exit for a run in a daemon thread.
     """
-    waiting, lock = list(reversed(crews)), threading.Lock()
+    waiting, lock = list(reversed(member_batches)), threading.Lock()
     found: list[int] = []
     errors: list[BaseException] = []
 
@@ -50,14 +56,14 @@ def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers:
                 with lock:
                     if not waiting:
                         return
-                    crew = waiting.pop()
-                found.append(take(crew))
+                    member_batch = waiting.pop()
+                found.append(take(member_batch))
         except BaseException as error:
             errors.append(error)
             waiting.clear()
-            stop.say()
+            stop.request()
 
-    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(workers, len(crews)))]
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(workers, len(member_batches)))]
     try:
         for thread in threads:
             thread.start()
@@ -66,7 +72,7 @@ def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers:
     except BaseException:
         with lock:
             waiting.clear()
-        stop.say()
+        stop.request()
         for thread in threads:
             if thread.ident is not None:
                 thread.join()
@@ -76,12 +82,12 @@ def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers:
     return sum(found)
 
 
-def name_of_status(status: Any) -> str:
+def status_name(status: Any) -> str:
     """Return the name of a status code."""
     return next(name for name, code in codes("Status").items() if code == status)
 
 
-def what_failed(status: str, method: Method, loops: Loops, residual: float) -> str:
+def failure_text(status: str, method: Method, loops: Loops, residual: float) -> str:
     """Describe the failure with this status name, for messages."""
     if status in method.failures:
         return method.failures[status]

@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop, Crew
+from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.batch_rows import Pieces, Tables, shared_out
+from coadjoint.runs.batch_rows import MemberTables, Tables, split_members
 from coadjoint.runs.loops import Loops, as_rows, unit_row
-from coadjoint.runs.shifted_attitude import Unshift, plainly
+from coadjoint.runs.shifted_attitude import ShiftCorrection, uncorrected_groups
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.tables import Compiled
+    from coadjoint.kernels.tables import CompiledTables
 
 # Per thread. An interrupt waits until the round ends, and each crew costs a call from Python.
-CREWS_IN_A_ROUND = 8
+BATCHES_PER_ROUND = 8
 
 
-def in_rounds(crews: list[Crew], workers: int) -> list[list[Crew]]:
-    """Split crews into rounds of `CREWS_IN_A_ROUND` per thread."""
-    size = CREWS_IN_A_ROUND * workers
-    return [crews[a : a + size] for a in range(0, len(crews), size)]
+def in_rounds(member_batches: list[MemberBatch], workers: int) -> list[list[MemberBatch]]:
+    """Split crews into rounds of `BATCHES_PER_ROUND` per thread."""
+    size = BATCHES_PER_ROUND * workers
+    return [member_batches[a : a + size] for a in range(0, len(member_batches), size)]
 
 
 class Group(NamedTuple):
@@ -60,34 +60,36 @@ class BatchLoops(Loops):
         method.look_ahead(list(batch))
         names = list(batch[0].casimirs)
         prepared: list[CompiledLoop] = []
-        watches: list[Compiled] = []
+        watches: list[CompiledTables] = []
         for m, (system, representation) in enumerate(zip(batch, representations, strict=True)):
             try:
                 prepared.append(method.loop(system, h, representation))
             except (TypeError, ValueError) as error:
                 raise type(error)(f"member {m} of the batch: {error}") from error
             casimirs = system.casimirs
-            followed, accounts = {name: casimirs[name] for name in names}, prepared[-1].accounts
-            watches.append(balance_tables(system, followed, accounts) if accounts else watch_tables(system, followed))
-        unshifts = [
-            Unshift(system, found.shift, representation) if found.shift and representation is not None else None
+            tracked, accounts = {name: casimirs[name] for name in names}, prepared[-1].accounts
+            watches.append(balance_tables(system, tracked, accounts) if accounts else watch_tables(system, tracked))
+        shift_corrections = [
+            ShiftCorrection(system, found.shift, representation) if found.shift and representation is not None else None
             for system, found, representation in zip(batch, prepared, representations, strict=True)
         ]
-        self._take(batch.dim, ["energy", *names], prepared, watches, unshifts)
+        self._adopt(batch.dim, ["energy", *names], prepared, watches, shift_corrections)
 
-    def _take(
+    def _adopt(
         self,
         dim: int,
         names: list[str],
         prepared: list[CompiledLoop],
-        watches: list[Compiled],
-        unshifts: list[Unshift | None],
+        watches: list[CompiledTables],
+        shift_corrections: list[ShiftCorrection | None],
     ) -> None:
         self.groups = groups_of(prepared, [watch.tables for watch in watches])
         members = np.concatenate([group.members for group in self.groups])
         self.order = None if len(self.groups) == 1 else members
-        self._unshifts = unshifts
-        self.turned = partial(turned_each, unshifts) if any(unshifts) else plainly
+        self._shift_corrections = shift_corrections
+        self.corrected_groups = (
+            partial(corrected_groups_each, shift_corrections) if any(shift_corrections) else uncorrected_groups
+        )
         self._prepared, self._watches = prepared, watches
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self.names, self._dim = names, dim
@@ -98,38 +100,54 @@ class BatchLoops(Loops):
         """Loops of the members `first` to `last` - 1 alone, from the tables already built."""
         found = object.__new__(BatchLoops)
         chosen = slice(first, last)
-        found._take(self._dim, self.names, self._prepared[chosen], self._watches[chosen], self._unshifts[chosen])
+        found._adopt(
+            self._dim, self.names, self._prepared[chosen], self._watches[chosen], self._shift_corrections[chosen]
+        )
         return found
 
     @property
-    def can_be_sent(self) -> bool:
+    def is_picklable(self) -> bool:
         """Whether the loops can be pickled: all addresses in their tables are those of functions."""
-        from coadjoint.kernels.pickling import can_be_sent, loop_can_be_sent
+        from coadjoint.kernels.pickling import is_picklable, loop_is_picklable
 
-        return all(map(loop_can_be_sent, self._prepared)) and all(can_be_sent(watch.keep) for watch in self._watches)
+        return all(map(loop_is_picklable, self._prepared)) and all(
+            is_picklable(watch.keepalive) for watch in self._watches
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the tables of the members in a form that can be pickled."""
-        from coadjoint.kernels.pickling import sent, sent_loop
+        from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
-        loops, watches = [sent_loop(own) for own in self._prepared], [sent(*watch) for watch in self._watches]
-        return {"dim": self._dim, "names": self.names, "loops": loops, "watches": watches, "turned": self._unshifts}
+        loops, watches = (
+            [picklable_loop(own) for own in self._prepared],
+            [picklable_tables(*watch) for watch in self._watches],
+        )
+        return {
+            "dim": self._dim,
+            "names": self.names,
+            "loops": loops,
+            "watches": watches,
+            "turned": self._shift_corrections,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from coadjoint.kernels.pickling import received, received_loop
+        from coadjoint.kernels.pickling import restored_loop, restored_tables
 
-        loops, watches = [received_loop(own) for own in state["loops"]], [received(own) for own in state["watches"]]
-        self._take(state["dim"], state["names"], loops, watches, state["turned"])
+        loops, watches = (
+            [restored_loop(own) for own in state["loops"]],
+            [restored_tables(own) for own in state["watches"]],
+        )
+        self._adopt(state["dim"], state["names"], loops, watches, state["turned"])
 
-    def rounds(self, members: int, workers: int) -> list[list[Crew]]:
+    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return rounds of crews; each crew lies within one group and begins at a lane boundary."""
-        crews: list[Crew] = []
+        member_batches: list[MemberBatch] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
-            for places in shared_out(first, last, workers, limit("LARGEST_CROWD")):
-                crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
-        return in_rounds(crews, workers)
+            for places in split_members(first, last, workers, limit("LARGEST_CROWD")):
+                member_batches.append(MemberBatch(group.loop, group.tables, group.watch, *places, group.stride, first))
+        return in_rounds(member_batches, workers)
 
-    def pieces(self, watch: Any = None) -> Pieces:
+    def pieces(self, watch: Any = None) -> MemberTables:
         """Return the tables and the members of each group."""
         return [(Tables(own.loop, own.tables, watch or own.watch, own.stride), own.members) for own in self.groups]
 
@@ -138,25 +156,25 @@ class BatchLoops(Loops):
         return next((error for found in self._prepared if (error := found.raised())), None)
 
     @property
-    def unshifts(self) -> Sequence[Unshift]:
+    def shift_corrections(self) -> Sequence[ShiftCorrection]:
         """Unshifts of the members that have one."""
-        return [unshift for unshift in self._unshifts if unshift is not None]
+        return [unshift for unshift in self._shift_corrections if unshift is not None]
 
-    def unshift_of(self, member: int) -> Unshift | None:
-        return self._unshifts[member]
+    def shift_correction_of(self, member: int) -> ShiftCorrection | None:
+        return self._shift_corrections[member]
 
-    def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._unshifts]
+    def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
+        rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._shift_corrections]
         rows[shifted] = unit_row(groups.shape[-1])
         return rows
 
 
-def turned_each(
-    unshifts: Sequence[Unshift | None], start: Start, times: Times, saved: NamedArrays, points: int
+def corrected_groups_each(
+    shift_corrections: Sequence[ShiftCorrection | None], start: Start, times: Times, saved: NamedArrays, points: int
 ) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d), each corrected for the shift of its member's H."""
-    found, held = np.array(plainly(start, times, saved, points), order="C"), saved.place_of("group")
-    for m, unshift in enumerate(unshifts):
+    found, held = np.array(uncorrected_groups(start, times, saved, points), order="C"), saved.address_of("group")
+    for m, unshift in enumerate(shift_corrections):
         if unshift is not None and points:
             unshift.fill(found, start, times, held, m, m + 1)
     return found
@@ -174,7 +192,7 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
     >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
     [[0, 1, 2]]
     """
-    from coadjoint.kernels.structures import pointed
+    from coadjoint.kernels.structures import as_structure
     from coadjoint.kernels.varied_tables import stacked, structure_of
 
     block = limit("LARGEST_CROWD")
@@ -185,8 +203,8 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
         Group(
             np.array(members, dtype=np.int64),
             prepared[members[0]].name,
-            pointed(stacked([prepared[m].tables for m in members])),
-            pointed(stacked([watches[m] for m in members])),
+            as_structure(stacked([prepared[m].tables for m in members])),
+            as_structure(stacked([watches[m] for m in members])),
             -(-len(members) // block) * block,
         )
         for members in found.values()

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import MemberBatch
 
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 
 class Rows(NamedTuple):
@@ -21,9 +21,9 @@ class Rows(NamedTuple):
     A slot that is not `own` pads a lane, and holds a copy of another row.
     """
 
-    rows: Whole
+    rows: Integers
     own: NDArray[np.bool_]
-    crews: list[Crew]
+    member_batches: list[MemberBatch]
 
 
 class Tables(NamedTuple):
@@ -34,7 +34,7 @@ class Tables(NamedTuple):
     watch: Any
     stride: int = 0
 
-    def rows(self, columns: Whole, workers: int, block: int, begin: int = 0) -> Rows:
+    def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> Rows:
         """Return rows (m,) with these columns of constants, or in the given order without a stride.
 
         Slots count from `begin`. Without a stride there is a crew for each worker, and `block` rows go side by side.
@@ -42,12 +42,13 @@ class Tables(NamedTuple):
         if self.stride:
             return self._in_columns(columns, begin)
         count = len(columns)
-        crews = [
-            Crew(*self[:3], first, last, base=first) for first, last in shared_out(begin, begin + count, workers, block)
+        member_batches = [
+            MemberBatch(*self[:3], first, last, base=first)
+            for first, last in split_members(begin, begin + count, workers, block)
         ]
-        return Rows(np.arange(count), np.ones(count, dtype=bool), crews)
+        return Rows(np.arange(count), np.ones(count, dtype=bool), member_batches)
 
-    def _in_columns(self, columns: Whole, begin: int) -> Rows:
+    def _in_columns(self, columns: Integers, begin: int) -> Rows:
         # Crews begin at blocks of columns; a block holds one row of each column at a time.
         block = limit("LARGEST_CROWD")
         wide = self.stride // block
@@ -58,19 +59,19 @@ class Tables(NamedTuple):
         rows, own = np.repeat(order[some], block), np.zeros(len(keys) * block, dtype=bool)
         places = piece * block + ascending % block
         rows[places], own[places] = order, True
-        crews, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % wide == 0)) + 1
+        member_batches, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % wide == 0)) + 1
         for one, other in pairwise([0, *cuts.tolist(), len(keys)]):
             first, column = begin + one * block, int(keys[one]) % wide * block
             last = begin + int(np.flatnonzero(own[: other * block])[-1]) + 1
-            crews.append(Crew(*self[:3], first, last, self.stride, first - column))
-        return Rows(rows, own, crews)
+            member_batches.append(MemberBatch(*self[:3], first, last, self.stride, first - column))
+        return Rows(rows, own, member_batches)
 
 
-Pieces = Sequence[tuple[Tables, Whole | None]]
+MemberTables = Sequence[tuple[Tables, Integers | None]]
 """Tables, and the members that share them, ascending, one column each; None: all members, in the same columns."""
 
 
-def rows_of_pieces(pieces: Pieces, owners: Whole, workers: int, block: int) -> Rows:
+def rows_of_pieces(pieces: MemberTables, owners: Integers, workers: int, block: int) -> Rows:
     """Return rows of members with different tables, piece after piece; `owners` (m,) holds the member of each row."""
     found: list[Rows] = []
     begin = 0
@@ -83,15 +84,15 @@ def rows_of_pieces(pieces: Pieces, owners: Whole, workers: int, block: int) -> R
             found.append(own._replace(rows=numbers[own.rows]))
             begin += len(own.rows)
     rows, filled = (np.concatenate([piece[k] for piece in found]) for k in range(2))
-    return Rows(rows, filled, [crew for piece in found for crew in piece.crews])
+    return Rows(rows, filled, [member_batch for piece in found for member_batch in piece.member_batches])
 
 
-def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
+def split_members(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
     """Split the members first to last - 1 into crews, one for each worker, that begin at multiples of `block`.
 
     Examples
     --------
-    >>> shared_out(0, 100, 2, 32)
+    >>> split_members(0, 100, 2, 32)
     [(0, 64), (64, 100)]
     """
     blocks = -(-(last - first) // block)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.kernels.events import Noted
+from coadjoint.kernels.events import FlaggedSteps
 from coadjoint.kernels.interface import codes
-from coadjoint.runs.batch_execution import name_of_status
+from coadjoint.runs.batch_execution import status_name
 from coadjoint.runs.events import Event
-from coadjoint.runs.partial_steps import PartsOfSteps
-from coadjoint.runs.root_search import lowest, roots
+from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.root_search import minimize_each, roots
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
@@ -23,29 +23,29 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, unforced
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_choice, read_whole
+from coadjoint.validation import read_choice, read_integer
 
 Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 
 class Crossings(NamedTuple):
     """The m crossings found: member, step, time, state, group element, event and direction of each."""
 
-    members: Whole
-    steps: Whole
+    members: Integers
+    steps: Integers
     t: Floats
     states: Floats
     groups: Floats
-    which: Whole
-    direction: Whole
+    which: Integers
+    direction: Integers
 
-    def chosen(self, places: Any) -> Crossings:
+    def select(self, places: Any) -> Crossings:
         """Select crossings by mask, slice or indices."""
         return Crossings(*(array[places] for array in self))
 
 
-class Failed(NamedTuple):
+class MemberFailure(NamedTuple):
     """Failure of a member during the location of its crossings: step and reason, the arguments of `Run.fail`."""
 
     member: int
@@ -66,15 +66,17 @@ class WatchedEvents:
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
         from coadjoint.kernels.tables import invariants_table
 
-        moved: Any = unforced(system[0] if isinstance(system, Batch) else system)
+        plain_system: Any = unforced(system[0] if isinstance(system, Batch) else system)
         self.system, self.events = system, tuple(events)
-        known = self.coordinates = () if isinstance(moved, MatrixSystem) else coordinate_names(moved, moved.dim)
+        known = self.coordinates = (
+            () if isinstance(plain_system, MatrixSystem) else coordinate_names(plain_system, plain_system.dim)
+        )
         self.names = names_of(self.events, known)
         functions = [
-            (f"the event {name}", _function_of(event, name, moved, known, x0, t0))
+            (f"the event {name}", _function_of(event, name, plain_system, known, x0, t0))
             for event, name in zip(self.events, self.names, strict=True)
         ]
-        self.compiled = invariants_table(functions, moved.dim)
+        self.compiled = invariants_table(functions, plain_system.dim)
         self.direction = np.array([event.direction for event in self.events], dtype=np.int64)
         self.until = np.array([event.until for event in self.events], dtype=np.int64)
 
@@ -86,87 +88,91 @@ class WatchedEvents:
         values_along(self.compiled.tables, states[:, None], t, out)
         return out[:, 0]
 
-    def located(self, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> tuple[Crossings, list[Failed]]:
+    def locate(
+        self, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float
+    ) -> tuple[Crossings, list[MemberFailure]]:
         """Return the crossings in the flagged steps, ordered by member and time, and the members that failed.
 
         A member fails where an event is NaN at a grid point, or where a partial step fails although the whole step did
         not; its crossings from that step on are dropped. Other members are unaffected.
         """
-        for kept in self.compiled.keep:
+        for kept in self.compiled.keepalive:
             if (raised := getattr(kept, "raised", lambda: None)()) is not None:
                 raise raised
         crossing = codes("Crossing")
-        search = _Search(self, noted, parts, t0, h)
-        rows, events = np.nonzero((noted.codes == crossing["RISING"]) | (noted.codes == crossing["FALLING"]))
-        sure = search.between(rows, events, np.zeros(len(rows)), noted.before, np.ones(len(rows)), noted.after)
-        maybe = search.pairs(*np.nonzero(noted.codes == crossing["NEAR"]))
-        told = search.told(*np.nonzero(noted.codes == crossing["BETWEEN"]))
-        rows, events, theta, rising = (np.concatenate(both) for both in zip(sure, *maybe, told, strict=True))
+        search = _Search(self, flagged, parts, t0, h)
+        rows, events = np.nonzero((flagged.codes == crossing["RISING"]) | (flagged.codes == crossing["FALLING"]))
+        sure = search.between(rows, events, np.zeros(len(rows)), flagged.before, np.ones(len(rows)), flagged.after)
+        maybe = search.pairs(*np.nonzero(flagged.codes == crossing["NEAR"]))
+        isolated_crossings = search.isolated_crossings(*np.nonzero(flagged.codes == crossing["BETWEEN"]))
+        rows, events, theta, rising = (
+            np.concatenate(both) for both in zip(sure, *maybe, isolated_crossings, strict=True)
+        )
         wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
         rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
         # Simultaneous crossings are ordered as the events were given.
         order = np.lexsort((events, theta, rows))
         rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]
         states, groups = search.part(rows, theta)
-        members, steps = noted.members[rows], noted.steps[rows]
+        members, steps = flagged.members[rows], flagged.steps[rows]
         found = Crossings(members, steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
-        failed = self._failed(noted, search, t0, h)
+        failed = self._failed(flagged, search, t0, h)
         if failed:
-            last = dict.fromkeys(noted.members.tolist(), np.iinfo(np.int64).max)
+            last = dict.fromkeys(flagged.members.tolist(), np.iinfo(np.int64).max)
             last |= {each.member: each.step for each in failed}
-            found = found.chosen(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
+            found = found.select(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
         return found, failed
 
-    def _failed(self, noted: Noted, search: _Search, t0: float, h: float) -> list[Failed]:
+    def _failed(self, flagged: FlaggedSteps, search: _Search, t0: float, h: float) -> list[MemberFailure]:
         """Return the first failure of each member that failed."""
-        undefined = noted.codes == codes("Crossing")["UNDEFINED"]
+        undefined = flagged.codes == codes("Crossing")["UNDEFINED"]
         rows = np.flatnonzero(undefined.any(axis=1) | (search.status != 0))
-        found: dict[int, Failed] = {}
-        for row in rows[np.argsort(noted.steps[rows], kind="stable")].tolist():
-            member, step = int(noted.members[row]), int(noted.steps[row])
+        found: dict[int, MemberFailure] = {}
+        for row in rows[np.argsort(flagged.steps[rows], kind="stable")].tolist():
+            member, step = int(flagged.members[row]), int(flagged.steps[row])
             if member in found:
                 continue
             if undefined[row].any():
                 name = self.names[int(np.argmax(undefined[row]))]
                 reason = f"the event {name} is not a number at t = {t0 + step * h:g}; its function is undefined there"
-                found[member] = Failed(member, step, "UNDEFINED", reason=reason)
+                found[member] = MemberFailure(member, step, "UNDEFINED", reason=reason)
             else:
-                status, residual = name_of_status(search.status[row]), float(search.residual[row])
-                found[member] = Failed(member, step, status, residual)
+                status, residual = status_name(search.status[row]), float(search.residual[row])
+                found[member] = MemberFailure(member, step, status, residual)
         return list(found.values())
 
 
 class _Search:
     """Event functions evaluated within the flagged steps."""
 
-    def __init__(self, watched: WatchedEvents, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> None:
-        self.watched, self.noted, self.parts, self.h = watched, noted, parts, h
-        self.begin: Floats = np.asarray(t0 + (noted.steps - 1) * h, dtype=np.float64)
+    def __init__(self, watched: WatchedEvents, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float) -> None:
+        self.watched, self.flagged, self.parts, self.h = watched, flagged, parts, h
+        self.begin: Floats = np.asarray(t0 + (flagged.steps - 1) * h, dtype=np.float64)
         # Failures of partial steps.
-        self.status = np.zeros(len(noted.steps), dtype=np.int64)
-        self.residual = np.full(len(noted.steps), np.nan)
+        self.status = np.zeros(len(flagged.steps), dtype=np.int64)
+        self.residual = np.full(len(flagged.steps), np.nan)
         # Resolution of the roots: the spacing of floats at the time of the step.
         self.least = np.maximum(2.0**-52, 0.5 * np.spacing(np.abs(self.begin) + abs(h)) / abs(h))
 
-    def part(self, rows: Whole, theta: Floats) -> tuple[Floats, Floats]:
+    def part(self, rows: Integers, theta: Floats) -> tuple[Floats, Floats]:
         """Return states and group elements at fractions `theta` of the steps; NaN where the partial step fails."""
-        noted = self.noted
-        found = self.parts.taken(
-            noted.states[rows], noted.groups[rows], self.begin[rows], theta * self.h, noted.members[rows]
+        flagged = self.flagged
+        found = self.parts.attempt(
+            flagged.states[rows], flagged.groups[rows], self.begin[rows], theta * self.h, flagged.members[rows]
         )
         failed = found.status != 0
         # A step may occur in several rows, one for each event; the last failure is recorded.
         self.status[rows[failed]], self.residual[rows[failed]] = found.status[failed], found.residual[failed]
         return found.momenta, found.groups
 
-    def values(self, rows: Whole, events: Whole, theta: Floats) -> Floats:
+    def values(self, rows: Integers, events: Integers, theta: Floats) -> Floats:
         """Evaluate one event for each row."""
         states, _ = self.part(rows, theta)
         return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
 
     def between(
-        self, rows: Whole, events: Whole, low: Floats, before: Floats, high: Floats, after: Floats
-    ) -> tuple[Whole, Whole, Floats, Whole]:
+        self, rows: Integers, events: Integers, low: Floats, before: Floats, high: Floats, after: Floats
+    ) -> tuple[Integers, Integers, Floats, Integers]:
         """Return the roots between two points of a step at which the values of all events are known."""
         places = (rows, events) if before.ndim > 1 else slice(None)
         first, last = before[places], after[places]
@@ -178,21 +184,23 @@ class _Search:
         )
         return rows, events, low + theta * (high - low), np.where(first < 0.0, 1, -1)
 
-    def told(self, rows: Whole, events: Whole) -> tuple[Whole, Whole, Floats, Whole]:
+    def isolated_crossings(self, rows: Integers, events: Integers) -> tuple[Integers, Integers, Floats, Integers]:
         """Return the crossings in the intervals that the series of a scheme has isolated."""
-        low, high = self.noted.before[rows, events], self.noted.after[rows, events]
-        at_start = self.watched.values(self.noted.states[rows], self.begin[rows])[np.arange(len(rows)), events]
+        low, high = self.flagged.before[rows, events], self.flagged.after[rows, events]
+        at_start = self.watched.values(self.flagged.states[rows], self.begin[rows])[np.arange(len(rows)), events]
         first = np.where(low == 0.0, at_start, self.values(rows, events, low))
         last = self.values(rows, events, high)
         # A root that rounding moved past an end of its interval is spurious or belongs to the next interval.
         sound = (first != 0.0) & (np.sign(first) != np.sign(last))
         return self.between(*(a[sound] for a in (rows, events, low, first, high, last)))
 
-    def pairs(self, rows: Whole, events: Whole) -> list[tuple[Whole, Whole, Floats, Whole]]:
+    def pairs(self, rows: Integers, events: Integers) -> list[tuple[Integers, Integers, Floats, Integers]]:
         """Return the crossings in steps where g may go through zero and back."""
-        first, last = self.noted.before[rows, events], self.noted.after[rows, events]
+        first, last = self.flagged.before[rows, events], self.flagged.after[rows, events]
         side = np.sign(first)
-        theta, value = lowest(lambda which, t: side[which] * self.values(rows[which], events[which], t), len(rows))
+        theta, value = minimize_each(
+            lambda which, t: side[which] * self.values(rows[which], events[which], t), len(rows)
+        )
         there = value <= 0.0
         rows, events, side, theta = rows[there], events[there], side[there], theta[there]
         middle, zero, one = side * value[there], np.zeros(len(rows)), np.ones(len(rows))
@@ -226,14 +234,14 @@ def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: Floats, t0: float) -> Any:
+def _function_of(event: Event, name: str, plain_system: Any, known: Sequence[str], x0: Floats, t0: float) -> Any:
     """Return the object of an event that the kernels compile."""
-    g, n = event.g, moved.dim
-    start: Any = moved.states(x0) if isinstance(moved, MatrixSystem) else x0
-    if isinstance(moved, MatrixSystem) and not callable(g):
+    g, n = event.g, plain_system.dim
+    start: Any = plain_system.states(x0) if isinstance(plain_system, MatrixSystem) else x0
+    if isinstance(plain_system, MatrixSystem) and not callable(g):
         raise TypeError(
-            f"the event {name} is about coordinates, and the states of {moved.name} are matrices; give a function of "
-            "a matrix"
+            f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "
+            "function of a matrix"
         )
     if isinstance(g, str) and g not in known and set("+-*/^") & set(g):
         raise ValueError(
@@ -241,7 +249,7 @@ def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: 
             f"co.Polynomial({short(g)}, basis={short(tuple(known), 200)})"
         )
     if isinstance(g, str | int | np.integer):
-        i = known.index(read_choice(g, "coordinate", known)) if isinstance(g, str) else read_whole(g, "g", 0, n - 1)
+        i = known.index(read_choice(g, "coordinate", known)) if isinstance(g, str) else read_integer(g, "g", 0, n - 1)
         return Quadratic(0.0, linear=np.eye(1, n, i)[0])
     if isinstance(g, Polynomial | Quadratic):
         return g
@@ -249,12 +257,12 @@ def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: 
     value = g(start.copy(), t0) if timed else g(start.copy())
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
         raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
-    if isinstance(moved, MatrixSystem):
-        return Invariant(OfMatrices(g, moved, timed))
+    if isinstance(plain_system, MatrixSystem):
+        return Invariant(MatrixEventFunction(g, plain_system, timed))
     return Invariant(g)
 
 
-class OfMatrices:
+class MatrixEventFunction:
     """A user's function of matrices as a function of a state row (n,), called in Python."""
 
     called_in_python = True

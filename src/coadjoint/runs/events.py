@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short, shown_fields
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.separable import MOST_COORDINATES
+from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_choice, read_flag, read_title, read_whole
+from coadjoint.validation import read_bool, read_choice, read_integer, read_title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,14 +88,14 @@ class Event:
                 "of x or (x, t)"
             )
         if isinstance(self.g, int | np.integer):
-            keep(self, "g", read_whole(self.g, "the coordinate of an event", 0, MOST_COORDINATES))
+            keep(self, "g", read_integer(self.g, "the coordinate of an event", 0, MAX_COORDINATES))
         whole = isinstance(self.direction, int | np.integer) and not isinstance(self.direction, bool)
         if not whole or self.direction not in (0, 1, -1):
             raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")
         keep(self, "direction", int(self.direction))
         if self.count is not None:
-            keep(self, "count", read_whole(self.count, "count of an event", 1, MOST_CROSSINGS))
-        keep(self, "terminal", read_flag(self.terminal, "terminal"))
+            keep(self, "count", read_integer(self.count, "count of an event", 1, MOST_CROSSINGS))
+        keep(self, "terminal", read_bool(self.terminal, "terminal"))
         if self.name is not None:
             keep(self, "name", read_title(self.name, "name of an event"))
         if callable(self.g) and not isinstance(self.g, Polynomial | Quadratic):
@@ -203,12 +203,12 @@ class Events:
         if isinstance(name, str):
             k = self.names.index(read_choice(name, "event", self.names))
         else:
-            k = read_whole(name, "number of an event", 0, len(self.names) - 1)
+            k = read_integer(name, "number of an event", 0, len(self.names) - 1)
         return self.chosen(self.which == k)
 
     def of(self, member: int) -> Events:
         """Return the crossings of a member."""
-        return self.chosen(self.member == read_whole(member, "member", 0))
+        return self.chosen(self.member == read_integer(member, "member", 0))
 
     def ends(self, members: int) -> NDArray[np.float64]:
         """Return the times at which terminal events ended the runs, (members,); NaN where none did.
@@ -250,7 +250,7 @@ class Events:
         return draw_crossings(self, components, axes)
 
 
-class Ending(NamedTuple):
+class TerminalEvent(NamedTuple):
     """Terminal event of a single-member run: number of saved points, step, time, state, invariants and attitude."""
 
     points: int

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.kernels.loop import Crew, Stop, refused
+from coadjoint.kernels.loop import MemberBatch, StopFlag, raise_outcome
 from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.runs.loops import SystemLoops
-from coadjoint.runs.memory_estimate import check_room_of_run
+from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times, span_of, times_between
 from coadjoint.validation import are_finite
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
 FLOAT64 = np.dtype(np.float64)
-EVERY = 2**53
+ENDS_ONLY = 2**53
 """A `save_every` that saves only the start and the end."""
-LARGEST = 2**16
+MAX_CACHED_NUMBERS = 2**16
 """Most numbers cached between calls; for larger runs the allocation is negligible next to the steps."""
 
 
-class EndOfRun:
+class FinalStateRun:
     """Reusable arrays for successive calls of one `PreparedRun`; concurrent calls need one object each."""
 
     _loops: SystemLoops
     _layout: Layout
-    _crew: Crew | None
+    _member_batch: MemberBatch | None
     _saved: NamedArrays
     _state: NamedArrays
     _clear: Callable[[float], None]
@@ -42,23 +42,23 @@ class EndOfRun:
     _end: NDArray[np.float64]
     _evaluations: NDArray[Any]
 
-    def __init__(self, ready: PreparedRun) -> None:
-        self._ready, self._most = ready, ready.most_evaluations
-        self._shape = (ready.system.dim,)
-        self._stop = Stop()
+    def __init__(self, prepared: PreparedRun) -> None:
+        self._prepared, self._max_evaluations = prepared, prepared.most_evaluations
+        self._shape = (prepared.system.dim,)
+        self._stop = StopFlag()
         self._span: Any = None
         self._h: float | None = None
-        self._take: Callable[[], int] | None = None
+        self._advance: Callable[[], int] | None = None
 
     def __call__(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
         """Return the final state; None if a full run is needed, for instance to raise the error."""
-        if t_span is not self._span and not self._aimed_at(t_span):
-            self._aim(t_span)
-        if self._take is None:
+        if t_span is not self._span and not self._is_prepared_for(t_span):
+            self._prepare_span(t_span)
+        if self._advance is None:
             return None
         x: NDArray[np.float64] = x0
         if type(x) is not np.ndarray or x.dtype is not FLOAT64 or x.shape != self._shape:
-            momenta, single = momenta_of(self._ready.system, x0)
+            momenta, single = momenta_of(self._prepared.system, x0)
             if not single:
                 return None
             x = momenta[0]
@@ -67,21 +67,21 @@ class EndOfRun:
         self._clear(0.0)
         self._momentum[:] = x
         try:
-            wrong = self._take()
-            if wrong < 0:
-                refused(wrong)
+            failed_count = self._advance()
+            if failed_count < 0:
+                raise_outcome(failed_count)
         except BaseException as ended:
             raised = self._loops.raised()
             raise ended if raised is None else raised from None
-        if wrong:
+        if failed_count:
             # The full run fails too and reports the step; it raises what a user's function raised.
             self._loops.raised()
             return None
-        if self._most < math.inf and self._evaluations[0] > self._most:
+        if self._max_evaluations < math.inf and self._evaluations[0] > self._max_evaluations:
             return None
         return self._end.copy()
 
-    def _aimed_at(self, t_span: Any) -> bool:
+    def _is_prepared_for(self, t_span: Any) -> bool:
         """Whether the span equals that of the previous call in every bit."""
         return (
             type(t_span) is tuple
@@ -91,32 +91,32 @@ class EndOfRun:
             and copysign(1.0, t_span[0]) == copysign(1.0, self._span[0])
         )
 
-    def _aim(self, t_span: Any) -> None:
+    def _prepare_span(self, t_span: Any) -> None:
         """Prepare the call for another span."""
-        self._span = self._take = None
-        times = times_between(span_of(t_span), self._ready.step, EVERY)
+        self._span = self._advance = None
+        times = times_between(span_of(t_span), self._prepared.step, ENDS_ONLY)
         if times.h != self._h:
-            self._make(times)
-        if self._crew is not None and times.steps:
+            self._allocate(times)
+        if self._member_batch is not None and times.steps:
             schedule = schedule_of(*times[:4], False)
             arrays = self._saved, self._state
-            self._take = self._crew.repeated(self._layout, schedule, *arrays, times.steps, self._stop)
+            self._advance = self._member_batch.bound_advance(self._layout, schedule, *arrays, times.steps, self._stop)
         if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
             self._span = t_span
 
-    def _make(self, times: Times) -> None:
+    def _allocate(self, times: Times) -> None:
         """Allocate the arrays for this step, if the run is that of a single vector."""
-        ready, self._crew, self._h = self._ready, None, times.h
-        found = ready.loops(times.h)
-        if not isinstance(found, SystemLoops) or found.rows or ready.carries:
+        prepared, self._member_batch, self._h = self._prepared, None, times.h
+        found = prepared.loops(times.h)
+        if not isinstance(found, SystemLoops) or found.rows or prepared.carries:
             return
         plan = found.plan(1, 2, 0, 1)
-        check_room_of_run(plan.layout, Times(times.t0, times.h, 1, 1), 1)
-        if plan.layout.saved.size + plan.layout.state.size > LARGEST:
+        check_run_memory(plan.layout, Times(times.t0, times.h, 1, 1), 1)
+        if plan.layout.saved.size + plan.layout.state.size > MAX_CACHED_NUMBERS:
             return
         self._loops, self._layout = found, plan.layout
         self._saved, self._state = NamedArrays(plan.layout.saved), NamedArrays(plan.layout.state)
-        ((self._crew,),) = plan.rounds
+        ((self._member_batch,),) = plan.rounds
         # Accounts follow the coordinates, and start at zero.
         dim = self._shape[0]
         self._clear = self._state["momenta"].fill

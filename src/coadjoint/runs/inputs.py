@@ -22,7 +22,7 @@ from coadjoint.validation import are_finite, read_numbers
 Floats = NDArray[np.float64]
 
 # Reserved: parameters of a run.
-TAKEN = frozenset(("x", "x0", "t", "t_span", "save_every", "attitude", "progress", "self"))
+RESERVED_NAMES = frozenset(("x", "x0", "t", "t_span", "save_every", "attitude", "progress", "self"))
 SEED = 1993
 
 
@@ -31,7 +31,7 @@ class Inputs:
 
     `given` is True (all coefficients, as the input ``linear``), a sequence of coordinates, or a mapping from names to
     coordinates or to the label of a constant torque. `values` (m,) holds the defaults from the system, the linear term
-    first, then the torques; `places` maps each name to its indices in `values`.
+    first, then the torques; `indices` maps each name to its indices in `values`.
 
     Examples
     --------
@@ -62,19 +62,19 @@ class Inputs:
             self._linear = linear_of(self._unforced.hamiltonian, system.dim)
         self.values = self._linear
         self._torques: dict[int, NDArray[np.int64]] = {}
-        self.places: dict[str, NDArray[np.int64]] = {}
+        self.indices: dict[str, NDArray[np.int64]] = {}
         for name, where in named.items():
-            self.places[_name(name)] = (
-                self._places_of_torque(where, name) if isinstance(where, str) else _coordinates(where, name, system.dim)
+            self.indices[_name(name)] = (
+                self._torque_indices(where, name) if isinstance(where, str) else _coordinates(where, name, system.dim)
             )
         every = np.arange(len(self.values))
-        self._all = next((name for name, where in self.places.items() if np.array_equal(where, every)), None)
-        self._changing = np.concatenate([where.ravel() for where in self.places.values()])
-        if len(np.unique(self._changing)) < len(self._changing):
-            twice = int(np.flatnonzero(np.bincount(self._changing) > 1)[0])
+        self._full_input = next((name for name, where in self.indices.items() if np.array_equal(where, every)), None)
+        self._input_indices = np.concatenate([where.ravel() for where in self.indices.values()])
+        if len(np.unique(self._input_indices)) < len(self._input_indices):
+            twice = int(np.flatnonzero(np.bincount(self._input_indices) > 1)[0])
             raise ValueError(f"inputs name coordinate {twice} more than once; each coefficient is one input")
 
-    def _places_of_torque(self, label: str, name: str) -> NDArray[np.int64]:
+    def _torque_indices(self, label: str, name: str) -> NDArray[np.int64]:
         """Append the torque of this label to the values, and return its indices."""
         if not isinstance(self.system, ForcedSystem):
             raise ValueError(
@@ -95,57 +95,57 @@ class Inputs:
             raise TypeError(f"inputs has {short(label)} for {name}, which is a matrix; only a vector may be an input")
         if k in self._torques:
             raise ValueError(f"inputs name {short(label)} more than once; each torque is one input")
-        places = self._torques[k] = len(self.values) + np.arange(self.system.dim)
+        indices = self._torques[k] = len(self.values) + np.arange(self.system.dim)
         self.values = np.concatenate([self.values, force.torque])
-        return places
+        return indices
 
     def __repr__(self) -> str:
-        return ", ".join(f"{name} {where.shape}" for name, where in self.places.items())
+        return ", ".join(f"{name} {where.shape}" for name, where in self.indices.items())
 
     def read(self, given: Mapping[str, Any]) -> Floats:
         """Return the values, (m,), or (members, m) if members have individual ones, with the given inputs inserted."""
-        if self._all is not None and list(given) == [self._all]:
+        if self._full_input is not None and list(given) == [self._full_input]:
             # All coefficients in coordinate order are the array itself.
-            numbers = read_numbers(given[self._all], self._all)
+            numbers = read_numbers(given[self._full_input], self._full_input)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
         found, members = {}, None
         for name, value in given.items():
-            where = self.places.get(name)
+            where = self.indices.get(name)
             if where is None:
-                raise unknown_name("input of this run", name, self.places)
+                raise unknown_name("input of this run", name, self.indices)
             numbers = read_numbers(value, name)
             if numbers.shape != where.shape:
                 several = numbers.shape[1:] == where.shape and numbers.ndim > where.ndim
                 if not several or not len(numbers) or members not in (None, len(numbers)):
-                    raise self._misshapen(name, numbers.shape, members)
+                    raise self._shape_error(name, numbers.shape, members)
                 members = len(numbers)
             if not are_finite(numbers):
                 raise ValueError(f"{name} contains NaN or infinity; every number must be finite")
             found[name] = numbers
         values = self.values.copy() if members is None else np.tile(self.values, (members, 1))
         for name, numbers in found.items():
-            where = self.places[name]
+            where = self.indices[name]
             values[..., where.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - where.ndim], -1)
         return values
 
-    def _misshapen(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
-        own = self.places[name].shape
+    def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
+        own = self.indices[name].shape
         each = ", ".join(map(str, ("members" if members is None else members, *own)))
         return ValueError(
             f"{name} has the shape {shape}; as prepared it must be {own}, or ({each}) with a value for each member"
         )
 
-    def drawn(self) -> tuple[Floats, Floats]:
+    def random_values(self) -> tuple[Floats, Floats]:
         """Return two arrays of values in which the inputs have reproducible random digits."""
         one, other = self.values.copy(), self.values.copy()
-        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self._changing)))
-        one[self._changing], other[self._changing] = digits
+        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self._input_indices)))
+        one[self._input_indices], other[self._input_indices] = digits
         return one, other
 
     def settled(self, method: Method) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term."""
-        coordinates = np.sort(self._changing[self._changing < len(self._linear)])
+        coordinates = np.sort(self._input_indices[self._input_indices < len(self._linear)])
         return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats) -> Any:
@@ -155,8 +155,8 @@ class Inputs:
         if not isinstance(self.system, ForcedSystem):
             return system
         forces: list[Any] = list(self.system.forces)
-        for k, places in self._torques.items():
-            forces[k] = replace(forces[k], torque=values[places])
+        for k, indices in self._torques.items():
+            forces[k] = replace(forces[k], torque=values[indices])
         return ForcedSystem(system, forces)
 
     def system_of(self, values: Floats) -> Any:
@@ -169,7 +169,7 @@ class Inputs:
 def _name(name: Any) -> str:
     if not isinstance(name, str) or not name.isidentifier():
         raise TypeError(f"inputs has the name {short(name)}; it must be a valid Python identifier, such as field")
-    if name in TAKEN:
+    if name in RESERVED_NAMES:
         raise ValueError(f"inputs has the name {name!r}, which is reserved; choose another one")
     return name
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from coadjoint.keyword_hints import told
-from coadjoint.long_operations import waiting
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
@@ -18,8 +18,8 @@ from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.system_checks import System, check_system
 
 
-@told
-@waiting("integrate")
+@suggest_keywords
+@long_operation("integrate")
 def integrate(
     system: System | ForcedSystem | Batch,
     x0: Any,

@@ -11,31 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.blas_threads import rows_of
-from coadjoint.kernels.loop import CompiledLoop, Crew
+from coadjoint.kernels.blas_threads import matrix_rows
+from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.batch_rows import Pieces, Tables, shared_out
-from coadjoint.runs.shifted_attitude import Unshift, plainly
+from coadjoint.runs.batch_rows import MemberTables, Tables, split_members
+from coadjoint.runs.shifted_attitude import ShiftCorrection, uncorrected_groups
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, unforced
 
-NOTHING = Quadratic(0.0)
+UNTRACKED = Quadratic(0.0)
 """Placeholder for an invariant that the loops do not track."""
-OF_THIS_PROCESS = ("prepared", "watch", "_keep", "_given", "_plan")
+UNPICKLED = ("prepared", "watch", "_keepalive", "_structures", "_plan")
 """Attributes of `SystemLoops` that contain addresses, or are built from such; not pickled."""
-Turned = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
+GroupCorrection = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
-class Plan:
+class ExecutionPlan:
     """Array layout and rounds of crews, shared by runs with equal numbers of members and saved points.
 
     Crews of one round run concurrently; the rounds run one after the other.
     """
 
-    def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[Crew]]) -> None:
+    def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[MemberBatch]]) -> None:
         self.key, self.layout, self.rounds = key, layout, rounds
 
 
@@ -74,63 +74,63 @@ class Loops(ABC):
     rows: int = 0
     measures: bool = False
     block: int = 1
-    turned: Turned
-    _plan: Plan | None = None
+    corrected_groups: GroupCorrection
+    _plan: ExecutionPlan | None = None
 
     @property
-    def followed(self) -> int:
+    def tracked(self) -> int:
         """Number of values tracked for each member."""
         return len(self.names) * (2 if self.accounts else 1)
 
-    def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
+    def plan(self, members: int, points: int, square: int, workers: int) -> ExecutionPlan:
         """Return the plan of a run; the last one is cached."""
         key = (members, points, square, workers)
         plan = self._plan
         if plan is None or plan.key != key:
-            extent = Extent(members, points, self.size, square, self.followed, self.memory)
-            plan = self._plan = Plan(key, Layout(extent), self.rounds(members, workers))
+            extent = Extent(members, points, self.size, square, self.tracked, self.memory)
+            plan = self._plan = ExecutionPlan(key, Layout(extent), self.rounds(members, workers))
         return plan
 
     @abstractmethod
-    def rounds(self, members: int, workers: int) -> list[list[Crew]]:
+    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return the rounds of crews; those of a round run concurrently."""
 
-    def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[Crew]] | None:
+    def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[MemberBatch]] | None:
         """Return the crews of some members, ascending, packed side by side; None if not supported."""
         return None
 
     @abstractmethod
-    def pieces(self, watch: Any = None) -> Pieces:
+    def pieces(self, watch: Any = None) -> MemberTables:
         """Return the tables of the members, with another watch if one is given."""
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
-        """Whether `turned` may return infinite elements although those of the loops are finite."""
-        return any(unshift.may_overflow(start, times) for unshift in self.unshifts)
+        """Whether `corrected_groups` may return infinite elements although those of the loops are finite."""
+        return any(unshift.may_overflow(start, times) for unshift in self.shift_corrections)
 
-    def make_all(self) -> None:
+    def build_all(self) -> None:
         """Build everything that is otherwise built lazily."""
-        for unshift in self.unshifts:
-            unshift.make()
+        for unshift in self.shift_corrections:
+            unshift.build()
 
     @property
-    def unshifts(self) -> Sequence[Unshift]:
-        """Corrections applied by `turned`, one for each system whose H was shifted by a Casimir."""
-        return [self.turned] if isinstance(self.turned, Unshift) else []
+    def shift_corrections(self) -> Sequence[ShiftCorrection]:
+        """Corrections applied by `corrected_groups`, one for each system whose H was shifted by a Casimir."""
+        return [self.corrected_groups] if isinstance(self.corrected_groups, ShiftCorrection) else []
 
-    def unshift_of(self, member: int) -> Unshift | None:
-        """Return the correction of `turned` for a member, or None if its H was not shifted."""
-        return self.turned if isinstance(self.turned, Unshift) else None
+    def shift_correction_of(self, member: int) -> ShiftCorrection | None:
+        """Return the correction of `corrected_groups` for a member, or None if its H was not shifted."""
+        return self.corrected_groups if isinstance(self.corrected_groups, ShiftCorrection) else None
 
-    def turned_at(
-        self, start: Start, members: NDArray[np.int64], elapsed: NDArray[np.float64], held: NDArray[np.float64]
+    def corrected_groups_at(
+        self, start: Start, members: NDArray[np.int64], elapsed: NDArray[np.float64], loop_groups: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return group elements (m, d, d) of members at times since their starts, from those of the loops (m, d*d)."""
         d = start.groups.shape[1]
-        found = np.array(np.swapaxes(held.reshape(-1, d, d), 1, 2))
+        found = np.array(np.swapaxes(loop_groups.reshape(-1, d, d), 1, 2))
         for row, member in enumerate(members.tolist()):
-            unshift = self.unshift_of(member)
+            unshift = self.shift_correction_of(member)
             if unshift is not None:
-                found[row] = unshift.at(start, member, float(elapsed[row]), held[row])
+                found[row] = unshift.at(start, member, float(elapsed[row]), loop_groups[row])
         return found
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,7 +151,7 @@ class Loops(ABC):
         return None
 
     @property
-    def can_be_sent(self) -> bool:
+    def is_picklable(self) -> bool:
         """Whether the loops can be pickled."""
         return False
 
@@ -160,7 +160,7 @@ class Loops(ABC):
         """Return the exception that a user's function raised in a loop, and clear it; or None."""
 
     @abstractmethod
-    def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
+    def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the initial group elements of the loops, transposed, (members, d*d), or (d*d,) for all members."""
 
 
@@ -183,69 +183,71 @@ class SystemLoops(Loops):
         from coadjoint.kernels.interface import limit
         from coadjoint.kernels.tables import balance_tables, watch_tables
 
-        followed = system.casimirs if casimirs is None else casimirs
+        tracked = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
         self.accounts = prepared.accounts
         plain = unforced(system)
-        self.rows = rows_of(system)
+        self.rows = matrix_rows(system)
         self._matrices = plain if isinstance(plain, MatrixSystem) else None
         self.measures = self._matrices is not None
         if self._matrices:
-            count = (1 + len(followed)) * (2 if self.accounts else 1) - 1
-            watch = watch_tables(system, dict.fromkeys(map(str, range(count)), NOTHING))
+            count = (1 + len(tracked)) * (2 if self.accounts else 1) - 1
+            watch = watch_tables(system, dict.fromkeys(map(str, range(count)), UNTRACKED))
         else:
-            watch = balance_tables(system, followed, self.accounts) if self.accounts else watch_tables(system, followed)
-        self.names = ["energy", *followed]
+            watch = balance_tables(system, tracked, self.accounts) if self.accounts else watch_tables(system, tracked)
+        self.names = ["energy", *tracked]
         self.size, self.memory = system.dim + len(self.accounts), prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
-        self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
+        self.corrected_groups = (
+            ShiftCorrection(system, prepared.shift, representation) if self._shifted else uncorrected_groups
+        )
         self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
         self._read(prepared, watch)
 
     def _read(self, prepared: CompiledLoop, watch: Any) -> None:
-        from coadjoint.kernels.structures import pointed
+        from coadjoint.kernels.structures import as_structure
 
-        self._keep = watch.keep
+        self._keepalive = watch.keepalive
         self.prepared, self.watch = prepared, watch.tables
         # Converted to C structures once for all plans.
-        self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
+        self._structures = prepared.name, as_structure(prepared.tables), as_structure(watch.tables)
 
     @property
-    def can_be_sent(self) -> bool:
+    def is_picklable(self) -> bool:
         """Whether the loops can be pickled: all addresses in their tables are those of functions."""
-        from coadjoint.kernels.pickling import can_be_sent, loop_can_be_sent
+        from coadjoint.kernels.pickling import is_picklable, loop_is_picklable
 
-        return loop_can_be_sent(self.prepared) and can_be_sent(self._keep)
+        return loop_is_picklable(self.prepared) and is_picklable(self._keepalive)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes, with the tables in a form that can be pickled."""
-        from coadjoint.kernels.pickling import sent, sent_loop
+        from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
-        other = {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS}
-        return {**other, "sent": (sent_loop(self.prepared), sent(self.watch, self._keep))}
+        other = {name: value for name, value in vars(self).items() if name not in UNPICKLED}
+        return {**other, "sent": (picklable_loop(self.prepared), picklable_tables(self.watch, self._keepalive))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from coadjoint.kernels.pickling import received, received_loop
+        from coadjoint.kernels.pickling import restored_loop, restored_tables
 
         loop, watch = state.pop("sent")
         self.__dict__.update(state)
-        self._read(received_loop(loop), received(watch))
+        self._read(restored_loop(loop), restored_tables(watch))
 
-    def rounds(self, members: int, workers: int) -> list[list[Crew]]:
+    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return one round with a crew for each thread; members advanced side by side share a crew."""
-        return [[self.crew(*places) for places in shared_out(0, members, workers, self.block)]]
+        return [[self.member_batch(*places) for places in split_members(0, members, workers, self.block)]]
 
-    def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[Crew]] | None:
-        own = self.crew(0, 1)
-        return [[own.among(members[slice(*places)]) for places in shared_out(0, len(members), workers, self.block)]]
+    def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[MemberBatch]] | None:
+        own = self.member_batch(0, 1)
+        return [[own.among(members[slice(*places)]) for places in split_members(0, len(members), workers, self.block)]]
 
-    def pieces(self, watch: Any = None) -> Pieces:
+    def pieces(self, watch: Any = None) -> MemberTables:
         """Return the tables, which all members share."""
-        return [(Tables(*self._given[:2], watch or self._given[2]), None)]
+        return [(Tables(*self._structures[:2], watch or self._structures[2]), None)]
 
-    def crew(self, first: int, last: int, base: int = 0) -> Crew:
-        """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
-        return Crew(*self._given, first, last, base=base)
+    def member_batch(self, first: int, last: int, base: int = 0) -> MemberBatch:
+        """Return the members first to last - 1 as a crew; `base` as for `MemberBatch`."""
+        return MemberBatch(*self._structures, first, last, base=base)
 
     def measure(
         self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
@@ -299,8 +301,10 @@ class SystemLoops(Loops):
         """Return the exception that a user's function raised in the loop."""
         return self.prepared.raised()
 
-    def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the given elements; unit elements for a shifted run, which `turned` multiplies by the given ones."""
+    def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the given elements; unit elements for a shifted run, which `corrected_groups` multiplies by the given
+        ones.
+        """
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
 
 

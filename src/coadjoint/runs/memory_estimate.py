@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from coadjoint import memory
 from coadjoint.kernels.arrays import Layout
-from coadjoint.memory import SMALL, in_words
+from coadjoint.memory import UNCHECKED_BYTES, format_bytes
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 
-BYTES = 8
-PER_POINT = 24  # time, number and observed quantities
+BYTES_PER_NUMBER = 8
+BYTES_PER_POINT = 24  # time, number and observed quantities
 
 
 def bytes_of_run(layout: Layout, times: Times) -> int:
     """Estimate the memory of a run's arrays, in bytes."""
-    return BYTES * (layout.saved.size + layout.state.size) + PER_POINT * times.points
+    return BYTES_PER_NUMBER * (layout.saved.size + layout.state.size) + BYTES_PER_POINT * times.points
 
 
-def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
+def check_run_memory(layout: Layout, times: Times, members: int) -> None:
     """Raise ValueError if a run's arrays exceed the free memory; suggest a `save_every` that fits, if any."""
     need = bytes_of_run(layout, times)
-    if need <= SMALL:
+    if need <= UNCHECKED_BYTES:
         return
     free = memory.available()
     if need <= free:
         return
-    one = BYTES * (layout.saved.size // times.points) + PER_POINT
+    one = BYTES_PER_NUMBER * (layout.saved.size // times.points) + BYTES_PER_POINT
     points = (free - (need - one * times.points)) // one
     # The start and the end are always saved.
     every = -(-times.steps // (points - 1)) if points >= 2 else 0
@@ -33,5 +33,5 @@ def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     right = fewer if every else "run fewer members at a time"
     raise ValueError(
         f"{short(times.points)} saved points of {members} member{'s' if members > 1 else ''} need about "
-        f"{in_words(need)}; this machine has {in_words(free)} free; {right}"
+        f"{format_bytes(need)}; this machine has {format_bytes(free)} free; {right}"
     )

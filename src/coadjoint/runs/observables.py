@@ -31,7 +31,7 @@ class Observed:
         from coadjoint.kernels.tables import watch_tables
 
         self._names, self._matrices = list(observe), system if isinstance(system, MatrixSystem) else None
-        self._given = dict(observe)
+        self._quantities = dict(observe)
         start: Any = x0
         if self._matrices is not None:
             start = self._matrices.states(x0)
@@ -60,7 +60,7 @@ class Observed:
     def _of_matrices(self, name: str, t: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate a Python function of a matrix at all points; NaN for members that have failed."""
         assert self._matrices is not None
-        function, system = self._given[name], self._matrices
+        function, system = self._quantities[name], self._matrices
         timed = takes_time(function, name)
         found = np.full(points.shape[:2], np.nan)
         for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():

@@ -8,25 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.runs.batch_execution import name_of_status
-from coadjoint.runs.memory_estimate import check_room_of_run
-from coadjoint.runs.partial_steps import PartsOfSteps, check_no_noise
+from coadjoint.runs.batch_execution import status_name
+from coadjoint.runs.memory_estimate import check_run_memory
+from coadjoint.runs.partial_steps import PartialSteps, reject_noise
 from coadjoint.runs.times import Times
 from coadjoint.validation import are_finite, read_numbers
 
 if TYPE_CHECKING:
-    from coadjoint.runs.events import Ending
+    from coadjoint.runs.events import TerminalEvent
     from coadjoint.runs.run import Run
 
 Floats = NDArray[np.float64]
 
-ROUNDINGS = 4
+ULP_TOLERANCE = 4
 """A time within this many units in the last place (of the larger end of the span) of a step is that step."""
-ROWS = 2**16
+ROWS_PER_CALL = 2**16
 """States processed at once."""
 
 
-class Moments(NamedTuple):
+class OutputTimes(NamedTuple):
     """Output times: the number of the step at or before each, and the remaining time `length` beyond that step."""
 
     t: Floats
@@ -44,14 +44,14 @@ class Moments(NamedTuple):
         return self.number + (self.length != 0.0)
 
 
-def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
+def output_times_of(t_eval: Any, times: Times, save_every: Any = 1) -> OutputTimes:
     """Validate `t_eval`, (k,), sorted in the direction of the run and within its span, and locate it among the steps.
 
     Repeated times are allowed; `save_every` must be 1, since the two exclude each other.
 
     Examples
     --------
-    >>> found = moments_of([0.0, 0.3, 0.5], Times(0.0, 0.25, 4, 1))
+    >>> found = output_times_of([0.0, 0.3, 0.5], Times(0.0, 0.25, 4, 1))
     >>> found.number.tolist(), found.length.round(3).tolist()
     ([0, 1, 2], [0.0, 0.05, 0.0])
     """
@@ -70,7 +70,7 @@ def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
         raise ValueError(
             f"t_eval[{k}] is {t[k]:g} and comes after {t[k - 1]:g}; times must be sorted in the direction of t_span"
         )
-    near = ROUNDINGS * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+    near = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
     low, high = (times.t0, times.end) if forward else (times.end, times.t0)
     outside = np.flatnonzero((t < low - near) | (t > high + near))
     if len(outside):
@@ -83,16 +83,16 @@ def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
     # Division may round up to a whole number from just below.
     early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0
     number = np.where(at_step, nearest, before - early)
-    return Moments(t, number, np.where(at_step, 0.0, t - times.at(number)))
+    return OutputTimes(t, number, np.where(at_step, 0.0, t - times.at(number)))
 
 
-def check_parts(system: Any, moments: Moments) -> None:
+def check_partial_steps(system: Any, moments: OutputTimes) -> None:
     """Reject output times between steps for systems without partial steps (noise)."""
     if np.any(moments.length):
-        check_no_noise(system)
+        reject_noise(system)
 
 
-def look(run: Run, moments: Moments) -> None:
+def resample(run: Run, moments: OutputTimes) -> None:
     """Replace the saved points of a finished run, the steps in `moments.marks`, by its states at `moments`.
 
     After a terminal event in a single-member run, only the times before it and the event itself are kept; in an
@@ -103,15 +103,15 @@ def look(run: Run, moments: Moments) -> None:
     way, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
     if run.ending is not None:
         before = way * moments.t < way * run.ending.t
-        moments = Moments(moments.t[before], moments.number[before], moments.length[before])
+        moments = OutputTimes(moments.t[before], moments.number[before], moments.length[before])
     # Exactly n h at a step, whatever its time is rounded to.
     elapsed = moments.number * run.times.h + moments.length
-    times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
+    times = run.times.with_saved_steps(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
     if run.ending is not None:
         times = _with_ending(times, run.ending)
         run.ending = run.ending._replace(points=times.points)
     layout = Layout(run.plan.layout.extent._replace(points=times.points))
-    check_room_of_run(layout, times, members)
+    check_run_memory(layout, times, members)
     saved, place = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
     names = ("x", "group", "values")
     source, target = ([arrays[name] for name in names] for arrays in (marked, saved))
@@ -121,10 +121,10 @@ def look(run: Run, moments: Moments) -> None:
         saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
     inside = np.flatnonzero(moments.length)
     if len(inside):
-        parts = PartsOfSteps(run.moved, run.method, run.loops, run.workers)
+        parts = PartialSteps(run.built_system, run.method, run.loops, run.workers)
         # A failed member has no partial step within the step that failed.
         last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
-        chunk = max(1, ROWS // members)
+        chunk = max(1, ROWS_PER_CALL // members)
         for first in range(0, len(inside), chunk):
             some = inside[first : first + chunk]
             _fill(parts, run, moments, some, (last, way * ends), target)
@@ -134,7 +134,7 @@ def look(run: Run, moments: Moments) -> None:
     run.initial, run.saved, run.times = marked["values"][0], saved, times
 
 
-def _with_ending(times: Times, ending: Ending) -> Times:
+def _with_ending(times: Times, ending: TerminalEvent) -> Times:
     """Append the time of the terminal event to the output times."""
     assert times.marks is not None and times.between is not None and times.elapsed is not None
     return times._replace(
@@ -145,7 +145,7 @@ def _with_ending(times: Times, ending: Ending) -> Times:
 
 
 def _fill(
-    parts: PartsOfSteps, run: Run, moments: Moments, some: NDArray[np.int64], lasting: Any, target: list[Floats]
+    parts: PartialSteps, run: Run, moments: OutputTimes, some: NDArray[np.int64], lasting: Any, target: list[Floats]
 ) -> None:
     """Compute the states at the chosen output times by partial steps, for members that neither failed nor ended."""
     x, group, values = target
@@ -159,13 +159,13 @@ def _fill(
     if not len(k):
         return
     starts = run.times.at(moments.number[k])
-    found = parts.taken(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
+    found = parts.attempt(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
     x[k, owners], group[k, owners] = found.momenta, found.groups
     for row in np.flatnonzero(found.status).tolist():
         m, step = int(owners[row]), int(moments.ends[k[row]])
         if step < failing[m]:
             failing[m] = step
-            run.fail(m, step, name_of_status(found.status[row]), float(found.residual[row]))
+            run.mark_failed(m, step, status_name(found.status[row]), float(found.residual[row]))
     measured = run.loops.measured_at(found.momenta, moments.t[k])
     if measured is None:
         # Multivalued invariants were followed along the run, and are continued from there by whole periods.

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.blas_threads import threads_of_blas
+from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.recording_tables import schedule_of_parts
-from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.recording_tables import partial_step_schedule
+from coadjoint.kernels.structures import as_structure
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.batch_execution import at_work, name_of_status, what_failed
+from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.batch_rows import rows_of_pieces
 from coadjoint.runs.loops import Loops
 from coadjoint.systems.batch import Batch
@@ -22,13 +22,13 @@ from coadjoint.systems.forced import ForcedSystem
 
 Floats = NDArray[np.float64]
 
-MOST_NUMBERS = 2**20
+MAX_NUMBERS = 2**20
 """Array entries processed at a time."""
-FEW_ROWS = 256
+SINGLE_THREAD_ROWS = 256
 """Up to this many rows one thread is faster than starting others."""
 
 
-def check_no_noise(system: Any) -> None:
+def reject_noise(system: Any) -> None:
     """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
     moved = system[0] if isinstance(system, Batch) else system
     if isinstance(moved, ForcedSystem):
@@ -40,7 +40,7 @@ def check_no_noise(system: Any) -> None:
             )
 
 
-class Taken(NamedTuple):
+class StepResult(NamedTuple):
     """Result of one step for each row: momenta, group elements, and the invariants after and before it.
 
     In rows that failed these are NaN, and `status` is not zero.
@@ -54,7 +54,7 @@ class Taken(NamedTuple):
     residual: Floats
 
 
-class PartsOfSteps:
+class PartialSteps:
     """Steps of arbitrary lengths by the scheme of a run, one for each of many states.
 
     A step of length theta h has the properties of the scheme: its order, its invariants, the group element. It starts
@@ -66,7 +66,7 @@ class PartsOfSteps:
     >>> import coadjoint as co
     >>> import numpy as np
     >>> body, method = co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4)
-    >>> parts = PartsOfSteps(body, method, co.prepare(body, method, 0.1).loops(0.1))
+    >>> parts = PartialSteps(body, method, co.prepare(body, method, 0.1).loops(0.1))
     >>> x, none = np.array([[1.0, 0.2, 0.1]] * 2), np.empty((2, 0))
     >>> some, _ = parts.take(x, none, np.zeros(2), np.array([0.1, 0.05]))
     >>> bool((some[0] == co.integrate(body, x[0], (0, 0.1), 0.1, method).x[-1]).all())
@@ -76,9 +76,9 @@ class PartsOfSteps:
     def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
         from coadjoint.kernels.tables import invariants_table
 
-        check_no_noise(system)
+        reject_noise(system)
         self.method, self.loops, self.workers = method, loops, workers
-        self._nothing = pointed(invariants_table([], system.dim).tables)
+        self._no_values = as_structure(invariants_table([], system.dim).tables)
 
     def take(
         self,
@@ -107,7 +107,7 @@ class PartsOfSteps:
         IntegrationError
             A partial step failed where the whole step did not.
         """
-        found = self.taken(momenta, groups, times, lengths, owners)
+        found = self.attempt(momenta, groups, times, lengths, owners)
         failed = np.flatnonzero(found.status)
         if len(failed):
             row = int(failed[0])
@@ -115,7 +115,7 @@ class PartsOfSteps:
             raise self._failure(found, row, owner, float(times[row]), float(lengths[row]))
         return found[:2]
 
-    def taken(
+    def attempt(
         self,
         momenta: Floats,
         groups: Floats,
@@ -123,18 +123,18 @@ class PartsOfSteps:
         lengths: Floats,
         owners: NDArray[np.int64] | None = None,
         watched: bool = False,
-    ) -> Taken:
+    ) -> StepResult:
         """Like `take`, but return failures instead of raising, and the tracked invariants if `watched`."""
-        count, m = self.loops.followed if watched else 0, len(momenta)
+        count, m = self.loops.tracked if watched else 0, len(momenta)
         x, group, after, before = (
             np.full((m, width), np.nan) for width in (momenta.shape[1], groups.shape[1], count, count)
         )
-        found = Taken(x, group, after, before, np.zeros(m, dtype=np.int64), np.zeros(m))
+        found = StepResult(x, group, after, before, np.zeros(m, dtype=np.int64), np.zeros(m))
         owners = np.arange(len(momenta)) if owners is None else owners
         sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
         numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * count + 8
-        chunk = max(1, MOST_NUMBERS // numbers)
-        workers = self.workers if len(sound) > FEW_ROWS else 1
+        chunk = max(1, MAX_NUMBERS // numbers)
+        workers = self.workers if len(sound) > SINGLE_THREAD_ROWS else 1
         for first in range(0, len(sound), chunk):
             some = sound[first : first + chunk]
             given = momenta[some], groups[some], times[some], lengths[some], owners[some]
@@ -153,16 +153,16 @@ class PartsOfSteps:
         workers: int,
     ) -> list[NDArray[Any]]:
         loops = self.loops
-        pieces = loops.pieces(None if watched else self._nothing)
-        rows, own, crews = rows_of_pieces(pieces, owners, workers, loops.block)
-        count = loops.followed if watched else 0
+        pieces = loops.pieces(None if watched else self._no_values)
+        rows, own, member_batches = rows_of_pieces(pieces, owners, workers, loops.block)
+        count = loops.tracked if watched else 0
         layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
         saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
         state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
         starts, steps = times[rows].astype(np.float64), np.where(own, lengths[rows], 0.0)
-        schedule = schedule_of_parts(starts, steps)
-        with threads_of_blas(loops.rows, workers):
-            at_work(crews, (layout, schedule, saved, state, 0, 1), loops, workers)
+        schedule = partial_step_schedule(starts, steps)
+        with limited_blas_threads(loops.rows, workers):
+            run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops, workers)
         place = np.empty(len(momenta), dtype=np.int64)
         place[rows[own]] = np.flatnonzero(own)
         arrays = (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])
@@ -170,9 +170,9 @@ class PartsOfSteps:
         moved = [np.where(status[:, None] == codes("Status")["DONE"], array[place], np.nan) for array in arrays]
         return [*moved, status, state["residual"][place]]
 
-    def _failure(self, found: Taken, row: int, owner: int, start: float, length: float) -> IntegrationError:
+    def _failure(self, found: StepResult, row: int, owner: int, start: float, length: float) -> IntegrationError:
         residual = float(found.residual[row])
-        what = what_failed(name_of_status(found.status[row]), self.method, self.loops, residual)
+        what = failure_text(status_name(found.status[row]), self.method, self.loops, residual)
         return IntegrationError(
             f"in a part of a step, of length {length:g} from t = {start:g}, {what} for member {owner}; "
             "take a smaller step",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
 from coadjoint.runs.run import first_point_not_finite
-from coadjoint.runs.solution import REPORTED, Solution
+from coadjoint.runs.solution import REPORTED_ARRAYS, Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
@@ -20,39 +20,47 @@ from coadjoint.runs.times import Times
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
-STATE = "state."
+STATE_PREFIX = "state."
 """Prefix of the arrays of a `RunState` among those that are stored."""
-NEVER = np.array([-1.0, np.nan])
+NOT_OCCURRED = np.array([-1.0, np.nan])
 """Step and time of an event that has not occurred."""
 
 
 class PiecewiseRun:
-    """A run that holds only its most recent saved points: those since `let_go`, at most `most` of them.
+    """A run that holds only its most recent saved points: those since `release_points`, at most `max_points` of them.
 
-    Pieces end at multiples of `most` points, counted over the whole run; `stored` resumes a run. `torn` is True if an
-    interrupt has left the saved points of a batch in an undefined order; no further `piece` can be taken.
+    Pieces end at multiples of `max_points` points, counted over the whole run; `stored` resumes a run.
+    `order_undefined` is True if an interrupt has left the saved points of a batch in an undefined order; no further
+    `piece` can be taken.
     """
 
     def __init__(
-        self, ready: PreparedRun, times: Times, start: Start, most: int, stored: Mapping[str, Any] | None = None
+        self,
+        prepared: PreparedRun,
+        times: Times,
+        start: Start,
+        max_points: int,
+        stored: Mapping[str, Any] | None = None,
     ) -> None:
-        self._observed = ready.observed(start)
+        self._observed = prepared.observed(start)
         state = None if stored is None else state_of(stored)
         if state is not None and state.number == 0:
             state = None  # no step yet: begin at the start
-        self._most = most
+        self._most = max_points
         passed = 0 if state is None else times.after(state.number).passed
-        held = most - passed % most if passed else max(2, most)  # the start alone would leave no place for a step
-        self.run = ready.begun(times._replace(most=held), start, state=state)
+        points_held = (
+            max_points - passed % max_points if passed else max(2, max_points)
+        )  # the start alone would leave no place for a step
+        self.run = prepared.begun(times._replace(max_points=points_held), start, state=state)
         worst = self.run.state["worst"]
-        self._earlier: NDArray[np.float64] = np.zeros_like(worst)
-        self._undefined = {"energy": NEVER, "attitude": NEVER}
-        self._turns = start.representation is not None and self.run.loops.attitude_may_overflow(start, times)
+        self._earlier_worst: NDArray[np.float64] = np.zeros_like(worst)
+        self._undefined = {"energy": NOT_OCCURRED, "attitude": NOT_OCCURRED}
+        self._may_overflow = start.representation is not None and self.run.loops.attitude_may_overflow(start, times)
         if stored is not None:
-            self._earlier = np.array(stored["earlier"])
+            self._earlier_worst = np.array(stored["earlier"])
             self._undefined = {name: np.array(stored[f"undefined {name}"]) for name in self._undefined}
             self.run.initial = np.array(stored["initial"])
-        self.torn = False
+        self.order_undefined = False
 
     @property
     def number(self) -> int:
@@ -61,11 +69,11 @@ class PiecewiseRun:
 
     @property
     def reach(self) -> int:
-        """Last step that can be taken before `let_go`."""
+        """Last step that can be taken before `release_points`."""
         return self.run.times.reach
 
     @property
-    def held(self) -> int:
+    def points_held(self) -> int:
         """Number of saved points in memory."""
         numbers, state = self.run.times.saved, self.run.state
         if self.run.start.single and state["status"][0] not in (codes("Status")["DONE"], codes("Status")["ENDED"]):
@@ -73,7 +81,7 @@ class PiecewiseRun:
         return int(np.searchsorted(numbers, state.number, side="right"))
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether no steps remain: all are done, or the only member has failed."""
         return self.number == self.run.times.steps or (self.run.start.single and bool(self.run.state["status"][0]))
 
@@ -84,7 +92,7 @@ class PiecewiseRun:
             self.run.advance(until=until)
         except BaseException:
             self.run.state = before
-            self.torn = self.run.loops.order is not None
+            self.order_undefined = self.run.loops.order is not None
             raise
         if self.run.initial is None:
             first, order = self.run.saved["values"][0], self.run.loops.order
@@ -94,12 +102,14 @@ class PiecewiseRun:
                 self.run.initial = first[np.argsort(order)]
 
     def piece(self) -> Solution:
-        """Return the points in memory, with drifts and work of all steps so far; must be followed by `let_go`."""
+        """Return the points in memory, with drifts and work of all steps so far; must be followed by
+        `release_points`.
+        """
         run, order = self.run, self.run.loops.order
         if order is not None and self.number < run.times.steps:
             run.saved = run.saved.take(np.argsort(order), 1)
-        found = Solution(run, self.held, self._observed)
-        reported = run.state.arrays.only(REPORTED)
+        found = Solution(run, self.points_held, self._observed)
+        reported = run.state.arrays.subset(REPORTED_ARRAYS)
         reported["worst"][:] = self.worst
         found.__dict__["_state"] = reported
         self._note_undefined(found)
@@ -110,17 +120,17 @@ class PiecewiseRun:
         """Index, among all saved points, of the first one in memory."""
         return self.run.times.passed
 
-    def let_go(self) -> None:
+    def release_points(self) -> None:
         """Release the saved points in memory; no-op before the first step."""
         run = self.run
         if self.number:
-            run.times = run.times._replace(most=self._most - run.times.after(self.number).passed % self._most)
-            run.let_go()
+            run.times = run.times._replace(max_points=self._most - run.times.after(self.number).passed % self._most)
+            run.release_points()
 
     @property
     def worst(self) -> NDArray[np.float64]:
         """Largest deviations in each tenth of the run so far, (members, tenths, invariants)."""
-        return larger(self._earlier, self.run.state["worst"])
+        return larger_deviations(self._earlier_worst, self.run.state["worst"])
 
     def stored(self, begin_block: bool = False) -> dict[str, Any]:
         """Return numbers and arrays, by name, from which the run resumes bitwise.
@@ -129,20 +139,20 @@ class PiecewiseRun:
         another.
         """
         assert self.run.initial is not None
-        block = reduce(larger, np.moveaxis(self.run.state["worst"], 1, 0))
+        block = reduce(larger_deviations, np.moveaxis(self.run.state["worst"], 1, 0))
         if begin_block:
-            self._earlier = self.worst
+            self._earlier_worst = self.worst
             self.run.state["worst"][:] = 0.0
         return {
-            **{f"{STATE}{name}": value for name, value in self.run.state.to_mapping().items()},
-            "earlier": self._earlier,
+            **{f"{STATE_PREFIX}{name}": value for name, value in self.run.state.to_mapping().items()},
+            "earlier": self._earlier_worst,
             "block": block,
             "initial": self.run.initial,
             **{f"undefined {name}": found for name, found in self._undefined.items()},
         }
 
     def failure(self, partial: Any) -> IntegrationError | None:
-        """Return the error of a run that is `over`, with its partial solution, or None."""
+        """Return the error of a run that is `is_over`, with its partial solution, or None."""
         if self.run.state["status"].any():
             return self.run.failure(partial)
         for name, error in (("energy", self.run.energy_error), ("attitude", self.run.attitude_error)):
@@ -155,7 +165,7 @@ class PiecewiseRun:
         """Record where an energy or a group element is first not finite although the state is."""
         sound, shape = self.run.state["status"] == 0, (len(found.t), len(self.run.state["status"]))
         series = {"energy": found.energy.reshape(shape)[:, sound]}
-        if self._turns and found.attitude is not None:
+        if self._may_overflow and found.attitude is not None:
             series["attitude"] = found.attitude.reshape(*shape, found.attitude.shape[-1] ** 2)[:, sound]
         for name, values in series.items():
             first = first_point_not_finite(values)
@@ -165,15 +175,17 @@ class PiecewiseRun:
 
 def state_of(stored: Mapping[str, Any]) -> RunState:
     """Extract the `RunState` from the stored arrays of a run."""
-    return RunState.from_mapping({name[len(STATE) :]: stored[name] for name in stored if name.startswith(STATE)})
+    return RunState.from_mapping(
+        {name[len(STATE_PREFIX) :]: stored[name] for name in stored if name.startswith(STATE_PREFIX)}
+    )
 
 
-def larger(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> NDArray[np.float64]:
+def larger_deviations(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> NDArray[np.float64]:
     """Combine the largest deviations of two successive pieces of a run with the NaN semantics of the loops.
 
     Examples
     --------
-    >>> larger(np.array([1.0, 2.0, np.nan, 3.0]), np.array([2.0, 1.0, 0.0, np.nan]))
+    >>> larger_deviations(np.array([1.0, 2.0, np.nan, 3.0]), np.array([2.0, 1.0, 0.0, np.nan]))
     array([ 2.,  2., nan, nan])
     """
     return np.where((later <= earlier) | (later == 0.0), earlier, later)

@@ -11,10 +11,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.blas_threads import members_at_once, rows_of
-from coadjoint.keyword_hints import told
-from coadjoint.long_operations import waiting
-from coadjoint.methods.forced import serving
+from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import long_operation
+from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
@@ -22,13 +22,13 @@ from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
-from coadjoint.runs.final_state import EVERY, EndOfRun
+from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.input_loops import InputLoops
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, SystemLoops
 from coadjoint.runs.observables import Observed, check_observe
-from coadjoint.runs.output_times import Moments, check_parts, look, moments_of
-from coadjoint.runs.partial_steps import PartsOfSteps
+from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
+from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, read_attitude, representations_of, with_group
@@ -39,9 +39,9 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, check_system
-from coadjoint.validation import read_flag, read_whole
+from coadjoint.validation import read_bool, read_integer
 
-OF_THIS_PROCESS = ("_making", "_ends", "_observed", "_events", "_made")
+UNPICKLED = ("_lock", "_final_state_runs", "_observed", "_events", "_loops_by_step")
 
 
 class PreparedRun:
@@ -71,27 +71,27 @@ class PreparedRun:
         inputs: Any = None,
     ) -> None:
         scheme = default_scheme(system) if method is None else read_method(method)
-        watching = read_flag(watch, "watch")
-        workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
+        watching = read_bool(watch, "watch")
+        workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
         check_system(system)
         self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
         if self._inputs is not None:
             scheme = self._inputs.settled(scheme)
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
-        self._scheme = serving(system, scheme)
+        self._scheme = effective_scheme(system, scheme)
         # The loops do not track invariants of matrices.
         self._watching = watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
-        self._threads = workers or members_at_once(rows_of(system))
-        self._made: dict[float, Loops | InputLoops] = {}
+        self._threads = workers or concurrent_members(matrix_rows(system))
+        self._loops_by_step: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
         self._events: WatchedEvents | None = None
-        self._making = threading.RLock()
+        self._lock = threading.RLock()
         # A call takes one out while it runs, so that concurrent calls never share one.
-        self._ends: list[EndOfRun] = []
+        self._final_state_runs: list[FinalStateRun] = []
 
     def __repr__(self) -> str:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
@@ -101,11 +101,11 @@ class PreparedRun:
 
         Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
         """
-        made = {h: loops for h, loops in self._made.items() if getattr(loops, "can_be_sent", False)}
-        return {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS} | {"_made": made}
+        made = {h: loops for h, loops in self._loops_by_step.items() if getattr(loops, "is_picklable", False)}
+        return {name: value for name, value in vars(self).items() if name not in UNPICKLED} | {"_loops_by_step": made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _observed=None, _events=None, _making=threading.RLock(), _ends=[])
+        self.__dict__.update(state, _observed=None, _events=None, _lock=threading.RLock(), _final_state_runs=[])
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
         """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
@@ -129,13 +129,13 @@ class PreparedRun:
             state["system"], state["_representations"] = system.among(first, last), self._representations[first:last]
             # Tables hold the number of the noise, which a member keeps.
             same = all(one is other for one, other in zip(state["system"], system.systems[first:last], strict=True))
-            loops = self._made.items() if same else ()
-            state["_made"] = {h: each.among(first, last) for h, each in loops if isinstance(each, BatchLoops)}
+            loops = self._loops_by_step.items() if same else ()
+            state["_loops_by_step"] = {h: each.among(first, last) for h, each in loops if isinstance(each, BatchLoops)}
         elif isinstance(system, ForcedSystem):
             state["system"] = system.numbered_from(first)
-            state["_made"] = self._made if state["system"] is system else {}
+            state["_loops_by_step"] = self._loops_by_step if state["system"] is system else {}
         else:
-            state["_made"] = self._made
+            state["_loops_by_step"] = self._loops_by_step
         if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
             state["_attitude"] = self._attitude[first:last]
         state["_threads"] = threads or self._threads
@@ -195,15 +195,15 @@ class PreparedRun:
         values, looked_for = self.values_of(inputs), read_events(events)
         return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
 
-    def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, Moments | None]:
+    def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
         times = times_between(span_of(t_span), self.step, save_every)
-        moments = None if t_eval is None else moments_of(t_eval, times, save_every)
+        moments = None if t_eval is None else output_times_of(t_eval, times, save_every)
         if moments is not None and self.method.own_steps:
             # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
             # short.
-            times = times.closer(len(moments.t))
-            moments = moments_of(t_eval, times)
+            times = times.refined_times(len(moments.t))
+            moments = output_times_of(t_eval, times)
         return times, moments
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
@@ -244,12 +244,12 @@ class PreparedRun:
         ...     x = ready.end(x, span)
         """
         try:
-            own = self._ends.pop()
+            own = self._final_state_runs.pop()
         except IndexError:
-            own = EndOfRun(self)
+            own = FinalStateRun(self)
         found = own(x0, t_span)
-        self._ends.append(own)
-        return self.run(x0, t_span, EVERY).x[-1] if found is None else found
+        self._final_state_runs.append(own)
+        return self.run(x0, t_span, ENDS_ONLY).x[-1] if found is None else found
 
     @property
     def carries(self) -> bool:
@@ -295,20 +295,20 @@ class PreparedRun:
         progress: bool = False,
         values: NDArray[np.float64] | None = None,
         events: tuple[Event, ...] = (),
-        moments: Moments | None = None,
+        moments: OutputTimes | None = None,
     ) -> Solution:
         """Take the steps of `times`, whose step is the prepared one or its negative, from a validated state.
 
         `values` are those of `values_of` for a run with inputs. If `moments` are given, they replace the saved points.
         """
         if moments is not None:
-            check_parts(self.system, moments)
-            times = times.marking(moments.marks)
+            check_partial_steps(self.system, moments)
+            times = times.with_saved_steps(moments.marks)
         run = self.begun(times, start, values)
         observed = self.observed(start)
         try:
             if events:
-                parts = PartsOfSteps(self.system, self.method, run.loops, run.workers)
+                parts = PartialSteps(self.system, self.method, run.loops, run.workers)
                 EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
             else:
                 run.advance(progress)
@@ -317,7 +317,7 @@ class PreparedRun:
             stopped.add_note("The error has what was computed as its attribute partial; archive= keeps it on disk")
             raise
         if moments is not None:
-            look(run, moments)
+            resample(run, moments)
         return run.solution(observed)
 
     def begun(
@@ -334,18 +334,18 @@ class PreparedRun:
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""
-        with self._making:
+        with self._lock:
             if self._events is None or self._events.events != events:
                 self._events = WatchedEvents(self.system, events, x0, t0)
             return self._events
 
     def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative, built lazily for each direction."""
-        found = self._made.get(h)
+        found = self._loops_by_step.get(h)
         if found is None:
-            with self._making:
-                found = self._made.get(h) or self._loops(h)
-                self._made[h] = found
+            with self._lock:
+                found = self._loops_by_step.get(h) or self._loops(h)
+                self._loops_by_step[h] = found
         return found
 
     def _loops(self, h: float) -> Loops | InputLoops:
@@ -359,15 +359,15 @@ class PreparedRun:
         """Return the quantities to observe during a run, or None."""
         if not self.observe:
             return None
-        with self._making:
+        with self._lock:
             if self._observed is None:
                 system = self.system[0] if isinstance(self.system, Batch) else self.system
                 self._observed = Observed(system, self.observe, start.momenta[0])
         return self._observed
 
 
-@told
-@waiting("prepare")
+@suggest_keywords
+@long_operation("prepare")
 def prepare(
     system: System | ForcedSystem | Batch,
     method: Method | str | Mapping[str, Any] | None = None,
@@ -479,12 +479,12 @@ def prepare(
         method = None if method is None else read_method(method)
 
         chosen = SampledRun(system, x0, t_span, cast(float, accuracy), method, attitude, watch, observe, threads)
-        chosen.loops(chosen.signed_step).make_all()
+        chosen.loops(chosen.signed_step).build_all()
         return chosen
     if x0 is not None or t_span is not None:
         raise TypeError("prepare takes x0= and t_span= with accuracy=; a given step needs neither")
     ready = PreparedRun(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )
-    ready.loops(ready.step).make_all()
+    ready.loops(ready.step).build_all()
     return ready

@@ -48,27 +48,27 @@ class _Lines:
     """Progress lines for a log, without control characters."""
 
     def __init__(self, steps: int, unit: str) -> None:
-        self._steps, self._unit, self._done, self._told = steps, unit, 0, -1
-        self._begun = self._last = time.monotonic()
+        self._steps, self._unit, self._done, self._printed_at = steps, unit, 0, -1
+        self._started_at = self._last = time.monotonic()
 
     def update(self, count: int) -> None:
         self._done += count
         now = time.monotonic()
         if now - self._last >= SECONDS_BETWEEN_LINES:
             self._last = now
-            self._tell(now)
+            self._print(now)
 
     def close(self) -> None:
-        if self._told != self._done:
-            self._tell(time.monotonic())
+        if self._printed_at != self._done:
+            self._print(time.monotonic())
 
-    def _tell(self, now: float) -> None:
-        self._told = self._done
+    def _print(self, now: float) -> None:
+        self._printed_at = self._done
         part = f" ({100.0 * self._done / self._steps:.0f} %)" if self._steps else ""
         many = "" if self._steps == 1 else "s"
         try:
             print(
-                f"{self._done} of {self._steps} {self._unit}{many}{part} after {now - self._begun:.3g} s",
+                f"{self._done} of {self._steps} {self._unit}{many}{part} after {now - self._started_at:.3g} s",
                 file=sys.stderr,
                 flush=True,
             )

@@ -13,7 +13,7 @@ Values = Callable[[NDArray[np.int64], Floats], Floats]
 MOST_ROUNDS = 200
 """Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-NARROW = 2.0**-26
+MIN_BRACKET = 2.0**-26
 """Bracket width at a minimum below which function values are indistinguishable, sqrt(2^-52)."""
 
 
@@ -60,14 +60,14 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
     return found
 
 
-def lowest(values: Values, count: int) -> tuple[Floats, Floats]:
+def minimize_each(values: Values, count: int) -> tuple[Floats, Floats]:
     """Minimize functions that are positive at 0 and at 1 by golden sections; stop at a value that is not positive.
 
     `values` as for `roots`; exact for unimodal functions. Return theta and value, (count,).
 
     Examples
     --------
-    >>> theta, value = lowest(lambda which, theta: (theta - 0.25) ** 2 + 1.0, 1)
+    >>> theta, value = minimize_each(lambda which, theta: (theta - 0.25) ** 2 + 1.0, 1)
     >>> abs(float(theta[0]) - 0.25) < 1e-6, float(value[0])
     (True, 1.0)
     """
@@ -79,7 +79,7 @@ def lowest(values: Values, count: int) -> tuple[Floats, Floats]:
     while len(which):
         lower = at_left < at_right
         where[which], least[which] = np.where(lower, left, right), np.where(lower, at_left, at_right)
-        go = (least[which] > 0.0) & (high - low > NARROW)
+        go = (least[which] > 0.0) & (high - low > MIN_BRACKET)
         which, low, high, lower = which[go], low[go], high[go], lower[go]
         left, right, at_left, at_right = left[go], right[go], at_left[go], at_right[go]
         if not len(which):

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import NamedArrays
-from coadjoint.kernels.blas_threads import threads_of_blas
+from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import MemberBatch
 from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import need
-from coadjoint.runs.batch_execution import at_work, name_of_status, what_failed
-from coadjoint.runs.events import Ending, Events
+from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
+from coadjoint.runs.events import Events, TerminalEvent
 from coadjoint.runs.loops import Loops
-from coadjoint.runs.memory_estimate import check_room_of_run
+from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.observables import Observed
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.solution import Solution
@@ -30,10 +30,10 @@ from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_flag
+from coadjoint.validation import read_bool
 
 # Target time between updates of a progress bar, which happen between two calls of the compiled loop.
-SECONDS_BETWEEN_LOOKS = 0.2
+SECONDS_BETWEEN_UPDATES = 0.2
 
 
 class Run:
@@ -71,36 +71,36 @@ class Run:
             times = times.after(state.number)
         self.system, self.method, self.loops = system, method, loops
         self.start, self.watching, self.workers = start, watching, workers
-        self._hold(times)
+        self._allocate(times)
         square = start.groups.shape[1] ** 2
         if state is None:
             self.state = RunState(NamedArrays(self.plan.layout.state))
             # Accounts follow the coordinates, and start at zero.
             self.state["momenta"][:, : start.momenta.shape[1]] = start.momenta
             if square:
-                self.state["groups"][:] = loops.started(start.groups)
+                self.state["groups"][:] = loops.initial_groups(start.groups)
         else:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
         self.seconds = 0.0
-        self.wrong = 0
-        self.reasons: dict[int, str] = {}
+        self.failed_count = 0
+        self.failure_reasons: dict[int, str] = {}
         self.events: Events | None = None
-        self.ending: Ending | None = None
+        self.ending: TerminalEvent | None = None
 
-    def _hold(self, times: Times, events: int = 0) -> None:
+    def _allocate(self, times: Times, events: int = 0) -> None:
         """Allocate the arrays for the saved points of these times."""
         members = len(self.start.momenta)
-        self.times, self._events_at = times, events
+        self.times, self._event_tables_address = times, events
         self.plan = self.loops.plan(members, times.points, self.start.groups.shape[1] ** 2, self.workers)
-        check_room_of_run(self.plan.layout, times, members)
+        check_run_memory(self.plan.layout, times, members)
         self.saved = NamedArrays(self.plan.layout.saved)
         self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
 
-    def let_go(self) -> None:
+    def release_points(self) -> None:
         """Release the saved points, and allocate arrays for those that follow."""
-        self._hold(self.times.after(self.state.number), self._events_at)
+        self._allocate(self.times.after(self.state.number), self._event_tables_address)
         self.saved.numbers.fill(np.nan)
 
     @property
@@ -109,9 +109,9 @@ class Run:
         members = len(self.start.momenta)
         return np.full(members, np.nan) if self.events is None else self.events.ends(members)
 
-    def look_for(self, events: int) -> None:
+    def enable_events(self, events: int) -> None:
         """Enable event detection, with the address of the event tables; these must outlive the run."""
-        times, self._events_at = self.times, events
+        times, self._event_tables_address = self.times, events
         self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
 
     def close(self, last: NDArray[np.int64]) -> None:
@@ -126,7 +126,7 @@ class Run:
         state[ended] = status["DONE"]
         energy = self.saved["values"][..., 0]
         undefined = ~np.isfinite(energy) & (numbers[:, None] <= last) & (state == status["DONE"])
-        self.wrong = int(np.count_nonzero((state != status["DONE"]) | undefined.any(axis=0)))
+        self.failed_count = int(np.count_nonzero((state != status["DONE"]) | undefined.any(axis=0)))
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
         """Take the steps up to number `until`, or all, round by round; an interrupt aborts."""
@@ -136,7 +136,7 @@ class Run:
         if order is not None:
             self.state.arrays = self.state.arrays.take(order, 0)
         if self.loops.rows:
-            with threads_of_blas(self.loops.rows, self.workers):
+            with limited_blas_threads(self.loops.rows, self.workers):
                 self._advance(first, last, progress)
         else:
             self._advance(first, last, progress)
@@ -154,47 +154,49 @@ class Run:
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
         if not progress:
-            for crews in plan.rounds:
-                self.wrong += self._take(crews, first, last)
+            for member_batches in plan.rounds:
+                self.failed_count += self._take(member_batches, first, last)
         else:
             with progress_bar((last - first) * len(plan.rounds), progress) as bar:
-                for crews in plan.rounds:
-                    self.wrong += self._take_in_chunks(crews, first, last, bar)
+                for member_batches in plan.rounds:
+                    self.failed_count += self._take_in_chunks(member_batches, first, last, bar)
 
-    def _take(self, crews: list[Crew], done: int, target: int) -> int:
+    def _take(self, member_batches: list[MemberBatch], done: int, target: int) -> int:
         """Take the steps done + 1 to target of some crews; return the number of members that failed."""
         given = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
-        return at_work(crews, given, self.loops, self.workers)
+        return run_in_threads(member_batches, given, self.loops, self.workers)
 
-    def _take_in_chunks(self, crews: list[Crew], done: int, last: int, bar: Callable[[int], Any]) -> int:
+    def _take_in_chunks(
+        self, member_batches: list[MemberBatch], done: int, last: int, bar: Callable[[int], Any]
+    ) -> int:
         """Take the steps done + 1 to last of some crews in chunks between updates of the progress bar."""
         chunk = 1
         while True:
             target = min(last, done + chunk)
             before = time.perf_counter()
-            wrong = self._take(crews, done, target)
+            failed_count = self._take(member_batches, done, target)
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
-            chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk)), target
-            if done == last or wrong == sum(crew.count for crew in crews):
-                return wrong
+            chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_UPDATES), 1000 * chunk)), target
+            if done == last or failed_count == sum(member_batch.count for member_batch in member_batches):
+                return failed_count
 
     @property
-    def moved(self) -> System | Batch:
+    def built_system(self) -> System | Batch:
         """The system, built if it is given as a function."""
         return self.system() if isinstance(self.system, partial) else self.system
 
     def solution(self, observed: Observed | None) -> Solution:
         """Return the solution, or raise the failure with the partial solution."""
-        kept = self.times.points if self.ending is None else self.ending.points
-        if not self.wrong:
-            whole = self._solution(kept, observed)
+        saved_points = self.times.points if self.ending is None else self.ending.points
+        if not self.failed_count:
+            whole = self._solution(saved_points, observed)
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
                 self._check_attitude(whole)
             return whole
         if self.start.single and self.state["status"][0]:
-            kept = int(np.searchsorted(self.times.saved, self.state["step"][0]))
-        raise self.failure(self._solution(kept, observed))
+            saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
+        raise self.failure(self._solution(saved_points, observed))
 
     def interrupted(self, observed: Observed | None) -> Solution:
         """Return the points saved before an interrupt, after which the run cannot be resumed.
@@ -212,17 +214,17 @@ class Run:
             for name in ("x", "group", "values"):
                 self.saved[name][:, waiting] = np.nan
         there = np.isfinite(x).any(axis=(1, 2))
-        kept = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
+        saved_points = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
         worst, values = self.state["worst"], self.saved["values"]
         worst[:], self.state["status"][:], self.watching = 0.0, 0, False
         if self.loops.measures:
-            self.loops.measure(self.times, self.start, self.saved, worst, np.arange(kept))
-        tenths = np.maximum(0, numbers[:kept] - 1) * worst.shape[1] // max(1, self.times.steps)
+            self.loops.measure(self.times, self.start, self.saved, worst, np.arange(saved_points))
+        tenths = np.maximum(0, numbers[:saved_points] - 1) * worst.shape[1] // max(1, self.times.steps)
         with np.errstate(invalid="ignore"):
             for tenth in np.unique(tenths):
-                own = np.abs(values[:kept][tenths == tenth] - values[0])
+                own = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(own, axis=0, initial=0.0)
-        return self._solution(kept, observed)
+        return self._solution(saved_points, observed)
 
     def failure(self, partial: Any) -> IntegrationError:
         """Return the error of a failed run, with its partial solution."""
@@ -234,14 +236,14 @@ class Run:
         assert first is not None
         return self.energy_error(int(self.times.saved[first]), float(whole.t[first]), partial)
 
-    def fail(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
+    def mark_failed(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
         """Mark a member as failed in a step, from outside the loops; `reason` replaces the text of the status."""
         state = self.state
         state["status"][member], state["step"][member] = codes("Status")[status], step
         state["residual"][member] = residual
         if reason:
-            self.reasons[member] = reason
-        self.wrong += 1
+            self.failure_reasons[member] = reason
+        self.failed_count += 1
 
     def _check_attitude(self, whole: Solution) -> None:
         """Raise if a group element overflowed although the momentum did not: the factor of a shift may grow."""
@@ -276,12 +278,16 @@ class Run:
         when = float(self.times.t0 + (step - 1) * self.times.h)
         residual = float(self.state["residual"][member])
         who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
-        status = name_of_status(self.state["status"][member])
-        if member in self.reasons:
+        status = status_name(self.state["status"][member])
+        if member in self.failure_reasons:
             return IntegrationError(
-                f"in step {step}, {self.reasons[member]}{who}", step=step, time=when, residual=residual, partial=partial
+                f"in step {step}, {self.failure_reasons[member]}{who}",
+                step=step,
+                time=when,
+                residual=residual,
+                partial=partial,
             )
-        what = what_failed(status, self.method, self.loops, residual)
+        what = failure_text(status, self.method, self.loops, residual)
         # Schemes with adaptive steps do not use the step of the run.
         instead = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
         message = f"in step {step}, at t = {when:g}, {what}{who}; {instead}"
@@ -289,12 +295,12 @@ class Run:
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
-    def solution_to(self, kept: int) -> Solution:
-        """Return the solution of the first `kept` saved points."""
-        return self._solution(kept, None)
+    def solution_to(self, saved_points: int) -> Solution:
+        """Return the solution of the first `saved_points` saved points."""
+        return self._solution(saved_points, None)
 
-    def _solution(self, kept: int, observed: Observed | None) -> Solution:
-        return Solution(self, kept, observed)
+    def _solution(self, saved_points: int, observed: Observed | None) -> Solution:
+        return Solution(self, saved_points, observed)
 
 
 def first_point_not_finite(series: Any) -> int | None:
@@ -312,7 +318,7 @@ def first_point_not_finite(series: Any) -> int | None:
 
 def read_progress(progress: Any) -> bool:
     """Validate `progress`; raise if a progress bar cannot be shown."""
-    shown = read_flag(progress, "progress")
+    shown = read_bool(progress, "progress")
     if shown:
         need("progress=True", "tqdm")
     return shown

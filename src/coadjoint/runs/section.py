@@ -16,12 +16,12 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NEVER = 2**53
+ENDS_ONLY = 2**53
 """A `save_every` that saves only the start and the end."""
 
 
@@ -62,14 +62,14 @@ class Section:
     @property
     def t(self) -> NDArray[np.float64]:
         """Times of the crossings, (members, c), padded with NaN."""
-        return self._side_by_side(self.events.t)
+        return self._padded(self.events.t)
 
     @property
     def x(self) -> NDArray[Any]:
         """States at the crossings, (members, c, n), padded with NaN."""
-        return self._side_by_side(self.events.x)
+        return self._padded(self.events.x)
 
-    def _side_by_side(self, values: NDArray[Any]) -> NDArray[Any]:
+    def _padded(self, values: NDArray[Any]) -> NDArray[Any]:
         counts, member = self.counts, self.events.member
         found = np.full((len(counts), counts.max(initial=0), *values.shape[1:]), np.nan, dtype=values.dtype)
         found[member, np.arange(len(member)) - (np.cumsum(counts) - counts)[member]] = values
@@ -153,8 +153,8 @@ def section(
     if not isinstance(event, Event):
         raise TypeError(f"event is {short(event)}; give an Event, such as co.Event('x1', direction=1)")
     if crossings is not None:
-        event = replace(event, count=read_whole(crossings, "crossings", 1, MOST_CROSSINGS), terminal=True)
+        event = replace(event, count=read_integer(crossings, "crossings", 1, MOST_CROSSINGS), terminal=True)
     options: Any = {"accuracy": accuracy, "threads": threads, "progress": progress, "events": event}
-    sol = integrate(system, x0s, t_span, step, method, save_every=NEVER, watch=False, **options)
+    sol = integrate(system, x0s, t_span, step, method, save_every=ENDS_ONLY, watch=False, **options)
     assert sol.events is not None
     return Section(sol.events, 1 if sol.failed is None else len(sol.failed))

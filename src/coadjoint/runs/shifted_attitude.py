@@ -15,10 +15,10 @@ from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import FEW
+from coadjoint.validation import SMALL_SIZE
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.casimir_shift import Unshifting
+    from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
 
 Shift = tuple[tuple[Polynomial, float], ...]
 
@@ -27,20 +27,22 @@ Shift = tuple[tuple[Polynomial, float], ...]
 FINITE_GROWTH = 700.0
 
 
-def plainly(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
+def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d) saved by the loops, transposed back."""
     return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
-def _with_tables(system: System, shift: Shift, representation: Representation, tables: Any, rate: float) -> Unshift:
-    from coadjoint.kernels.casimir_shift import Unshifting
+def _with_tables(
+    system: System, shift: Shift, representation: Representation, tables: Any, rate: float
+) -> ShiftCorrection:
+    from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
 
-    found = Unshift(system, shift, representation)
-    found._unshifting = Unshifting(tables, rate)
+    found = ShiftCorrection(system, shift, representation)
+    found._compiled_correction = CompiledShiftCorrection(tables, rate)
     return found
 
 
-class Unshift:
+class ShiftCorrection:
     """Conversion of group elements for H - sum c C, started at the unit element, to those for the Hamiltonian H.
 
     g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t), since the gradient of a Casimir in the spatial frame is
@@ -52,9 +54,9 @@ class Unshift:
         self._system, self._shift, self._representation = system, shift, representation
 
     @cached_property
-    def _unshifting(self) -> Unshifting:
+    def _compiled_correction(self) -> CompiledShiftCorrection:
         """Tables, built lazily."""
-        from coadjoint.kernels.casimir_shift import Unshifting
+        from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
 
         system, shift, rate = self._system, self._shift, 1.0
         if len(shift) == 1:
@@ -63,22 +65,22 @@ class Unshift:
             shift = ((casimir, 1.0),)
         rho = None if isinstance(self._representation, str) else self._representation
         assert system.algebra is not None
-        return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+        return CompiledShiftCorrection(unshift_tables(system.algebra, rho, system.sign, shift), rate)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the tables."""
-        made = self._unshifting
+        made = self._compiled_correction
         return _with_tables, (self._system, self._shift, self._representation, made.tables, made.rate)
 
-    def make(self) -> None:
+    def build(self) -> None:
         """Build the tables."""
-        _ = self._unshifting
+        _ = self._compiled_correction
 
     def may_overflow(self, start: Start, times: Times) -> bool:
         """Whether the exponential could overflow within the run, by an upper bound on its growth."""
-        most = self._unshifting.most * abs(times.h) * times.steps
+        most = self._compiled_correction.most * abs(times.h) * times.steps
         momenta = start.momenta
-        if momenta.size <= FEW:
+        if momenta.size <= SMALL_SIZE:
             # For few numbers Python's max is five times faster than NumPy's.
             return most * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
         return most * float(np.max(np.abs(momenta))) > FINITE_GROWTH
@@ -88,21 +90,23 @@ class Unshift:
         found = np.empty((points, *start.groups.shape))
         if not points:
             return found
-        self.fill(found, start, times, saved.place_of("group"), 0, len(start.groups))
+        self.fill(found, start, times, saved.address_of("group"), 0, len(start.groups))
         return found
 
-    def at(self, start: Start, member: int, elapsed: float, held: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, start: Start, member: int, elapsed: float, loop_groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group element (d, d) of a member at a time after its start, from that of the loops, (d*d,)."""
         own = start._replace(momenta=start.momenta[member : member + 1], groups=start.groups[member : member + 1])
-        saved, found = np.array(held), np.empty((1, *own.groups.shape))
+        saved, found = np.array(loop_groups), np.empty((1, *own.groups.shape))
         once = Times(0.0, elapsed, 1, 1, marks=np.array([1], dtype=np.int64))
         self.fill(found, own, once, saved.ctypes.data, 0, 1)
         return found[0, 0]
 
-    def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:
-        """Fill in the members `first` to `last` - 1 of `out` from the loops' elements at the address `held`."""
+    def fill(
+        self, out: NDArray[np.float64], start: Start, times: Times, loop_groups: int, first: int, last: int
+    ) -> None:
+        """Fill in the members `first` to `last` - 1 of `out` from the loops' elements at the address `loop_groups`."""
         schedule = schedule_of(*times[:4], False, *times[4:6])
         elapsed = None
         if times.elapsed is not None:
             elapsed = np.repeat(times.elapsed[: len(out), None], out.shape[1], axis=1)
-        self._unshifting.fill(out, held, start.momenta, start.groups, first, last, schedule, elapsed)
+        self._compiled_correction.fill(out, loop_groups, start.momenta, start.groups, first, last, schedule, elapsed)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.kernels.arrays import NamedArrays
-    from coadjoint.runs.events import Ending, Events
-    from coadjoint.runs.loops import Turned
+    from coadjoint.runs.events import Events, TerminalEvent
+    from coadjoint.runs.loops import GroupCorrection
     from coadjoint.runs.observables import Observed
     from coadjoint.runs.run import Run
     from coadjoint.runs.start import Start
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 # Arrays of the run's state that a solution keeps if the state is large; copying a small state would take longer than a
 # step.
-REPORTED = ("worst", "status", "evaluations", "iterations")
-FEW_NUMBERS = 2**20
+REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
+MAX_KEPT_NUMBERS = 2**20
 
 
 @dataclass(frozen=True)
@@ -141,17 +141,17 @@ class Solution:
     _error: NDArray[np.float64] | None
     _began: NDArray[np.float64] | None
     events: Events | None
-    _ending: Ending | None
+    _ending: TerminalEvent | None
     _saved: NamedArrays
     _state: NamedArrays
-    _kept: int
+    _saved_points: int
     _seconds: float
     _times: Times
     _start: Start
     _names: list[str]
     _accounts: tuple[tuple[str, str], ...]
     _initial: NDArray[np.float64] | None
-    _turned: Turned
+    _corrected_groups: GroupCorrection
     _system: System | Batch | partial[System | Batch]
 
     def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
@@ -166,21 +166,21 @@ class Solution:
             events=run.events,
             _ending=run.ending,
             _saved=run.saved,
-            _state=state if state.numbers.size <= FEW_NUMBERS else state.only(REPORTED),
-            _kept=kept,
+            _state=state if state.numbers.size <= MAX_KEPT_NUMBERS else state.subset(REPORTED_ARRAYS),
+            _saved_points=kept,
             _seconds=run.seconds,
             _times=run.times,
             _start=run.start,
             _names=loops.names,
             _accounts=loops.accounts,
-            _turned=loops.turned,
+            _corrected_groups=loops.corrected_groups,
             _system=run.system,
             _initial=run.initial,
         )
         if observed is not None:
             # Accounts may follow the coordinates; observed quantities do not use them.
             series = observed.along(self.t, self._series("x"))
-            self.__dict__["observed"] = {name: self._picked(values) for name, values in series.items()}
+            self.__dict__["observed"] = {name: self._without_member_axis(values) for name, values in series.items()}
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution cannot be changed")
@@ -189,11 +189,11 @@ class Solution:
 
         def __getattr__(self, name: str) -> Any:
             # An attribute whose computation failed raises its own error.
-            if name in PARTS or hasattr(type(self), name):
+            if name in PICKLED_ATTRIBUTES or hasattr(type(self), name):
                 return object.__getattribute__(self, name)
-            from coadjoint.keyword_hints import no_such_part
+            from coadjoint.keyword_hints import unknown_solution_attribute
 
-            raise no_such_part(name, dir(self))
+            raise unknown_solution_attribute(name, dir(self))
 
     def __delattr__(self, name: str) -> None:
         raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution cannot be changed")
@@ -210,12 +210,12 @@ class Solution:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes, for copies and for `pickle`."""
-        return {name: getattr(self, name) for name in PARTS}
+        return {name: getattr(self, name) for name in PICKLED_ATTRIBUTES}
 
     def _series(self, name: str) -> NDArray[Any]:
-        return self._saved[name][: self._kept]
+        return self._saved[name][: self._saved_points]
 
-    def _picked(self, series: NDArray[Any]) -> NDArray[Any]:
+    def _without_member_axis(self, series: NDArray[Any]) -> NDArray[Any]:
         """Drop the axis of members for a single run."""
         return series[:, 0] if self._start.single else series
 
@@ -227,7 +227,7 @@ class Solution:
     @cached_property
     def t(self) -> NDArray[np.float64]:
         """The saved times."""
-        found = self._times.seen[: self._kept]
+        found = self._times.saved_times[: self._saved_points]
         if self._ending is not None:
             found[-1] = self._ending.t
         return found
@@ -236,7 +236,7 @@ class Solution:
     def x(self) -> NDArray[np.float64]:
         """The states (momenta) at the saved times."""
         # Accounts of forces may follow the coordinates.
-        return self._states(self._picked(self._series("x"))[..., : self._start.momenta.shape[1]])
+        return self._states(self._without_member_axis(self._series("x"))[..., : self._start.momenta.shape[1]])
 
     def _states(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         plain = unforced(self._system)
@@ -270,13 +270,13 @@ class Solution:
     @cached_property
     def energy(self) -> NDArray[np.float64]:
         """The energy at the saved times."""
-        return self._picked(self._series("values")[..., 0])
+        return self._without_member_axis(self._series("values")[..., 0])
 
     @cached_property
     def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
         """The Casimirs at the saved times: name -> values."""
         values = self._series("values")
-        return {name: self._picked(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
+        return {name: self._without_member_axis(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
 
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
@@ -287,7 +287,7 @@ class Solution:
         done, dim = self._series("x"), self._start.momenta.shape[1]
         found: dict[str, dict[str, NDArray[np.float64]]] = {}
         for place, (force, invariant) in enumerate(self._accounts):
-            found.setdefault(force, {})[invariant] = self._picked(done[..., dim + place])
+            found.setdefault(force, {})[invariant] = self._without_member_axis(done[..., dim + place])
         return found
 
     @cached_property
@@ -295,7 +295,7 @@ class Solution:
         """Group elements (attitudes) at the saved times."""
         if self._start.representation is None:
             return None
-        found = self._turned(self._start, self._times, self._saved, self._kept)
+        found = self._corrected_groups(self._start, self._times, self._saved, self._saved_points)
         if self._ending is not None:
             found[-1] = self._ending.attitude
         return found[:, 0] if self._start.single else found
@@ -667,7 +667,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("method", "watched", "observed", "events", "choice", "_error", "_began", "_accounts") + tuple(
+PICKLED_ATTRIBUTES = ("method", "watched", "observed", "events", "choice", "_error", "_began", "_accounts") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """Attributes of a copied or pickled solution."""

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.group_elements import are_rotations, why_no_automorphism, why_no_element
-from coadjoint.memory import check_room
+from coadjoint.algebra.group_elements import are_rotations, automorphism_violation, group_element_violation
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -17,7 +17,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, check_system, shape_of, unforced
-from coadjoint.validation import FEW, are_finite, read_numbers
+from coadjoint.validation import SMALL_SIZE, are_finite, read_numbers
 
 Representation = NDArray[np.float64] | str | None
 
@@ -103,8 +103,10 @@ def with_group(
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, shape_of(system))
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    if len(momenta) * size**2 > FEW:
-        check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
+    if len(momenta) * size**2 > SMALL_SIZE:
+        check_available_memory(
+            8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},"
+        )
     initial = read_attitude(attitude)
     if not isinstance(initial, np.ndarray):
         units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
@@ -127,9 +129,9 @@ def with_group(
 def _check_elements(system: System | Batch, groups: NDArray[np.float64], representation: Any) -> None:
     first: Any = system[0] if isinstance(system, Batch) else system
     if isinstance(representation, str):
-        why = why_no_automorphism(groups, unforced(first).algebra.structure_matrix)
+        why = automorphism_violation(groups, unforced(first).algebra.structure_matrix)
     else:
-        why = why_no_element(groups, representation)
+        why = group_element_violation(groups, representation)
     if why is not None:
         raise ValueError(f"attitude is no element of the group of {first.name}: {why}")
 
@@ -147,7 +149,7 @@ def _surely_regular(matrices: NDArray[np.float64]) -> bool:
     above 2 d^2 round-offs; a determinant is accurate to 2^(d - 1) d^(d + 2) round-offs. The bound exceeds both by far.
     """
     d = matrices.shape[-1]
-    largest = max(map(abs, matrices.ravel().tolist())) if matrices.size <= FEW else 0.0
+    largest = max(map(abs, matrices.ravel().tolist())) if matrices.size <= SMALL_SIZE else 0.0
     if largest == 0.0:
         return False
     least = min(map(abs, np.linalg.det(matrices.reshape(-1, d, d) / largest).tolist()))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Extent, Layout, NamedArrays, Places
-from coadjoint.kernels.interface import described, limit
+from coadjoint.kernels.arrays import ArrayOffsets, Extent, Layout, NamedArrays
+from coadjoint.kernels.interface import kernel_interface, limit
 from coadjoint.short_repr import short
 
 
@@ -41,7 +41,7 @@ class RunState:
         one, two = self.arrays, other.arrays
         return (
             self.number == other.number
-            and one.places.shapes == two.places.shapes
+            and one.offsets.shapes == two.offsets.shapes
             and np.array_equal(one.numbers.view(np.int64), two.numbers.view(np.int64))
         )
 
@@ -55,13 +55,13 @@ class RunState:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return "version" and "number", and copies of the arrays, by name."""
-        arrays = {name: self[name].copy() for name in self.arrays.places.shapes}
+        arrays = {name: self[name].copy() for name in self.arrays.offsets.shapes}
         return {"version": self.version, "number": self.number, **arrays}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> RunState:
         """Restore a state from the mapping of `to_mapping`; ValueError for another version or inconsistent arrays."""
-        version, number = (_whole(mapping, name) for name in ("version", "number"))
+        version, number = (_read_integer(mapping, name) for name in ("version", "number"))
         if version != limit("STATE_VERSION"):
             raise ValueError(
                 f"the state of the run is of version {version}, and this library resumes from version "
@@ -69,16 +69,16 @@ class RunState:
             )
         if number < 0:
             raise ValueError(f"number of the state is {number}; it must be a whole number from 0 up")
-        places = _places_of(mapping)
-        arrays = NamedArrays(places)
-        for name in places.shapes:
+        offsets = _offsets_of(mapping)
+        arrays = NamedArrays(offsets)
+        for name in offsets.shapes:
             arrays[name][:] = mapping[name]
         return cls(arrays, number)
 
-    def check_fits(self, places: Places) -> None:
+    def check_fits(self, offsets: ArrayOffsets) -> None:
         """Raise ValueError unless the arrays have these shapes."""
-        for name, shape in places.shapes.items():
-            own = self.arrays.places.shapes[name]
+        for name, shape in offsets.shapes.items():
+            own = self.arrays.offsets.shapes[name]
             if own != shape:
                 raise ValueError(
                     f"the state of the run has {name} of shape {own}, and this run needs {shape}; resume with "
@@ -86,7 +86,7 @@ class RunState:
                 )
 
 
-def _whole(mapping: Mapping[str, Any], name: str) -> int:
+def _read_integer(mapping: Mapping[str, Any], name: str) -> int:
     if name not in mapping:
         raise ValueError(f"the state of a run has no {name}; it must be as to_mapping returns it")
     value = mapping[name]
@@ -95,9 +95,9 @@ def _whole(mapping: Mapping[str, Any], name: str) -> int:
     return int(value)
 
 
-def _places_of(mapping: Mapping[str, Any]) -> Places:
+def _offsets_of(mapping: Mapping[str, Any]) -> ArrayOffsets:
     """Return the layout of the arrays in one block of memory, with sizes from their shapes."""
-    described_arrays = described().arrays["state"]
+    described_arrays = kernel_interface().arrays["state"]
     names = set(mapping) - {"version", "number"}
     if names != set(described_arrays):
         missing, unknown = (sorted(some) for some in (set(described_arrays) - names, names - set(described_arrays)))
@@ -112,13 +112,13 @@ def _places_of(mapping: Mapping[str, Any]) -> Places:
             for axis, length in zip(array.axes, shape, strict=True):
                 sizes.setdefault(axis, length)
     extent = Extent(*(sizes.get(axis, 0) for axis in Extent._fields))
-    places = Layout(extent).state
-    for name, shape in places.shapes.items():
+    offsets = Layout(extent).state
+    for name, shape in offsets.shapes.items():
         given = np.asarray(mapping[name])
-        kind = np.dtype(np.int64 if name in places.whole else np.float64)
+        kind = np.dtype(np.int64 if name in offsets.int64_names else np.float64)
         if given.shape != shape or given.dtype != kind:
             raise ValueError(
                 f"{name} of the state is {given.dtype} of shape {given.shape}; with the other arrays it must be "
                 f"{kind} of shape {shape}"
             )
-    return places
+    return offsets

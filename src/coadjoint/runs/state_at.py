@@ -72,25 +72,25 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
     if not are_finite(given):
         raise ValueError(f"t is {short(t)}; every time must be finite")
-    wanted, way = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    wanted, direction = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     ends = _ends(solution)
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
     known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
-    saved = way * known
+    saved = direction * known
     near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
-    outside = np.flatnonzero((way * wanted < saved[0] - near) | (way * wanted > way * end + near))
+    outside = np.flatnonzero((direction * wanted < saved[0] - near) | (direction * wanted > direction * end + near))
     if len(outside):
         raise ValueError(f"t is {wanted[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
-    late = np.flatnonzero(np.all(way * wanted[:, None] > way * ends + near, axis=1))
+    late = np.flatnonzero(np.all(direction * wanted[:, None] > direction * ends + near, axis=1))
     if len(late):
-        latest = float(way * np.max(way * ends))
+        latest = float(direction * np.max(direction * ends))
         raise ValueError(
             f"t is {wanted[late[0]]:g}, after events ended the runs of all members, the last at {latest:g}"
         )
-    before = np.clip(np.searchsorted(saved, way * wanted + near, side="right") - 1, 0, None)
-    ahead = np.maximum(way * wanted - saved[before], 0.0)
+    before = np.clip(np.searchsorted(saved, direction * wanted + near, side="right") - 1, 0, None)
+    ahead = np.maximum(direction * wanted - saved[before], 0.0)
     steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
     pieces = np.unique(before)
     last = [int(steps[before == j].max()) for j in pieces]
@@ -99,10 +99,12 @@ def state_at(solution: Solution, t: Any) -> StateAt:
             f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
-    order = np.lexsort((way * wanted, before))
+    order = np.lexsort((direction * wanted, before))
     edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
     found = [
-        _from_point(solution, j - 1, float(known[j]), count, wanted[order[low:high]], way, way * ends + near)
+        _from_point(
+            solution, j - 1, float(known[j]), count, wanted[order[low:high]], direction, direction * ends + near
+        )
         for j, count, low, high in zip(pieces.tolist(), last, edges[:-1], edges[1:], strict=True)
     ]
     place = 0 if given.ndim == 0 else np.argsort(order, kind="stable")
@@ -116,7 +118,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
 
 
 def _from_point(
-    solution: Solution, j: int, start: float, count: int, wanted: Floats, way: float, until: Floats
+    solution: Solution, j: int, start: float, count: int, wanted: Floats, direction: float, until: Floats
 ) -> StateAt:
     """Return the states at ascending times up to `count` steps after saved point j; -1 is the start.
 
@@ -126,10 +128,10 @@ def _from_point(
     if j >= 0:
         x, element = solution.x[j], None if solution.attitude is None else solution.attitude[j]
         values = {name: series[j] for name, series in solution.casimirs.items()}
-    times = Times(start, way * solution.step, count, 1)
+    times = Times(start, direction * solution.step, count, 1)
     low, high = sorted((start, times.end))
     t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
-    gone = way * t_eval[:, None] > until
+    gone = direction * t_eval[:, None] > until
     if gone[0].any():
         # Members that have ended need any valid start; their results are discarded.
         x, element = _where(gone[0], solution.x0, x), _where(gone[0], solution.attitude0, element)

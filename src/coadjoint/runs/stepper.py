@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.keyword_hints import told
-from coadjoint.long_operations import waiting
-from coadjoint.memory import check_room
-from coadjoint.methods.forced import check_serves, serving
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import long_operation
+from coadjoint.memory import check_available_memory
+from coadjoint.methods.forced import check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.system_checks import System, check_one_system
 from coadjoint.validation import read_number
@@ -52,7 +52,7 @@ class Stepper:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
         if not isinstance(system, ForcedSystem):
             check_one_system(system)
-        check_serves(system, method)
+        check_supports(system, method)
         self.system: Any = system
         self.method, self._inputs = method, inputs
         self._prepared: dict[bool | str, PreparedRun] = {}
@@ -60,7 +60,7 @@ class Stepper:
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
 
-    def _ready(self, attitude: bool | str) -> PreparedRun:
+    def _prepared_with(self, attitude: bool | str) -> PreparedRun:
         ready = self._prepared.get(attitude)
         if ready is None:
             options: Any = {"attitude": attitude, "watch": False, "threads": 1, "inputs": self._inputs}
@@ -68,7 +68,7 @@ class Stepper:
         return ready
 
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
-        ready = self._ready(attitude)
+        ready = self._prepared_with(attitude)
         values = ready.values_of(inputs)
         start = ready.start(x, initial, values)
         return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, values=values)
@@ -170,7 +170,7 @@ class Stepper:
         assert sol.attitude is not None
         return np.asarray(sol.attitude[-1])
 
-    @QUIET
+    @ignore_overflow
     def tangent(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the exact derivative of the step at x, by the chain rule through the scheme.
 
@@ -194,10 +194,10 @@ class Stepper:
             The Hamiltonian was given without second derivatives.
         """
         method, system = self._scheme(inputs)
-        with waiting("tangent"):
-            return method.tangent(system, *self._place(x, t), self.h)[1]
+        with long_operation("tangent"):
+            return method.tangent(system, *self._validated_point(x, t), self.h)[1]
 
-    @QUIET
+    @ignore_overflow
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:
         """Return how `tangent` is computed at x: "formula", "complex step", or "differences".
 
@@ -214,28 +214,28 @@ class Stepper:
             The first two are exact to round-off; differences have about nine digits.
         """
         method, system = self._scheme(inputs)
-        return method.tangent_by(system, *self._place(x, t), self.h)
+        return method.tangent_by(system, *self._validated_point(x, t), self.h)
 
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
         """Return the scheme and the system of a step with these inputs, for evaluation in Python."""
-        ready = self._ready(False)
+        ready = self._prepared_with(False)
         values = ready.values_of(inputs)
         if values is not None and values.ndim > 1:
             raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")
         system = ready.system_at(values)
-        return serving(system, ready.method), system
+        return effective_scheme(system, ready.method), system
 
-    def _place(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
+    def _validated_point(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)
         if not single:
             raise ValueError(
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
-        check_room(8 * 4 * self.system.dim**2, f"a tangent of dimension {self.system.dim}")
+        check_available_memory(8 * 4 * self.system.dim**2, f"a tangent of dimension {self.system.dim}")
         return momenta[0], read_number(t, "t")
 
 
-@told
+@suggest_keywords
 def stepper(
     system: System | ForcedSystem, method: Method | str | Mapping[str, Any], h: float, *, inputs: Any = None
 ) -> Stepper:

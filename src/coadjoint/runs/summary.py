@@ -10,7 +10,7 @@ from coadjoint.systems.batch import Batch
 if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
 
-MOST = 4
+MAX_CASIMIRS_SHOWN = 4
 """Number of Casimirs shown, largest drift first."""
 
 
@@ -42,8 +42,10 @@ def table_of_run(solution: Solution) -> str:
     moved = is_driven(solution.system) or bool(solution.work)
     rows[f"{'change' if moved else 'drift'} of energy"] = f"{energy:.2g}"
     worst = sorted(changes, key=lambda name: -float(changes[name]))
-    for name in worst[:MOST]:
+    for name in worst[:MAX_CASIMIRS_SHOWN]:
         rows[f"{'change' if solution.work else 'drift'} of {name}"] = f"{changes[name]:.2g}"
-    if len(worst) > MOST:
-        rows["other Casimirs"] = f"{len(worst) - MOST}, none beyond {changes[worst[MOST]]:.2g}"
+    if len(worst) > MAX_CASIMIRS_SHOWN:
+        rows["other Casimirs"] = (
+            f"{len(worst) - MAX_CASIMIRS_SHOWN}, none beyond {changes[worst[MAX_CASIMIRS_SHOWN]]:.2g}"
+        )
     return html_table(f"{solution.system.name} by {solution.method}", rows)

@@ -11,7 +11,7 @@ from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.systems.description import description
 from coadjoint.systems.registry import telling_of
 
-WIDE = 100
+LINE_WIDTH = 100
 MOST_NAMED = 30
 ATTITUDES = {
     "representation": "attitude=True",
@@ -78,11 +78,11 @@ def system_text(told: Mapping[str, Any]) -> str:
 
 def _lines(told: Mapping[str, Any]) -> Iterator[str]:
     given = ", ".join(f"{key}={_shown(p['default'])}" for key, p in told["parameters"].items())
-    yield from textwrap.wrap(f"{told['name']}({given})", WIDE, subsequent_indent="    ")
-    yield from textwrap.wrap(told["summary"], WIDE, initial_indent="    ", subsequent_indent="    ")
+    yield from textwrap.wrap(f"{told['name']}({given})", LINE_WIDTH, subsequent_indent="    ")
+    yield from textwrap.wrap(told["summary"], LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
     for text in told["equations"]:
         yield ""
-        yield from textwrap.wrap(text, WIDE, initial_indent="    ", subsequent_indent="    ")
+        yield from textwrap.wrap(text, LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
     yield ""
     for key, parameter in told["parameters"].items():
         yield from _entry(key, f"{parameter['meaning']} Default: {_shown(parameter['default'])}.")
@@ -108,7 +108,7 @@ def _lines(told: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _entry(name: str, text: str) -> list[str]:
-    return textwrap.wrap(text, WIDE, initial_indent=f"{name:14}", subsequent_indent=" " * 14)
+    return textwrap.wrap(text, LINE_WIDTH, initial_indent=f"{name:14}", subsequent_indent=" " * 14)
 
 
 def _named(name: str, formula: str | None) -> str:

@@ -9,20 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.tangents import Frame, stretches_in
+from coadjoint.kernels.tangents import Frame, stretch_logarithms
 from coadjoint.long_operations import at
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start
-from coadjoint.runs.tangent_loops import each_its_own
+from coadjoint.runs.tangent_loops import energy_loops
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import System
 
 NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits are lost
-_said: set[type] = set()
+_warned_types: set[type] = set()
 
 
 class Stretching(NamedTuple):
@@ -58,7 +58,7 @@ def stretching(
             raise type(error)(f"member {m} of the batch: {error}") from error
     if None in prepared:
         return _step_by_step(system, systems, method, times, start, frame)
-    loops = each_its_own(systems, method, times.h, prepared)
+    loops = energy_loops(systems, method, times.h, prepared)
     run = Run(system, method, loops, times, start, False, workers)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for point, number in enumerate(times.saved.tolist()):
@@ -68,7 +68,7 @@ def stretching(
         run.advance(until=number)
         at(f"step {number} of {times.steps}", number / times.steps)
         going = run.state["status"] == 0
-        logarithms[point, going] = stretches_in(run.state["memory"][going], len(frame.vectors))
+        logarithms[point, going] = stretch_logarithms(run.state["memory"][going], len(frame.vectors))
     return Stretching(logarithms, "compiled", run)
 
 
@@ -77,10 +77,12 @@ def _step_by_step(
 ) -> Stretching:
     """Take the steps in the loop of the scheme, then evaluate their tangents in Python."""
     numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
-    check_room(8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,")
-    _say_once(type(method))
-    every_step = times.marking(np.arange(times.steps + 1))
-    loops = each_its_own(systems, method, times.h, [None] * len(systems))
+    check_available_memory(
+        8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,"
+    )
+    _warn_once(type(method))
+    every_step = times.with_saved_steps(np.arange(times.steps + 1))
+    loops = energy_loops(systems, method, times.h, [None] * len(systems))
     run = Run(system, method, loops, every_step, start, False)
     run.advance()
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
@@ -90,7 +92,7 @@ def _step_by_step(
         states = run.saved["x"][: int(ends[m]) + 1, m]
         failed = _follow(own, method, times, states, frame, logarithms[:, m])
         if failed:
-            run.fail(m, failed, "PARALLEL")
+            run.mark_failed(m, failed, "PARALLEL")
     by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
     return Stretching(logarithms, by, run)
 
@@ -146,10 +148,10 @@ def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None
     return np.asarray(lengths)
 
 
-def _say_once(scheme: type) -> None:
-    if scheme in _said:
+def _warn_once(scheme: type) -> None:
+    if scheme in _warned_types:
         return
-    _said.add(scheme)
+    _warned_types.add(scheme)
     warnings.warn(
         f"the tangents of {scheme.__name__} are computed in Python, about a hundred times slower than those of flow "
         "and Runge-Kutta methods, which are compiled",

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.validation import read_number, read_numbers, read_whole
+from coadjoint.validation import read_integer, read_number, read_numbers
 
 
 class Times(NamedTuple):
     """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
 
-    The first `passed` saved steps are skipped, since a resumed run has taken them before; at most `most` of the others
-    are in memory at once. With output times `between`, `elapsed` after the start, marks are the steps that end there,
-    whole or partial.
+    The first `passed` saved steps are skipped, since a resumed run has taken them before; at most `max_points` of the
+    others are in memory at once. With output times `between`, `elapsed` after the start, marks are the steps that end
+    there, whole or partial.
     """
 
     t0: float
@@ -29,7 +29,7 @@ class Times(NamedTuple):
     marks: NDArray[np.int64] | None = None
     between: NDArray[np.float64] | None = None
     elapsed: NDArray[np.float64] | None = None
-    most: int | None = None
+    max_points: int | None = None
 
     @property
     def end(self) -> float:
@@ -37,15 +37,15 @@ class Times(NamedTuple):
         return self.t0 + self.steps * self.h
 
     @property
-    def every_point(self) -> int:
+    def total_points(self) -> int:
         """Number of saved steps of the whole run."""
         return -(-self.steps // self.save_every) + 1 if self.marks is None else len(self.marks)
 
     @property
     def points(self) -> int:
         """Number of saved steps in memory."""
-        left = self.every_point - self.passed
-        return left if self.most is None else min(left, self.most)
+        left = self.total_points - self.passed
+        return left if self.max_points is None else min(left, self.max_points)
 
     @property
     def saved(self) -> NDArray[np.int64]:
@@ -57,25 +57,25 @@ class Times(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """Last step before the first saved step that exceeds `most`.
+        """Last step before the first saved step that exceeds `max_points`.
 
         Examples
         --------
-        >>> Times(0.0, 0.5, 10, 4, most=2).reach, Times(0.0, 0.5, 10, 4, passed=1, most=2).reach
+        >>> Times(0.0, 0.5, 10, 4, max_points=2).reach, Times(0.0, 0.5, 10, 4, passed=1, max_points=2).reach
         (7, 9)
         """
         last = self.passed + self.points
-        if last == self.every_point:
+        if last == self.total_points:
             return self.steps
         # The last interval may be shorter than save_every steps.
         return (min(last * self.save_every, self.steps) if self.marks is None else int(self.marks[last])) - 1
 
-    def marking(self, numbers: Any) -> Times:
+    def with_saved_steps(self, numbers: Any) -> Times:
         """Return the same times with the given saved steps, ascending, from 0 to `steps`.
 
         Examples
         --------
-        >>> Times(0.0, 0.5, 10, 1).marking([0, 3, 4]).saved
+        >>> Times(0.0, 0.5, 10, 1).with_saved_steps([0, 3, 4]).saved
         array([0, 3, 4])
         """
         marks = np.array(numbers)
@@ -87,12 +87,12 @@ class Times(NamedTuple):
             )
         return self._replace(passed=0, marks=np.ascontiguousarray(marks, dtype=np.int64))
 
-    def closer(self, count: int) -> Times:
+    def refined_times(self, count: int) -> Times:
         """Halve the step until there are at least `count` steps, and save every step.
 
         Examples
         --------
-        >>> Times(0.0, 1.0, 2, 1).closer(5)[1:3]
+        >>> Times(0.0, 1.0, 2, 1).refined_times(5)[1:3]
         (0.25, 8)
         """
         halvings = max(0, math.ceil(math.log2(count / self.steps))) if self.steps else 0
@@ -111,11 +111,11 @@ class Times(NamedTuple):
         if self.marks is not None:
             passed = int(np.searchsorted(self.marks, number, side="right"))
         else:
-            passed = self.every_point if number == self.steps else number // self.save_every + 1
+            passed = self.total_points if number == self.steps else number // self.save_every + 1
         return self._replace(passed=passed)
 
     @property
-    def seen(self) -> NDArray[np.float64]:
+    def saved_times(self) -> NDArray[np.float64]:
         """Times of the saved points."""
         return self.at(self.saved) if self.between is None else self.between
 
@@ -140,7 +140,7 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
 
 def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Times:
     """Return the times of a run between validated ends, with a validated step; see `times_of`."""
-    every = read_whole(save_every, "save_every", floats=True)
+    every = read_integer(save_every, "save_every", floats=True)
     first, last = ends
     span = last - first
     if not math.isfinite(span):

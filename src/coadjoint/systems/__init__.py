@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from coadjoint.errors import no_attribute
+from coadjoint.errors import unknown_attribute
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.registry import ready_made_systems
@@ -18,7 +18,7 @@ __all__ = sorted([*ready_made_systems(), "get", "names"])
 
 
 def __getattr__(name: str) -> Any:
-    raise no_attribute("co.systems", name, __all__)
+    raise unknown_attribute("co.systems", name, __all__)
 
 
 def __dir__() -> list[str]:

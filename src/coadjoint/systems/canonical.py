@@ -13,7 +13,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.validation import read_finite
 
 
-def beside(pairs: int, g: LieAlgebra) -> LieAlgebra:
+def with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
     """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g.
 
     At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time. The
@@ -22,7 +22,7 @@ def beside(pairs: int, g: LieAlgebra) -> LieAlgebra:
     Examples
     --------
     >>> import coadjoint as co
-    >>> g = beside(1, co.algebras.so(3))
+    >>> g = with_canonical_pairs(1, co.algebras.so(3))
     >>> g.basis, list(g.casimirs_known)
     (('q1', 'p1', 'z', 'e1', 'e2', 'e3'), ['z', '|x|^2'])
     >>> H = co.Quadratic([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
@@ -31,7 +31,7 @@ def beside(pairs: int, g: LieAlgebra) -> LieAlgebra:
     """
     both = direct_sum(heisenberg(pairs), g)
     casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in both.casimirs_known.items()}
-    return LieAlgebra._proved(both.triples, both.dim, both.basis, both.name, both.representation, casimirs)
+    return LieAlgebra._from_valid(both.triples, both.dim, both.basis, both.name, both.representation, casimirs)
 
 
 def canonical_state(q: Any, p: Any, x: Any = ()) -> npt.NDArray[np.float64]:

@@ -15,7 +15,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.registry import ready_made_systems, telling_of
 
-LONGEST_FORMULA = 120
+MAX_FORMULA_LENGTH = 120
 _HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
 
 
@@ -51,7 +51,7 @@ def description(name: str) -> dict[str, Any]:
     builder = ready_made_systems()[name]
     sections = _sections(inspect.getdoc(builder) or "")
     equations = sections[""].partition("\n\n")[2]
-    words = told_parameters(builder)
+    words = documented_parameters(builder)
     telling = telling_of(name)
     coordinates = () if telling is None else telling.names(system.dim)
     return {
@@ -79,20 +79,20 @@ def description(name: str) -> dict[str, Any]:
     }
 
 
-def summary_of(told: Callable[..., Any]) -> str:
+def summary_of(documented: Callable[..., Any]) -> str:
     """Return the first paragraph of the docstring of a function or a class, in one line."""
-    return _line(_sections(inspect.getdoc(told) or "")[""].partition("\n\n")[0])
+    return _line(_sections(inspect.getdoc(documented) or "")[""].partition("\n\n")[0])
 
 
-def told_parameters(told: Callable[..., Any]) -> dict[str, dict[str, str]]:
+def documented_parameters(documented: Callable[..., Any]) -> dict[str, dict[str, str]]:
     """Parse the documented parameters of a function or a class: name to ``"kind"`` and ``"meaning"``.
 
     Examples
     --------
-    >>> told_parameters(description)
+    >>> documented_parameters(description)
     {'name': {'kind': 'str', 'meaning': 'One of co.systems.names().'}}
     """
-    return _entries(_sections(inspect.getdoc(told) or "").get("Parameters", ""))
+    return _entries(_sections(inspect.getdoc(documented) or "").get("Parameters", ""))
 
 
 def _sections(text: str) -> dict[str, str]:
@@ -147,9 +147,9 @@ def short_formula(text: str) -> str:
     >>> short_formula("x1 + " * 50 + "x1")[-12:]
     'x1 + x1 +...'
     """
-    if len(text) <= LONGEST_FORMULA:
+    if len(text) <= MAX_FORMULA_LENGTH:
         return text
-    return text[:LONGEST_FORMULA].rpartition(" ")[0].rstrip() + "..."
+    return text[:MAX_FORMULA_LENGTH].rpartition(" ")[0].rstrip() + "..."
 
 
 def _rank(system: Any) -> int:

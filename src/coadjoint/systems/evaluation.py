@@ -15,19 +15,19 @@ import numpy.typing as npt
 
 from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.short_repr import short
-from coadjoint.validation import REAL, array_given, is_real, read_numbers, read_title
+from coadjoint.validation import REAL_KINDS, is_real, read_numbers, read_title, to_array
 
-Of = TypeVar("Of", bound=Callable[..., Any])
+MethodT = TypeVar("MethodT", bound=Callable[..., Any])
 
 
-def QUIET(method: Of) -> Of:
+def ignore_overflow(method: MethodT) -> MethodT:
     """Decorate a method to return infinity or NaN without a warning on overflow of float64.
 
     Python integers too large for floats raise an OverflowError with an explanation.
 
     Examples
     --------
-    >>> QUIET(np.exp)(1000.0)
+    >>> ignore_overflow(np.exp)(1000.0)
     np.float64(inf)
     """
     quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")(method)
@@ -39,19 +39,19 @@ def QUIET(method: Of) -> Of:
         except OverflowError as reason:
             raise OverflowError(f"a number there is too large for float64 ({reason})") from None
 
-    return cast(Of, evaluated)
+    return cast(MethodT, evaluated)
 
 
 def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
     """Return `x` as a float64, complex128 or object array of shape (n,)."""
-    array = x if type(x) is np.ndarray and x.dtype == np.float64 else array_given(x, "x", "iufc")
+    array = x if type(x) is np.ndarray and x.dtype == np.float64 else to_array(x, "x", "iufc")
     if array.ndim != 1 or (n is not None and array.size != n):
         expected = "(n,)" if n is None else f"({n},)"
         raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
-    return array.astype(np.float64) if array.dtype.kind in REAL else array
+    return array.astype(np.float64) if array.dtype.kind in REAL_KINDS else array
 
 
-def over_states(method: Of) -> Of:
+def vectorized_over_states(method: MethodT) -> MethodT:
     """Extend a method of a state (n,) and a time to several states (..., n), bit-identical to separate calls.
 
     The time is a scalar, or one value for each entry of the first axis.
@@ -59,7 +59,7 @@ def over_states(method: Of) -> Of:
 
     @functools.wraps(method)
     def of_all(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
-        array: npt.NDArray[Any] = x if type(x) is np.ndarray else array_given(x, "x", "iufc")
+        array: npt.NDArray[Any] = x if type(x) is np.ndarray else to_array(x, "x", "iufc")
         if array.ndim < 2 or len(getattr(self, "shape", ())) > 1:  # one state, or matrices
             return method(self, x, t)
         if array.shape[-1] != self.dim:
@@ -78,10 +78,10 @@ def over_states(method: Of) -> Of:
         values = np.asarray(found)
         return values.reshape(*lead, *values.shape[1:])
 
-    return cast(Of, of_all)
+    return cast(MethodT, of_all)
 
 
-def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def lossless_coefficients(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return `coefficients` in a number type whose products with `x` are lossless.
 
     In Python a Fraction times a float is a float, so for x of objects coefficients are converted to exact rationals.

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import solution_of
-from coadjoint.systems.evaluation import QUIET, over_states, point
+from coadjoint.systems.closed_forms.closed_form import require_closed_form
+from coadjoint.systems.evaluation import ignore_overflow, point, vectorized_over_states
 from coadjoint.systems.forces.base import Force
-from coadjoint.validation import array_given, read_list, read_number, read_numbers, title
+from coadjoint.validation import read_list, read_number, read_numbers, title, to_array
 
 
 class ForcedSystem:
@@ -152,8 +152,8 @@ class ForcedSystem:
         """Return J(x), shape (n, n)."""
         return np.asarray(self.system.structure_matrix(x))
 
-    @over_states
-    @QUIET
+    @vectorized_over_states
+    @ignore_overflow
     def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
         """Return the vector field x', including all forces.
 
@@ -176,24 +176,24 @@ class ForcedSystem:
         """
         y, t = self._numbers(x), read_number(t, "t")
         found = sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
-        return np.asarray(self.system.from_vector(found) if array_given(x, "x", "iufc").ndim > 1 else found)
+        return np.asarray(self.system.from_vector(found) if to_array(x, "x", "iufc").ndim > 1 else found)
 
     def _numbers(self, x: Any) -> npt.NDArray[Any]:
         """Return a state as a vector; a matrix by its entries."""
-        if hasattr(self.system, "from_vector") and array_given(x, "x", "iufc").ndim > 1:
+        if hasattr(self.system, "from_vector") and to_array(x, "x", "iufc").ndim > 1:
             x = self.system.read(x, "x")
         return point(read_numbers(x, "x"), self.dim)
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Raise TypeError: systems with forces have no closed form."""
-        return solution_of(None, self.name)(x0, t, attitude)
+        return require_closed_form(None, self.name)(x0, t, attitude)
 
-    @over_states
+    @vectorized_over_states
     def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         """Return H(x, t) of one state or several; see `LiePoissonSystem.energy`."""
         return self.system.energy(x, t)
 
-    @QUIET
+    @ignore_overflow
     def power(self, x: npt.ArrayLike, t: float = 0.0) -> dict[str, float]:
         """Return the rate at which each force changes the energy at a state.
 
@@ -230,6 +230,6 @@ class ForcedSystem:
         return f"<{short(self.system, 200)} with {', '.join(map(str, self.forces))}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.html_table import table_of
+        from coadjoint.systems.html_table import system_table
 
-        return table_of(self, forces=", ".join(map(str, self.forces)))
+        return system_table(self, forces=", ".join(map(str, self.forces)))

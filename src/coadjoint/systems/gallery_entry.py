@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_flag, read_list, read_number, read_positive, read_title, read_whole
+from coadjoint.validation import read_bool, read_finite, read_integer, read_list, read_number, read_positive, read_title
 
 Floats = npt.NDArray[np.float64]
 
@@ -100,8 +100,8 @@ class Telling:
         keep = object.__setattr__
         keep(self, "t_span", tuple(read_number(t, "a time of t_span") for t in _listed(self.t_span, "t_span")))
         keep(self, "step", read_positive(self.step, "step"))
-        keep(self, "save_every", read_whole(self.save_every, "save_every"))
-        keep(self, "attitude", read_flag(self.attitude, "attitude"))
+        keep(self, "save_every", read_integer(self.save_every, "save_every"))
+        keep(self, "attitude", read_bool(self.attitude, "attitude"))
         pictures = _listed(self.pictures, "pictures")
         for picture in (*pictures, self.components):
             if not isinstance(picture, Picture):
@@ -118,9 +118,9 @@ class Telling:
         -------
         ndarray, shape (n,) or (members, n)
         """
-        given = self.x0() if callable(self.x0) else self.x0
+        argument = self.x0() if callable(self.x0) else self.x0
         # Complex matrices are validated by the run.
-        return np.array(given) if np.iscomplexobj(given) else read_finite(given, "x0")
+        return np.array(argument) if np.iscomplexobj(argument) else read_finite(argument, "x0")
 
     def names(self, dim: int) -> tuple[str, ...]:
         """Return the names of `dim` coordinates; empty if they have none.
@@ -134,9 +134,9 @@ class Telling:
         -------
         tuple of str
         """
-        given = tuple(self.coordinates(dim)) if callable(self.coordinates) else tuple(self.coordinates)
-        return given if len(given) == dim else ()
+        argument = tuple(self.coordinates(dim)) if callable(self.coordinates) else tuple(self.coordinates)
+        return argument if len(argument) == dim else ()
 
 
-def _listed(given: Any, what: str) -> tuple[Any, ...]:
-    return read_list(given, what, "give a list")
+def _listed(argument: Any, what: str) -> tuple[Any, ...]:
+    return read_list(argument, what, "give a list")

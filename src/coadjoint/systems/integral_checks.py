@@ -8,16 +8,16 @@ import numpy as np
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.recorded_casimirs import Product, read_invariants, slope_and_size
+from coadjoint.systems.recorded_casimirs import Product, gradient_and_scale, read_invariants
 from coadjoint.systems.user_functions import evaluate, sample_points
 
 TIMES = (0.0, 1.0)
 
 
-@QUIET
+@ignore_overflow
 def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
     """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
 
@@ -34,10 +34,10 @@ def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Produ
                 continue
             bound, work = np.abs(force), 2**20
             if polynomial is not None:
-                _, bound, work = slope_and_size("energy", polynomial, x) or (force, bound, work)
+                _, bound, work = gradient_and_scale("energy", polynomial, x) or (force, bound, work)
             field, sizes = product(x, force), size(x, bound)
             for name, F in result.items():
-                found = None if F.gradient is None else slope_and_size(name, F, x, "integral")
+                found = None if F.gradient is None else gradient_and_scale(name, F, x, "integral")
                 if found is None:
                     continue
                 rate = abs(float(found[0] @ field))

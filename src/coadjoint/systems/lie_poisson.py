@@ -11,16 +11,29 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
-from coadjoint.memory import check_room
-from coadjoint.systems.closed_forms.closed_form import checked_exact, checked_layout, checked_parameters, solution_of
-from coadjoint.systems.evaluation import QUIET, checked_name, checked_sign, matching, over_states, point, scatter
+from coadjoint.memory import check_available_memory
+from coadjoint.systems.closed_forms.closed_form import (
+    checked_closed_form,
+    checked_layout,
+    checked_parameters,
+    require_closed_form,
+)
+from coadjoint.systems.evaluation import (
+    checked_name,
+    checked_sign,
+    ignore_overflow,
+    lossless_coefficients,
+    point,
+    scatter,
+    vectorized_over_states,
+)
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
 from coadjoint.systems.integral_checks import checked_integrals
-from coadjoint.systems.recorded_casimirs import casimirs_of, checked_casimirs
+from coadjoint.systems.recorded_casimirs import checked_casimirs, known_or_found_casimirs
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
@@ -126,7 +139,9 @@ class LiePoissonSystem:
         keep(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
         self._check_pieces()
         i, j, k, c = algebra.triples
-        check_room(BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},")
+        check_available_memory(
+            BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
+        )
         # J(x) u: row i gets c x_k u_j, and, by antisymmetry, row j gets -c x_k u_i.
         keep(self, "_rows", np.concatenate([i, j]))
         keep(self, "_factors", np.concatenate([j, i]))
@@ -146,7 +161,7 @@ class LiePoissonSystem:
             keep(self, "representation", checked)
         keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         keep(self, "_parameters", checked_parameters(parameters))
-        keep(self, "_exact", checked_exact(exact))
+        keep(self, "_exact", checked_closed_form(exact))
         keep(self, "_layout", checked_layout(layout))
 
     def _check_pieces(self) -> None:
@@ -173,7 +188,7 @@ class LiePoissonSystem:
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial`, `Quadratic` or `Invariant` (a copy); empty by default for many `copies`."""
         if self._casimirs is None:
-            object.__setattr__(self, "_casimirs", dict(casimirs_of(self.algebra)))
+            object.__setattr__(self, "_casimirs", dict(known_or_found_casimirs(self.algebra)))
         return dict(self._casimirs or {})
 
     @property
@@ -197,14 +212,16 @@ class LiePoissonSystem:
         return self._exact
 
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return scatter(self._rows, matching(self._constants, x) * x[self._states] * u[self._factors], self.dim)
+        return scatter(
+            self._rows, lossless_coefficients(self._constants, x) * x[self._states] * u[self._factors], self.dim
+        )
 
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         products = np.abs(self._constants * x[self._states] * u[self._factors])
         return scatter(self._rows, products, self.dim)
 
-    @over_states
-    @QUIET
+    @vectorized_over_states
+    @ignore_overflow
     def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)``, from the sparse structure constants.
 
@@ -223,8 +240,8 @@ class LiePoissonSystem:
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
-    @over_states
-    @QUIET
+    @vectorized_over_states
+    @ignore_overflow
     def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         """Return H(x, t).
 
@@ -262,7 +279,7 @@ class LiePoissonSystem:
         """
         return self.algebra.structure_matrix(point(x, self.dim))
 
-    @QUIET
+    @ignore_overflow
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the derivative of the vector field, ``sign * (D_grad H + J(x) H'')``, dense.
 
@@ -308,7 +325,7 @@ class LiePoissonSystem:
         TypeError
             No closed form is known.
         """
-        return solution_of(self._exact, self.name)(x0, t, attitude)
+        return require_closed_form(self._exact, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
         """Return the system with damping, torques or noise; runs record the resulting changes of invariants.
@@ -330,6 +347,6 @@ class LiePoissonSystem:
         return f"<{self.name}: {self.hamiltonian!r} on {where}, sign={self.sign:+d}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.html_table import table_of
+        from coadjoint.systems.html_table import system_table
 
-        return table_of(self)
+        return system_table(self)

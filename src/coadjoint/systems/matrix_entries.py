@@ -8,18 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact.sparse_sums import distinct
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.validation import REAL, array_given, read_finite
+from coadjoint.validation import REAL_KINDS, read_finite, to_array
 
 BYTES_PER_ENTRY = 100  # peak, while entries are sorted and compared with the transposed ones
 SPARSE = "give a sparse matrix, or a diagonal"
 
 
-def real_array(given: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+def real_array(argument: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
     """Return a copy as float64, or as objects if it contains fractions; raise an error unless real and finite."""
-    array = array_given(given, name)
-    check_room(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
+    array = to_array(argument, name)
+    check_available_memory(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
     floats = read_finite(array, name)
     if array.dtype != object:
         return floats
@@ -37,11 +37,11 @@ def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt
     """
     if M.ndim != 2 or M.shape[0] != M.shape[1]:
         raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
-    check_room(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
+    check_available_memory(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
     csr = M.tocsr().copy()
     csr.sum_duplicates()
     csr.eliminate_zeros()
-    if csr.dtype.kind not in REAL:
+    if csr.dtype.kind not in REAL_KINDS:
         raise TypeError(f"M has numbers of type {csr.dtype}; give real numbers")
     n, entries = int(M.shape[0]), csr.data.astype(np.float64)
     rows = np.repeat(np.arange(n, dtype=np.int64), np.diff(csr.indptr))

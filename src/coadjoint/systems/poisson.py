@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import checked_exact, checked_parameters, solution_of
-from coadjoint.systems.evaluation import QUIET, checked_name, checked_sign, over_states, point
+from coadjoint.systems.closed_forms.closed_form import checked_closed_form, checked_parameters, require_closed_form
+from coadjoint.systems.evaluation import checked_name, checked_sign, ignore_overflow, point, vectorized_over_states
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.recorded_casimirs import checked_casimirs
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
-from coadjoint.validation import read_numbers, read_whole
+from coadjoint.validation import read_integer, read_numbers
 
 BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
@@ -109,8 +109,10 @@ class PoissonSystem:
         n = dim if dim is not None else getattr(hamiltonian, "dim", None)
         if n is None:
             raise TypeError(f"the dimension is unknown: {short(hamiltonian)} fits any; give dim=")
-        n = read_whole(n, "dim")
-        check_room(BYTES_PER_PRODUCT * n**2, f"a Poisson system of dimension {short(n)}, whose J(x) is dense,")
+        n = read_integer(n, "dim")
+        check_available_memory(
+            BYTES_PER_PRODUCT * n**2, f"a Poisson system of dimension {short(n)}, whose J(x) is dense,"
+        )
         keep = object.__setattr__
         keep(self, "sign", checked_sign(sign))
         keep(self, "dim", n)
@@ -119,7 +121,7 @@ class PoissonSystem:
         keep(self, "derivative_function", derivative)
         keep(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
         keep(self, "_parameters", checked_parameters(parameters))
-        keep(self, "_exact", checked_exact(exact))
+        keep(self, "_exact", checked_closed_form(exact))
         for x in sample_points(self.dim):
             self._check_skew(x)
         if derivative is not None:
@@ -175,8 +177,8 @@ class PoissonSystem:
         """Return the structure matrix J(x), shape (n, n)."""
         return np.asarray(self.structure_function(point(x, self.dim)))
 
-    @over_states
-    @QUIET
+    @vectorized_over_states
+    @ignore_overflow
     def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)``, shape (n,).
 
@@ -195,13 +197,13 @@ class PoissonSystem:
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
-    @over_states
-    @QUIET
+    @vectorized_over_states
+    @ignore_overflow
     def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         """Return H(x, t) of one state or several; see `LiePoissonSystem.energy`."""
         return self.hamiltonian.value(point(x, self.dim), t)
 
-    @QUIET
+    @ignore_overflow
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the derivative of the vector field, shape (n, n).
 
@@ -229,7 +231,7 @@ class PoissonSystem:
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Return the closed-form solution, if known; see `LiePoissonSystem.exact`."""
-        return solution_of(self._exact, self.name)(x0, t, attitude)
+        return require_closed_form(self._exact, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
         """Return the system with forces; see `LiePoissonSystem.with_forces`."""
@@ -239,6 +241,6 @@ class PoissonSystem:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.html_table import table_of
+        from coadjoint.systems.html_table import system_table
 
-        return table_of(self)
+        return system_table(self)

@@ -22,8 +22,8 @@ from coadjoint.systems.user_functions import sample_points
 
 # Systems search for Casimirs automatically up to this number of monomials times constants per coordinate, which takes
 # a fraction of a second.
-LARGEST_SEARCH = 5000
-HIGHEST_DEGREE = 4
+MAX_SEARCH_SIZE = 5000
+MAX_SEARCH_DEGREE = 4
 
 Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
@@ -41,17 +41,17 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     return result
 
 
-def read_invariants(given: Any, n: int, kind: str) -> dict[str, Any]:
+def read_invariants(argument: Any, n: int, kind: str) -> dict[str, Any]:
     """Validate invariants in n coordinates by name: `Polynomial`, `Quadratic`, `Invariant` or a function (wrapped).
 
     `kind` is what messages call one of them.
     """
-    if not isinstance(given, Mapping):
+    if not isinstance(argument, Mapping):
         raise TypeError(
-            f"{kind.lower()}s is a {type(given).__name__}; give a mapping from name to Polynomial or Invariant"
+            f"{kind.lower()}s is a {type(argument).__name__}; give a mapping from name to Polynomial or Invariant"
         )
     result: dict[str, Any] = {}
-    for name, one in given.items():
+    for name, one in argument.items():
         if name == "energy":
             article = "an" if kind[0] in "aeiou" else "a"
             raise ValueError(
@@ -70,10 +70,10 @@ def read_invariants(given: Any, n: int, kind: str) -> dict[str, Any]:
 
 
 # Algebras are immutable and compare by value, so a scan over Hamiltonians searches once.
-_FOUND: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
+_CASIMIR_CACHE: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
 
 
-def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
+def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
     """Return the known Casimirs of an algebra or, if some are missing, those of a quick search.
 
     ``algebra.casimirs(max_degree)`` searches further.
@@ -82,7 +82,7 @@ def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     --------
     >>> from coadjoint.algebra.lie_algebra import LieAlgebra
     >>> g = LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}, (1, 2): {0: 1.0}, (2, 0): {1: 1.0}})
-    >>> dict(casimirs_of(g))
+    >>> dict(known_or_found_casimirs(g))
     {'C2': x1^2 + x2^2 + x3^2}
     """
     known = algebra.casimirs_known
@@ -91,17 +91,17 @@ def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     if constants == 0 or (known and len(known) >= algebra.dim - 2):
         return known
     degree = max(
-        (d for d in range(1, HIGHEST_DEGREE + 1) if _search_size(algebra.dim, d, constants) <= LARGEST_SEARCH),
+        (d for d in range(1, MAX_SEARCH_DEGREE + 1) if _search_size(algebra.dim, d, constants) <= MAX_SEARCH_SIZE),
         default=0,
     )
     if degree < 2 or (known and len(known) >= algebra.dim - algebra.generic_rank()):
         return known
-    if algebra not in _FOUND:
+    if algebra not in _CASIMIR_CACHE:
         try:
-            _FOUND[algebra] = algebra.casimirs(degree)
+            _CASIMIR_CACHE[algebra] = algebra.casimirs(degree)
         except ValueError:  # undecidable with rounded constants
-            _FOUND[algebra] = {}
-    found = _FOUND[algebra]
+            _CASIMIR_CACHE[algebra] = {}
+    found = _CASIMIR_CACHE[algebra]
     return found if len(found) > len(known) else known
 
 
@@ -109,7 +109,7 @@ def _search_size(dim: int, degree: int, constants: int) -> float:
     return math.comb(dim + degree - 1, degree) * max(1.0, constants / dim)
 
 
-def slope_and_size(
+def gradient_and_scale(
     name: str, invariant: Polynomial | Quadratic | Invariant, x: npt.NDArray[np.float64], kind: str = "Casimir"
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], int] | None:
     """Return gradient (n,) at a point, sums of its absolute products (n,), and their number; None if it is not finite.
@@ -138,7 +138,7 @@ def slope_and_size(
 
 def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, product: Product, size: Product) -> None:
     for x in sample_points(n):
-        found = slope_and_size(name, casimir, x)
+        found = gradient_and_scale(name, casimir, x)
         if found is None:
             continue
         slope, bound, operations = found

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar, overload
 
-from coadjoint.keyword_hints import told
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Telling
 
@@ -16,8 +16,8 @@ Builder = TypeVar("Builder", bound=Callable[..., Any])
 
 FOLDERS = ("bodies", "fluids", "lattices", "examples")
 
-_FOUND: dict[str, Callable[..., Any]] = {}
-_TELLINGS: dict[str, Telling] = {}
+_REGISTRY: dict[str, Callable[..., Any]] = {}
+_GALLERY_ENTRIES: dict[str, Telling] = {}
 
 
 @overload
@@ -51,11 +51,11 @@ def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
     if not isinstance(telling, Telling | None):
         raise TypeError(f"telling is {short(telling)}; give a coadjoint.systems.gallery_entry.Telling")
 
-    def register(given: Builder) -> Builder:
-        made = told(given)
-        _FOUND[made.__name__] = made
+    def register(builder: Builder) -> Builder:
+        made = suggest_keywords(builder)
+        _REGISTRY[made.__name__] = made
         if telling is not None:
-            _TELLINGS[made.__name__] = telling
+            _GALLERY_ENTRIES[made.__name__] = telling
         return made
 
     return register if function is None else register(function)
@@ -67,7 +67,7 @@ def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
         package = importlib.import_module(f"coadjoint.systems.{folder}")
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{package.__name__}.{module.name}")
-    return MappingProxyType(_FOUND)
+    return MappingProxyType(_REGISTRY)
 
 
 def telling_of(name: str) -> Telling | None:
@@ -88,7 +88,7 @@ def telling_of(name: str) -> Telling | None:
     (True, None)
     """
     ready_made_systems()
-    return _TELLINGS.get(name)
+    return _GALLERY_ENTRIES.get(name)
 
 
 def told_systems() -> tuple[str, ...]:

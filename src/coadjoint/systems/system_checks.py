@@ -68,7 +68,7 @@ def unforced(system: Any) -> Any:
     return system.system if isinstance(system, ForcedSystem) else system
 
 
-def tabulated(system: Any) -> bool:
+def has_compiled_bracket(system: Any) -> bool:
     """Return whether the kernels can evaluate the bracket, from structure constants or a function J."""
     return system.algebra is None or getattr(system.algebra, "triples", None) is not None
 
@@ -93,19 +93,19 @@ def check_one_system(system: Any) -> None:
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")
 
 
-def in_coordinates(system: Any) -> Any:
+def as_vector_system(system: Any) -> Any:
     """Return a system whose states are vectors: for matrices the one on rows of numbers, otherwise the system itself.
 
     Examples
     --------
     >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
-    >>> shape_of(in_coordinates(sphere_euler(N=3)))
+    >>> shape_of(as_vector_system(sphere_euler(N=3)))
     (18,)
     """
     return system.in_numbers if isinstance(system, MatrixSystem) else system
 
 
-def check_vectors(system: Any, instead: str = "take a scheme for these, IsospectralGauss") -> None:
+def check_vector_states(system: Any, instead: str = "take a scheme for these, IsospectralGauss") -> None:
     """Raise an error unless given a single system with vector states; `instead` is the advice for matrix systems."""
     check_one_system(system)
     if isinstance(system, MatrixSystem):

@@ -6,7 +6,7 @@ from typing import Any
 
 from coadjoint.validation import read_number, read_positive
 
-LARGEST = 1e30
+MAX_MAGNITUDE = 1e30
 
 
 def read_in_range(value: Any, what: str, zero: bool = False) -> float:
@@ -14,6 +14,8 @@ def read_in_range(value: Any, what: str, zero: bool = False) -> float:
     if zero and read_number(value, what) == 0.0:
         return 0.0
     number = read_positive(value, what)
-    if not 1 / LARGEST <= number <= LARGEST:
-        raise ValueError(f"{what} is {number:g}; take units in which it is between {1 / LARGEST:g} and {LARGEST:g}")
+    if not 1 / MAX_MAGNITUDE <= number <= MAX_MAGNITUDE:
+        raise ValueError(
+            f"{what} is {number:g}; take units in which it is between {1 / MAX_MAGNITUDE:g} and {MAX_MAGNITUDE:g}"
+        )
     return number

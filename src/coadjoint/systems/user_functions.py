@@ -107,12 +107,12 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     return count == 2
 
 
-def callable_when_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def callable_from_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a Python function that compiled functions can call, compiled by Numba; without Numba unchanged.
 
     Examples
     --------
-    >>> callable_when_compiled(abs)(-1)
+    >>> callable_from_compiled(abs)(-1)
     1
     """
     if not (installed("numba") and inspect.isfunction(function)):

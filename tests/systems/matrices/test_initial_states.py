@@ -34,7 +34,7 @@ def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
     degree, energy = s.energy_spectrum(W)
     wanted = np.where((degree >= 3) & (degree <= 9), degree**-2.0, 0.0)
     assert np.abs(energy - wanted).max() < 1e-13
-    listed = s.random(11, spectrum=[0.0, *wanted[: s.complete_degree]])
+    listed = s.random(11, spectrum=[0.0, *wanted[: s.resolved_degree]])
     assert np.abs(listed - W).max() < 1e-12 * np.abs(W).max()
     assert s.energy_spectrum(s.random(11, degrees=(2, 5), energy=0.25))[1].sum() == pytest.approx(0.25, rel=1e-12)
     assert s.enstrophy_spectrum(s.random(11, degrees=(2, 5), enstrophy=3.0))[1].sum() == pytest.approx(3.0, rel=1e-12)
@@ -218,7 +218,7 @@ def test_patches_have_their_value_inside(s):
     else:
         x = np.sin(first)[:, None] * np.sin(0.6) + np.cos(first)[:, None] * np.cos(0.6) * np.cos(second - 2.0)
         far, inside = np.arccos(np.clip(x, -1, 1)), 2 * np.pi * (1 - np.cos(radius))
-    edge = np.pi / s.complete_degree
+    edge = np.pi / s.resolved_degree
     mean = 1.5 * inside / s.area
     # two and a half standard deviations from the edge a Gaussian has 0.6 percent left, and as much is cut off
     assert np.abs(field[far < radius - 2.5 * edge] + mean - 1.5).max() < 0.03
@@ -395,7 +395,7 @@ def test_a_patch_without_an_edge_is_a_truncated_series(s):
     size = np.abs(sharp).max()
     np.testing.assert_allclose(smooth, sharp * np.exp(-s.eigenvalues * 0.02), rtol=0, atol=1e-11 * size)
     usual = s.mode_array(s.relative(s.patches(place, radius, 1.5)))
-    edge = np.pi / s.complete_degree
+    edge = np.pi / s.resolved_degree
     np.testing.assert_allclose(usual, sharp * np.exp(-s.eigenvalues * edge**2 / 2), rtol=0, atol=1e-11 * size)
     turned = s.mode_array(s.relative(s.patches([(0.4, -2.0 + 2 * np.pi)], radius, 1.5, edge=0)))
     np.testing.assert_allclose(turned, sharp, rtol=0, atol=1e-10 * size)

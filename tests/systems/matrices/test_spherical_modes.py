@@ -165,13 +165,13 @@ def test_one_matrix_for_a_mapping():
 
 
 def test_tables_are_kept_within_bounds(monkeypatch):
-    shelf = spherical_modes._Shelf()
+    shelf = spherical_modes._HarmonicsCache()
     assert shelf.get(6, 2) is shelf.get(6, 2)
-    monkeypatch.setattr(spherical_modes, "KEPT", 0)
+    monkeypatch.setattr(spherical_modes, "MAX_CACHE_BYTES", 0)
     other = shelf.get(6, 3)
     assert other is not shelf.get(6, 3)
     np.testing.assert_array_equal(other, shelf.get(6, 3))
-    monkeypatch.setattr(spherical_modes, "KEPT", 2**20)
+    monkeypatch.setattr(spherical_modes, "MAX_CACHE_BYTES", 2**20)
     shelf.get(7, 2)
     assert shelf._N == 7 and list(shelf._made) == [2]
     monkeypatch.setattr("coadjoint.memory.available", lambda: 1000)

@@ -10,13 +10,13 @@ import numpy as np
 
 from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.short_repr import short
-from coadjoint.validation import read_number, refuse_what_is_lost
+from coadjoint.validation import read_number, reject_lossy_conversion
 
 Number = int | Fraction
 Vector = dict[int, Number]
 
 
-def read_vector(given: Any, dim: int, what: str) -> Vector:
+def read_vector(argument: Any, dim: int, what: str) -> Vector:
     """Return the nonzero components of a vector as exact rational numbers; floats are converted exactly.
 
     Examples
@@ -24,10 +24,10 @@ def read_vector(given: Any, dim: int, what: str) -> Vector:
     >>> read_vector([0, 0.5, Fraction(1, 3)], 3, "v")
     {1: Fraction(1, 2), 2: Fraction(1, 3)}
     """
-    refuse_what_is_lost(given, what)
-    if not isinstance(given, Iterable):
-        raise TypeError(f"{what} is {short(given)}; it must be a sequence of numbers")
-    values = given.tolist() if isinstance(given, np.ndarray) and given.ndim else list(given)
+    reject_lossy_conversion(argument, what)
+    if not isinstance(argument, Iterable):
+        raise TypeError(f"{what} is {short(argument)}; it must be a sequence of numbers")
+    values = argument.tolist() if isinstance(argument, np.ndarray) and argument.ndim else list(argument)
     if len(values) != dim:
         raise ValueError(f"{what} must have {dim} components, not {len(values)}")
     vector: Vector = {}
@@ -39,13 +39,13 @@ def read_vector(given: Any, dim: int, what: str) -> Vector:
     return vector
 
 
-def added(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
+def add_multiple(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
     """Add factor * right to left in place, dropping entries that cancel.
 
     Examples
     --------
     >>> v = {0: 1, 1: 2}
-    >>> added(v, -2, {1: 1, 2: 1})
+    >>> add_multiple(v, -2, {1: 1, 2: 1})
     >>> v
     {0: 1, 2: -2}
     """
@@ -80,13 +80,13 @@ class Span:
             pivot = min(rest)
             scale = Fraction(1) / rest[pivot]
             combination: Vector = {number: scale}
-            added(combination, -scale, used)
+            add_multiple(combination, -scale, used)
             row: Vector = {i: value * scale for i, value in rest.items()}
             for other, coordinates in self._rows.values():
                 factor = other.get(pivot, 0)
                 if factor:
-                    added(other, -factor, row)
-                    added(coordinates, -factor, combination)
+                    add_multiple(other, -factor, row)
+                    add_multiple(coordinates, -factor, combination)
             self._rows[pivot] = row, combination
 
     def _reduced(self, vector: Mapping[int, Number]) -> tuple[Vector, Vector]:
@@ -95,8 +95,8 @@ class Span:
         for pivot in [i for i in vector if i in self._rows]:  # rows have zeros at the other pivots
             row, combination = self._rows[pivot]
             factor = rest[pivot]
-            added(rest, -factor, row)
-            added(used, factor, combination)
+            add_multiple(rest, -factor, row)
+            add_multiple(used, factor, combination)
         return rest, used
 
     def combination(self, vector: Mapping[int, Number]) -> Vector | None:

@@ -86,12 +86,12 @@ def factors(word: Word) -> tuple[Word, Word]:
 
 
 @lru_cache(maxsize=4096)
-def bracketed(word: Word) -> Mapping[Word, int]:
+def expand_bracket(word: Word) -> Mapping[Word, int]:
     """Expand the nested bracket of a Lyndon word: the word itself plus larger words."""
     if len(word) == 1:
         return {word: 1}
     result: dict[Word, int] = {}
-    left, right = (bracketed(half) for half in factors(word))
+    left, right = (expand_bracket(half) for half in factors(word))
     for a, x in left.items():
         for b, y in right.items():
             for joined, value in ((a + b, x * y), (b + a, -x * y)):
@@ -109,7 +109,7 @@ def lie_coordinates(element: Mapping[Word, Any], words: Sequence[Word]) -> tuple
     for word in words:
         if word in rest:
             found[word] = value = rest[word]
-            for other, factor in bracketed(word).items():
+            for other, factor in expand_bracket(word).items():
                 rest[other] = rest.get(other, 0) - factor * value
             del rest[word]
     return found, rest

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.components import connected, parts
 from coadjoint.algebra.exact.sparse_sums import Integers, groups
 
-DENSE = 4000  # rows of a block that is eliminated as a dense matrix: at most 128 MB, a few seconds
+MAX_DENSE_ROWS = 4000  # rows of a block that is eliminated as a dense matrix: at most 128 MB, a few seconds
 
 
 def random_prime(rng: np.random.Generator) -> int:
@@ -61,7 +61,7 @@ def sparse_rank(rows: list[dict[int, int]], prime: int) -> int:
 
 def skew_rank(i: Integers, j: Integers, entries: list[int], size: int, prime: int) -> int:
     """Return the rank modulo a prime of a skew matrix of `size` rows, given by its entries above the diagonal."""
-    if size > DENSE:
+    if size > MAX_DENSE_ROWS:
         rows: list[dict[int, int]] = [{} for _ in range(size)]
         for a, b, value in zip(i.tolist(), j.tolist(), entries, strict=True):
             rows[a][b], rows[b][a] = value, -value % prime

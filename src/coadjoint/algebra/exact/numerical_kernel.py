@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact.numerical_rank import clear_rank
+from coadjoint.algebra.exact.numerical_rank import rank_from_gap
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, groups
 from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
+MIN_PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
 
 
 def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float]:
@@ -28,10 +28,10 @@ def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float
         size = abs(rows[at, column])
         if size <= error:
             continue
-        if size < PIVOT:
+        if size < MIN_PIVOT:
             raise ValueError(
                 f"a leading coefficient {size:.3g} of a Casimir is neither round-off (below {error:.3g}) nor above "
-                f"{PIVOT:.3g}; give constants that are rational or more exact"
+                f"{MIN_PIVOT:.3g}; give constants that are rational or more exact"
             )
         rows[[rank, at]] = rows[[at, rank]]
         rows[rank] /= rows[rank, column]
@@ -48,19 +48,24 @@ def _cleaned(row: Floats, error: float) -> Floats:
     return np.where(np.abs(row - whole) <= error * np.maximum(1.0, np.abs(whole)), whole, row)
 
 
-def _block_kernel(given: Equations) -> list[Vector]:
+def _block_kernel(linear_equations: Equations) -> list[Vector]:
     """Return the kernel of one block in reduced row echelon form, cleaned and checked against the equations."""
-    order, starts = groups(given.along, given.target)
+    order, starts = groups(linear_equations.along, linear_equations.target)
     row = np.repeat(np.arange(starts.size), np.diff(np.append(starts, order.size)))
-    matrix = np.zeros((starts.size, given.unknowns))
-    matrix[row, given.columns[order]] = given.values[order]
-    if starts.size > given.unknowns:
+    matrix = np.zeros((starts.size, linear_equations.unknowns))
+    matrix[row, linear_equations.columns[order]] = linear_equations.values[order]
+    if starts.size > linear_equations.unknowns:
         matrix = np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)
     _, singular, basis = np.linalg.svd(matrix)
     # every entry is known to 64 u times the largest one
-    roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * float(np.abs(given.values).max()) * math.sqrt(given.values.size)
-    rank = clear_rank(singular, roundoff, "the equations for Casimirs")
-    if rank == given.unknowns:
+    roundoff = (
+        DEFECT_FACTOR
+        * UNIT_ROUNDOFF
+        * float(np.abs(linear_equations.values).max())
+        * math.sqrt(linear_equations.values.size)
+    )
+    rank = rank_from_gap(singular, roundoff, "the equations for Casimirs")
+    if rank == linear_equations.unknowns:
         return []
     error = roundoff / singular[rank - 1] if rank else DEFECT_FACTOR * UNIT_ROUNDOFF
     found, rows, error = _leading_form(basis[rank:], error)
@@ -68,8 +73,8 @@ def _block_kernel(given: Equations) -> list[Vector]:
     for pivot, coefficients in zip(found, rows, strict=True):
         clean = _cleaned(coefficients, error)
         clean[:pivot] = 0.0
-        residual = np.add.reduceat((given.values * clean[given.columns])[order], starts)
-        allowed = error * float(np.abs(given.values).max()) * float(np.abs(clean).sum()) + roundoff
+        residual = np.add.reduceat((linear_equations.values * clean[linear_equations.columns])[order], starts)
+        allowed = error * float(np.abs(linear_equations.values).max()) * float(np.abs(clean).sum()) + roundoff
         if np.abs(residual).max() > allowed:
             raise ArithmeticError(
                 f"a Casimir found in floats has the residual {np.abs(residual).max():.3g} in J(x) grad C(x) = 0, above "
@@ -79,14 +84,14 @@ def _block_kernel(given: Equations) -> list[Vector]:
     return vectors
 
 
-def kernel(given: Equations, largest: int) -> list[Vector]:
+def kernel(linear_equations: Equations, largest: int) -> list[Vector]:
     """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}.
 
     With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
     zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
     """
     found: list[Vector] = []
-    for unknowns, part in blocks(given):
+    for unknowns, part in blocks(linear_equations):
         if not part.values.size:
             found += [{int(column): 1.0} for column in unknowns]
             continue
@@ -102,5 +107,5 @@ def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
     matrix = np.array(rows, dtype=np.float64)
     _, singular, basis = np.linalg.svd(matrix, full_matrices=False)
     roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * float(np.linalg.norm(matrix))
-    rank = clear_rank(singular, roundoff, "the products of Casimirs")
+    rank = rank_from_gap(singular, roundoff, "the products of Casimirs")
     return _leading_form(basis[:rank], roundoff / singular[rank - 1])[0]

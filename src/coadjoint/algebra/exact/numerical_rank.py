@@ -11,20 +11,21 @@ from coadjoint.algebra.exact.components import connected, parts
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-GAP = 2.0**10  # the smallest nonzero singular value must exceed round-off by this factor
+MIN_RANK_GAP = 2.0**10  # the smallest nonzero singular value must exceed round-off by this factor
 
 
-def clear_rank(singular: Floats, roundoff: float, what: str) -> int:
+def rank_from_gap(singular: Floats, roundoff: float, what: str) -> int:
     """Return the number of nonzero singular values (descending), or raise a ValueError if there is no clear gap.
 
     Values up to `roundoff`, a bound of the spectral norm of the error, are zero; the others must exceed 2^10 times
     that.
     """
     rank = int(np.count_nonzero(singular > roundoff))
-    if rank and singular[rank - 1] < GAP * roundoff:
+    if rank and singular[rank - 1] < MIN_RANK_GAP * roundoff:
         raise ValueError(
             f"the rank of {what} is not clear: its singular value {singular[rank - 1]:.3g} is neither round-off "
-            f"(below {roundoff:.3g}) nor above {GAP * roundoff:.3g}; give constants that are rational or more exact"
+            f"(below {roundoff:.3g}) nor above {MIN_RANK_GAP * roundoff:.3g}; give constants that are rational or "
+            "more exact"
         )
     return rank
 
@@ -61,6 +62,6 @@ def numerical_structure_rank(triples: Triples, dim: int) -> int:
             # Frobenius norm for an error of 64 u max |c| in every constant
             size = float(np.abs(c[at]).max()) * math.sqrt(2.0) * float(np.linalg.norm(x[k[at]]))
             roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * size
-            ranks.append(clear_rank(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), roundoff, "J(x)"))
+            ranks.append(rank_from_gap(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), roundoff, "J(x)"))
         total += max(ranks)
     return total

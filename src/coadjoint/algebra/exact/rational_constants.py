@@ -12,27 +12,27 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.numbers import exact_numbers
 
-DENOMINATOR = 10**6
+MAX_DENOMINATOR = 10**6
 # p/q is accepted if p q <= 2^45. About 0.3 * 2^45 / 2^52 such fractions round to the same float as a random number, so
 # one random number in 400 is mistaken for a fraction; the Jacobi identity must then confirm all fractions together.
-SIZE = 2**45
+MAX_FRACTION_PRODUCT = 2**45
 
 
 def as_fraction(value: float) -> Fraction | None:
     """Return the simple fraction that rounds to a float, or None: p/q with q <= 10^6 and p q <= 2^45, or an integer."""
-    simple = Fraction(value).limit_denominator(DENOMINATOR)
+    simple = Fraction(value).limit_denominator(MAX_DENOMINATOR)
     if float(simple) != value:
         return None
-    plain = simple.denominator == 1 or abs(simple.numerator) * simple.denominator <= SIZE
+    plain = simple.denominator == 1 or abs(simple.numerator) * simple.denominator <= MAX_FRACTION_PRODUCT
     return simple if plain else None
 
 
-def cleared(values: list[Fraction]) -> NDArray[Any]:
+def clear_denominators(values: list[Fraction]) -> NDArray[Any]:
     """Multiply fractions by their common denominator; return integers in the same ratios.
 
     Examples
     --------
-    >>> cleared([Fraction(1, 2), Fraction(1, 3)])
+    >>> clear_denominators([Fraction(1, 2), Fraction(1, 3)])
     array([3, 2], dtype=object)
     """
     common = math.lcm(*(value.denominator for value in values))
@@ -78,7 +78,7 @@ def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
     known = [value for value in fractions if value is not None]
     if len(known) < len(fractions):
         return None
-    whole = cleared(known)[place]
+    whole = clear_denominators(known)[place]
     return whole if jacobi_exact(triples, whole, dim) else None
 
 
@@ -91,5 +91,5 @@ def dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
     array([8, 3], dtype=object)
     """
     different, place = np.unique(triples.c, return_inverse=True)
-    whole = cleared([Fraction(value) for value in different.tolist()])[place]
+    whole = clear_denominators([Fraction(value) for value in different.tolist()])[place]
     return whole if jacobi_exact(triples, whole, dim) else None

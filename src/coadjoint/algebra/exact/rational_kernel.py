@@ -28,19 +28,19 @@ def _leading_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
     return tuple(next(at for at, value in enumerate(row) if value) for row in found), found
 
 
-def _kernel_modulo(given: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
+def _kernel_modulo(linear_equations: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
     """Return the kernel modulo a prime in reduced row echelon form, intersected derivation by derivation."""
     from flint import nmod_mat
 
-    size, values = given.unknowns, residues(given.values, prime)
-    order, starts = groups(given.along)
+    size, values = linear_equations.unknowns, residues(linear_equations.values, prime)
+    order, starts = groups(linear_equations.along)
     cuts = np.split(order, starts[1:]) if order.size else []
     kernel: Any = None
     for at in sorted(cuts, key=len, reverse=True):  # longest first, since it reduces the kernel most
         waiting.at(f"the equations of {size} coupled coefficients")
-        names, row = np.unique(given.target[at], return_inverse=True)
+        names, row = np.unique(linear_equations.target[at], return_inverse=True)
         flat = [0] * (names.size * size)
-        for place, value in zip((row * size + given.columns[at]).tolist(), values[at].tolist(), strict=True):
+        for place, value in zip((row * size + linear_equations.columns[at]).tolist(), values[at].tolist(), strict=True):
             flat[place] = value
         matrix = nmod_mat(names.size, size, flat, prime)
         if kernel is not None:
@@ -75,7 +75,7 @@ def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
     return Fraction(here[0], here[1])
 
 
-def annihilated(given: Equations, vector: Vector) -> bool:
+def annihilated(linear_equations: Equations, vector: Vector) -> bool:
     """Return whether a rational vector fulfils the equations exactly.
 
     Examples
@@ -85,16 +85,16 @@ def annihilated(given: Equations, vector: Vector) -> bool:
     True
     """
     common = math.lcm(*(Fraction(value).denominator for value in vector.values()))
-    dense = np.zeros(given.unknowns, dtype=object)
+    dense = np.zeros(linear_equations.unknowns, dtype=object)
     for column, value in vector.items():
         dense[column] = int(value * common)
-    touched = np.isin(given.columns, list(vector))
-    terms = given.values[touched].astype(object) * dense[given.columns[touched]]
-    order, starts = groups(given.along[touched], given.target[touched])
+    touched = np.isin(linear_equations.columns, list(vector))
+    terms = linear_equations.values[touched].astype(object) * dense[linear_equations.columns[touched]]
+    order, starts = groups(linear_equations.along[touched], linear_equations.target[touched])
     return not (order.size and np.any(np.add.reduceat(terms[order], starts) != 0))
 
 
-def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
+def _block_kernel(linear_equations: Equations, rng: np.random.Generator) -> list[Vector]:
     """Return the kernel of one block in reduced row echelon form.
 
     Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
@@ -108,7 +108,7 @@ def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
         prime = random_prime(rng)
         if modulus % prime == 0:
             continue
-        found, rows = _kernel_modulo(given, prime)
+        found, rows = _kernel_modulo(linear_equations, prime)
         if not found:
             return []
         if modulus == 1 or (len(found), found) < (len(pivots), pivots):
@@ -125,28 +125,28 @@ def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
         vectors: list[Vector] = []
         for row in columns:
             vector = {at: fraction_modulo(value, modulus) for at, value in enumerate(row) if value}
-            if None in vector.values() or not annihilated(given, vector):
+            if None in vector.values() or not annihilated(linear_equations, vector):
                 break
             vectors.append(vector)
         if len(vectors) == len(pivots):
             return vectors
 
 
-def kernel(given: Equations, largest: int) -> list[Vector]:
+def kernel(linear_equations: Equations, largest: int) -> list[Vector]:
     """Return the solutions of integer equations in reduced row echelon form, {unknown: Fraction}, by leading unknown.
 
     Every vector is verified against all equations in exact arithmetic. ValueError for a block above `largest` unknowns.
     """
     rng = np.random.default_rng(0)
     found: list[Vector] = []
-    for unknowns, part in blocks(given):
+    for unknowns, part in blocks(linear_equations):
         if not part.values.size:
             found += [{int(column): 1} for column in unknowns]
             continue
         check_block(part, largest)
         for vector in _block_kernel(part, rng):
             whole = {int(unknowns[at]): value for at, value in vector.items()}
-            if not annihilated(given, whole):
+            if not annihilated(linear_equations, whole):
                 raise ArithmeticError("a solution of a block does not solve all equations: the blocks are wrong")
             found.append(whole)
     return sorted(found, key=lambda vector: next(iter(vector)))

@@ -81,12 +81,12 @@ def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
         begin, spent = end, int(reached[end - 1])
 
 
-def largest_alike(labels: Integers, values: Floats) -> Floats:
+def group_max_abs(labels: Integers, values: Floats) -> Floats:
     """Return for each row the largest absolute value among the rows with the same label.
 
     Examples
     --------
-    >>> largest_alike(np.array([4, 7, 4]), np.array([1.0, 2.0, -3.0]))
+    >>> group_max_abs(np.array([4, 7, 4]), np.array([1.0, 2.0, -3.0]))
     array([3., 2., 3.])
     """
     _, place = np.unique(labels, return_inverse=True)
@@ -95,7 +95,7 @@ def largest_alike(labels: Integers, values: Floats) -> Floats:
     return largest[place]
 
 
-def violated(
+def largest_violation(
     keys: tuple[Integers, ...], factors: tuple[Floats, Floats], sizes: tuple[Floats, Floats]
 ) -> tuple[int, float] | None:
     """Return (row, defect) of the sum of products of equal keys farthest from zero relative to its sizes, or None.

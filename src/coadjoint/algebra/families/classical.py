@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from coadjoint.algebra.constants import check_room_of_algebra
+from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Form, matrix_algebra, traceless
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.short_repr import short
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 
 def gl(n: int) -> LieAlgebra:
@@ -35,8 +35,8 @@ def gl(n: int) -> LieAlgebra:
     >>> gl(2).casimirs_known["quadratic"]
     x1^2 + 2*x2*x3 + x4^2
     """
-    n = read_whole(n, "n of gl(n)")
-    check_room_of_algebra(f"gl({short(n)})", n * n, n**3)
+    n = read_integer(n, "n of gl(n)")
+    check_algebra_memory(f"gl({short(n)})", n * n, n**3)
     basis = [(i * n + j, i, j, 1.0) for i in range(n) for j in range(n)]
     casimirs: dict[str, Form] = {"quadratic": [(i * n + j, j * n + i, 1) for i in range(n) for j in range(n)]}
     trace = [i * n + i for i in range(n)]
@@ -72,8 +72,8 @@ def sl(n: int = 2) -> LieAlgebra:
     >>> sl(3)
     LieAlgebra('sl(3)', dim=8, 21 brackets)
     """
-    n = read_whole(n, "n of sl(n)", 2)
-    check_room_of_algebra(f"sl({short(n)})", n * n - 1, 2 * n**3)
+    n = read_integer(n, "n of sl(n)", 2)
+    check_algebra_memory(f"sl({short(n)})", n * n - 1, 2 * n**3)
     if n == 2:
         matrix_basis = [(0, 1, 0, 1.0), (1, 0, 0, 0.5), (1, 1, 1, -0.5), (2, 0, 1, 1.0)]
         weights = [(0, 1, 0, 1.0), (1, 0, 0, 1.0), (1, 1, 1, -1.0), (2, 0, 1, 1.0)]
@@ -116,11 +116,11 @@ def sp(size: int) -> LieAlgebra:
     >>> sp(2).casimirs_known["quadratic"]
     (1/2)*x1^2 + 2*x2*x3
     """
-    size = read_whole(size, "size of sp(size)", 2)
+    size = read_integer(size, "size of sp(size)", 2)
     if size % 2:
         raise ValueError(f"size of sp(size) must be even, not {short(size)}: sp(2n, R) consists of 2n x 2n matrices")
     n = size // 2
-    check_room_of_algebra(f"sp({short(size)})", n * (size + 1), size**3)
+    check_algebra_memory(f"sp({short(size)})", n * (size + 1), size**3)
     upper = [(i, j) for i in range(n) for j in range(i, n)]
     b, c = n * n, n * n + len(upper)
     basis = [(i * n + j, i, j, 1.0) for i in range(n) for j in range(n)]

@@ -19,7 +19,7 @@ from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.logarithmic import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_parser import Number
-from coadjoint.algebra.polynomials.formulas import read_formula, satisfied
+from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, read_number
@@ -39,23 +39,23 @@ def parameters_of(name: str) -> tuple[str, ...]:
     return tuple(entries()[name].get("parameters", ()))
 
 
-def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
+def read_parameters(name: str, argument: Mapping[str, Any]) -> dict[str, Number]:
     """Validate the parameters of an algebra and return them exactly; floats are converted exactly."""
     expected = parameters_of(name)
-    missing = [key for key in expected if key not in given]
+    missing = [key for key in expected if key not in argument]
     if missing:
         raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
-    extra = sorted(set(given) - set(expected))
+    extra = sorted(set(argument) - set(expected))
     if extra:
         accepted = ", ".join(expected) or "none"
         raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")
     values: dict[str, Number] = {}
     for key in expected:
-        value = given[key]
+        value = argument[key]
         number = read_number(value, f"{key} of {name}")
         values[key] = exact_number(value if isinstance(value, Rational) else number)
     condition = entries()[name].get("range")
-    if condition is not None and not satisfied(condition, values):
+    if condition is not None and not condition_holds(condition, values):
         shown = ", ".join(f"{key} = {_shown(value)}" for key, value in values.items())
         raise ValueError(f"parameters of {name} are out of range: it needs {condition}, not {shown}")
     return values
@@ -72,7 +72,7 @@ def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
     result: Constants = {}
     for pair, text in entry["brackets"].items():
         i, j = (int(label.removeprefix("e")) - 1 for label in pair.split())
-        bracket = read_formula(text, parameters, entry["dim"], "e")
+        bracket = parse_formula(text, parameters, entry["dim"], "e")
         if not isinstance(bracket, Polynomial) or any(sum(exponents) != 1 for exponents in bracket.monomials):
             raise ValueError(f"bracket {pair!r} of {name} must be a combination of basis elements, not {text!r}")
         result[i, j] = bracket
@@ -94,11 +94,11 @@ def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomia
     """
     entry = entries()[name]
     result: dict[str, Polynomial | LogarithmicSum] = {}
-    for given in entry["invariants"]:
-        stated = {"formula": given} if isinstance(given, str) else given
-        if "where" in stated and not satisfied(stated["where"], parameters):
+    for argument in entry["invariants"]:
+        stated = {"formula": argument} if isinstance(argument, str) else argument
+        if "where" in stated and not condition_holds(stated["where"], parameters):
             continue
-        formula = read_formula(stated["formula"], parameters, entry["dim"])
+        formula = parse_formula(stated["formula"], parameters, entry["dim"])
         if isinstance(formula, int | Fraction):
             raise ValueError(f"invariant {stated['formula']!r} of {name} is a constant")
         if isinstance(formula, LogarithmicSum):

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.matrix_families import KINDS, WITH_SIGNS, Adjoint, Kind
-from coadjoint.memory import check_room
+from coadjoint.algebra.families.matrix_families import INDEFINITE_KINDS, KINDS, Adjoint, Kind
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.validation import SMALL, array_given, no_numbers, read_choice, read_title, read_whole
+from coadjoint.validation import UNCHECKED_SIZE, not_numbers_error, read_choice, read_integer, read_title, to_array
 
 SUM = "sum"
-LARGEST = 4096
-ROUNDED = 64 * UNIT_ROUNDOFF
+MAX_MATRIX_SIZE = 4096
+MEMBERSHIP_TOLERANCE = 64 * UNIT_ROUNDOFF
 """Relative rounding tolerance, times N and the largest entry, of membership in the algebra."""
-SPARED = 8 * UNIT_ROUNDOFF
+TRACE_TOLERANCE = 8 * UNIT_ROUNDOFF
 
 Matrix = npt.NDArray[Any]
 
@@ -67,12 +67,14 @@ class MatrixAlgebra:
         if isinstance(self.kind, str) and self.kind == SUM:
             self._check_blocks()
             return
-        kind, N = read_choice(self.kind, "kind", KINDS), read_whole(self.N, "N", 2, LARGEST)
-        q = read_whole(self.q, "q", 0, N)
+        kind, N = read_choice(self.kind, "kind", KINDS), read_integer(self.N, "N", 2, MAX_MATRIX_SIZE)
+        q = read_integer(self.q, "q", 0, N)
         if N % 2 and KINDS[kind].form == "symplectic":
             raise ValueError(f"N is {N}; matrices of {kind} have an even number of rows")
-        if q and kind not in WITH_SIGNS:
-            raise ValueError(f"q is {q}; {kind} has no negative signs (q must be 0); only {', '.join(WITH_SIGNS)} have")
+        if q and kind not in INDEFINITE_KINDS:
+            raise ValueError(
+                f"q is {q}; {kind} has no negative signs (q must be 0); only {', '.join(INDEFINITE_KINDS)} have"
+            )
         if not isinstance(self.blocks, tuple) or self.blocks:
             raise ValueError(f"blocks is {short(self.blocks)}; a sum of algebras is made by MatrixAlgebra.sum")
         for name, value in (("kind", kind), ("N", N), ("q", q)):
@@ -83,9 +85,9 @@ class MatrixAlgebra:
         if not isinstance(blocks, tuple) or len(blocks) < 2 or not all(isinstance(b, MatrixAlgebra) for b in blocks):
             raise TypeError(f"blocks is {short(blocks)}; a sum has two MatrixAlgebras or more")
         size = sum(block.N for block in blocks)
-        if size > LARGEST or self.N != size or self.q != 0:
+        if size > MAX_MATRIX_SIZE or self.N != size or self.q != 0:
             raise ValueError(
-                f"blocks have {size} rows together; they must have N of them, {LARGEST} at most, and q = 0"
+                f"blocks have {size} rows together; they must have N of them, {MAX_MATRIX_SIZE} at most, and q = 0"
             )
 
     @classmethod
@@ -117,7 +119,7 @@ class MatrixAlgebra:
             return " + ".join(map(str, self.blocks))
         name, _, field = self.kind.partition("(")
         size = f"{self.N - self.q}, {self.q}" if self.q else str(self.N)
-        return f"{name}({size}{', C' if field else '' if name in WITH_SIGNS else ', R'})"
+        return f"{name}({size}{', C' if field else '' if name in INDEFINITE_KINDS else ', R'})"
 
     @property
     def name(self) -> str:
@@ -145,7 +147,7 @@ class MatrixAlgebra:
     @cached_property
     def skew(self) -> bool:
         """Whether all matrices are skew-Hermitian: u(N), su(N), so(N), and sums of these."""
-        return all(block.kind in WITH_SIGNS and not block.q for _, block, _ in self.parts)
+        return all(block.kind in INDEFINITE_KINDS and not block.q for _, block, _ in self.parts)
 
     @cached_property
     def dim(self) -> int:
@@ -256,24 +258,24 @@ class MatrixAlgebra:
             Not finite, of another size, or not in the algebra.
         """
         what = read_title(what, "what")
-        array = array_given(given, what, "iufc")
+        array = to_array(given, what, "iufc")
         if array.shape[-2:] != self.shape or array.ndim > 3:
             raise ValueError(
                 f"{what} has the shape {array.shape}; it must be {self.shape} or (members, {self.N}, {self.N})"
             )
-        if array.size > SMALL:
-            check_room(48 * array.size, f"a copy of {what}, of shape {array.shape},")
+        if array.size > UNCHECKED_SIZE:
+            check_available_memory(48 * array.size, f"a copy of {what}, of shape {array.shape},")
         try:
             A = array.astype(np.complex128)
         except OverflowError:
             raise ValueError(f"{what} holds a number that is too large for float64") from None
         except (TypeError, ValueError):
-            raise no_numbers(given, what) from None
+            raise not_numbers_error(given, what) from None
         if not np.isfinite(A).all():
             raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
-        near = self.projected(A, spared=SPARED)
+        near = self.projected(A, spared=TRACE_TOLERANCE)
         away, size = (np.abs(B).max(axis=(-2, -1), initial=0.0).reshape(-1) for B in (A - near, A))
-        wrong = np.flatnonzero(away > ROUNDED * self.N * size)
+        wrong = np.flatnonzero(away > MEMBERSHIP_TOLERANCE * self.N * size)
         if len(wrong):
             one = wrong[0]
             which = f"{what}[{one}]" if A.ndim == 3 else what

@@ -10,9 +10,11 @@ import numpy as np
 from coadjoint.algebra.constants import Triples, read_basis
 from coadjoint.algebra.exact.sparse_sums import Floats, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.quadratic_forms import linear, quadratic, within
+from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, linear, quadratic
 
-LARGEST = 2**24  # numbers in the representation of a catalogue algebra: 128 MB; so(60) has 1770 * 60^2
+MAX_REPRESENTATION_NUMBERS = (
+    2**24
+)  # numbers in the representation of a catalogue algebra: 128 MB; so(60) has 1770 * 60^2
 
 Entry = tuple[int, int, int, float]
 Form = list[tuple[int, int, int | Fraction]]
@@ -80,7 +82,7 @@ def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
 
 def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
     """Return the matrices as an array (count, size, size), or None above 128 MB."""
-    if count * size**2 > LARGEST:
+    if count * size**2 > MAX_REPRESENTATION_NUMBERS:
         return None
     result = np.zeros((count, size, size))
     np.add.at(result, (basis.number, basis.row, basis.column), basis.value)
@@ -126,12 +128,12 @@ def matrix_algebra(
     given = Sparse(basis)
     dim = int(given.number.max()) + 1
     casimirs = {}
-    if within(sum(map(len, forms.values())), dim):
+    if casimirs_fit(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
     # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
     constants = commutator_constants(given, Sparse(coordinates), size)
-    return LieAlgebra._proved(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
+    return LieAlgebra._from_valid(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
 
 
 def pairs(n: int) -> list[tuple[int, int]]:

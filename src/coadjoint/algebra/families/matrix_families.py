@@ -29,7 +29,7 @@ class Kind(NamedTuple):
         return self.form != "" and not self.conjugate
 
     @property
-    def twofold(self) -> bool:
+    def has_complex_traces(self) -> bool:
         """Whether traces are complex, each giving two invariants: the complex form itself."""
         return self.complex and not self.conjugate
 
@@ -38,11 +38,11 @@ class Kind(NamedTuple):
         whole = N * N - self.traceless
         if self.even:
             whole = N * (N - 1) // 2 if self.form == "diagonal" else N * (N + 1) // 2
-        return whole * (1 + self.twofold)
+        return whole * (1 + self.has_complex_traces)
 
     def rank(self, N: int) -> int:
         """Return the number of independent Casimirs."""
-        return (N // 2 if self.even else N - self.traceless) * (1 + self.twofold)
+        return (N // 2 if self.even else N - self.traceless) * (1 + self.has_complex_traces)
 
 
 KINDS = {
@@ -57,7 +57,7 @@ KINDS = {
     "so(C)": Kind(True, "diagonal", False, False, "complex, with W^T = -W"),
     "sp(C)": Kind(True, "symplectic", False, False, "complex, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
 }
-WITH_SIGNS = ("u", "su", "so")
+INDEFINITE_KINDS = ("u", "su", "so")
 """Kinds that exist for forms of any signature."""
 
 

@@ -7,14 +7,14 @@ from math import comb
 
 import numpy as np
 
-from coadjoint.algebra.constants import Triples, check_room_of_algebra
+from coadjoint.algebra.constants import Triples, check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Sparse, matrices
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
-HIGHEST_DETERMINANT = 10  # a catalecticant of 6 x 6, 720 products
-HIGHEST = 100
+MAX_DETERMINANT_DEGREE = 10  # a catalecticant of 6 x 6, 720 products
+MAX_MOMENT_DEGREE = 100
 
 
 def moments(degree: int = 4) -> LieAlgebra:
@@ -53,12 +53,12 @@ def moments(degree: int = 4) -> LieAlgebra:
     >>> g.casimirs_known["(form, form)_4"]
     x4*x8 - 4*x5*x7 + 3*x6^2
     """
-    degree = read_whole(degree, "degree", 2, HIGHEST)
+    degree = read_integer(degree, "degree", 2, MAX_MOMENT_DEGREE)
     if degree % 2:
         raise ValueError(f"degree is {degree}; it must be even")
     powers = powers_of(degree)
     n = len(powers)
-    check_room_of_algebra(f"moments({degree})", n, n * n // 2)
+    check_algebra_memory(f"moments({degree})", n, n * n // 2)
     place = {pair: number for number, pair in enumerate(powers)}
     found = []
     for a, (i, j) in enumerate(powers):
@@ -73,7 +73,7 @@ def moments(degree: int = 4) -> LieAlgebra:
     rho = matrices(Sparse(plane), 3, 2) if degree == 2 else None
     names = tuple(moment_name(i, j) for i, j in powers)
     # The bracket is that of polynomials in q and p, so the Jacobi identity holds.
-    return LieAlgebra._proved(constants, n, names, f"moments({degree})", rho, _casimirs(degree, n))
+    return LieAlgebra._from_valid(constants, n, names, f"moments({degree})", rho, _casimirs(degree, n))
 
 
 def powers_of(degree: int) -> list[tuple[int, int]]:
@@ -96,7 +96,7 @@ def _casimirs(degree: int, n: int) -> dict[str, Polynomial]:
     if degree == 2:
         return {"emittance^2": square}
     casimirs = {f"(form, form)_{degree}": square}
-    if degree <= HIGHEST_DETERMINANT:
+    if degree <= MAX_DETERMINANT_DEGREE:
         casimirs["catalecticant"] = _determinant([[top[a + b] for b in range(half + 1)] for a in range(half + 1)], n)
     return casimirs
 

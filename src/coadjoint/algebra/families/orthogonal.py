@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from coadjoint.algebra.constants import check_room_of_algebra
+from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.short_repr import short
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 
 def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
@@ -56,12 +56,12 @@ def so(n: int, q: int = 0) -> LieAlgebra:
     >>> so(3, 1).casimirs_known["quadratic"]
     x1^2 + x2^2 - x3^2 + x4^2 - x5^2 - x6^2
     """
-    q = read_whole(q, "q of so(p, q)", 0)
-    n = read_whole(n, "n of so(n)", 2) if q == 0 else read_whole(n, "p of so(p, q)", max(0, 2 - q))
+    q = read_integer(q, "q of so(p, q)", 0)
+    n = read_integer(n, "n of so(n)", 2) if q == 0 else read_integer(n, "p of so(p, q)", max(0, 2 - q))
     if n == 0:
         return so(q)
     size = n + q
-    check_room_of_algebra(f"so({short(size)})", size * (size - 1) // 2, size * (size - 1) * (size - 2) // 2)
+    check_algebra_memory(f"so({short(size)})", size * (size - 1) // 2, size * (size - 1) * (size - 2) // 2)
     basis, weights = rotations(n, q)
     sign = [1] * n + [-1] * q
     casimirs: dict[str, Form] = {}
@@ -104,8 +104,8 @@ def e(n: int = 3) -> LieAlgebra:
     >>> e(2).casimirs_known["|p|^2"]
     x2^2 + x3^2
     """
-    n = read_whole(n, "n of e(n)", 2)
-    check_room_of_algebra(f"e({short(n)})", n * (n + 1) // 2, n * n * (n - 1) // 2)
+    n = read_integer(n, "n of e(n)", 2)
+    check_algebra_memory(f"e({short(n)})", n * (n + 1) // 2, n * n * (n - 1) // 2)
     basis, weights = rotations(n)
     begin = n * (n - 1) // 2
     translations = [(begin + i, i, n, 1.0) for i in range(n)]
@@ -137,4 +137,4 @@ def se(n: int = 3) -> LieAlgebra:
     >>> se(3) == e(3)
     True
     """
-    return e(read_whole(n, "n of se(n)", 2))
+    return e(read_integer(n, "n of se(n)", 2))

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.constants import Triples, check_room_of_algebra
+from coadjoint.algebra.constants import Triples, check_algebra_memory
 from coadjoint.algebra.exact.sparse_sums import Floats, groups
-from coadjoint.algebra.families.matrix_bases import LARGEST
+from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS
 from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import embedded, within
+from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
 from coadjoint.short_repr import short
-from coadjoint.validation import read_whole, title
+from coadjoint.validation import read_integer, title
 
 
 def shifted(triples: Triples, begin: int) -> Triples:
@@ -71,13 +71,13 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     if not algebras:
         raise ValueError("a direct sum needs at least one algebra")
     begins = np.cumsum([0] + [algebra.dim for algebra in algebras]).tolist()
-    check_room_of_algebra("the direct sum", begins[-1], sum(algebra.triples.c.size for algebra in algebras))
+    check_algebra_memory("the direct sum", begins[-1], sum(algebra.triples.c.size for algebra in algebras))
     parts = [shifted(algebra.triples, begin) for algebra, begin in zip(algebras, begins, strict=False)]
     names = [label for algebra in algebras for label in algebra.basis]
     if len(set(names)) < len(names):
         names = [f"{label}[{number}]" for number, algebra in enumerate(algebras, 1) for label in algebra.basis]
     # The Jacobi identities are those of the summands, already checked.
-    return LieAlgebra._proved(
+    return LieAlgebra._from_valid(
         joined(parts),
         begins[-1],
         tuple(names),
@@ -119,17 +119,17 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     """
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")
-    count = read_whole(count, "count of copies(g, count)")
+    count = read_integer(count, "count of copies(g, count)")
     i, j, k, c = g.triples
-    check_room_of_algebra(f"the sum of {short(count)} copies", g.dim * count, c.size * count)
+    check_algebra_memory(f"the sum of {short(count)} copies", g.dim * count, c.size * count)
     shift = np.repeat(np.arange(count, dtype=np.int64) * g.dim, c.size)
     i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
     size = 0 if g.representation is None else g.representation.shape[1]
-    fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= LARGEST
-    known = _of_summands([g] * count, range(0, g.dim * (count + 1), g.dim)) if _written([g], count) else {}
+    fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= MAX_REPRESENTATION_NUMBERS
+    known = _of_summands([g] * count, range(0, g.dim * (count + 1), g.dim)) if _casimirs_fit_memory([g], count) else {}
     labels = g.basis
     # The Jacobi identities of every copy are those of g, already checked.
-    return LieAlgebra._proved(
+    return LieAlgebra._from_valid(
         Triples(i, j, k, np.tile(c, count)),
         g.dim * count,
         tuple([f"{label}[{number}]" for number in range(1, count + 1) for label in labels]),
@@ -139,15 +139,15 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     )
 
 
-def _written(algebras: Sequence[LieAlgebra], count: int = 1) -> bool:
+def _casimirs_fit_memory(algebras: Sequence[LieAlgebra], count: int = 1) -> bool:
     """Return whether the Casimirs of all summands, `count` times, are small enough to be stored as polynomials."""
     known = [casimir for algebra in algebras for casimir in algebra.casimirs_known.values()]
     monomials = sum(len(casimir.monomials) if isinstance(casimir, Polynomial) else 1 for casimir in known)
-    return within(monomials * count, sum(algebra.dim for algebra in algebras) * count)
+    return casimirs_fit(monomials * count, sum(algebra.dim for algebra in algebras) * count)
 
 
 def _of_summands(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> dict[str, Any]:
-    if not _written(algebras):
+    if not _casimirs_fit_memory(algebras):
         return {}
     dim = begins[-1]
     result: dict[str, Any] = {}
@@ -163,7 +163,7 @@ def _of_summands(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> dict[
 def _block_diagonal(parts: Sequence[Floats | None]) -> Floats | None:
     blocks = [part for part in parts if part is not None]
     dim, size = sum(part.shape[0] for part in blocks), sum(part.shape[1] for part in blocks)
-    if len(blocks) < len(parts) or dim * size**2 > LARGEST:
+    if len(blocks) < len(parts) or dim * size**2 > MAX_REPRESENTATION_NUMBERS:
         return None
     rho = np.zeros((dim, size, size))
     element = place = 0
@@ -215,7 +215,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     if ideal is not None and ideal.dim != d:
         raise ValueError(f"the ideal has dimension {ideal.dim}; the matrices act on {d} dimensions")
     element, row, column = (index.astype(np.int64) for index in np.nonzero(rho))
-    check_room_of_algebra("the semidirect product", n + d, g.triples.c.size + element.size)
+    check_algebra_memory("the semidirect product", n + d, g.triples.c.size + element.size)
     parts = [g.triples, Triples(element, column + n, row + n, rho[element, row, column])]
     names = list(g.basis)
     if ideal is not None:
@@ -227,7 +227,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     if set(names) & set(space):
         names, space = [f"{label}[1]" for label in names], [f"{label}[2]" for label in space]
     affine = None
-    if ideal is None and (n + d) * (d + 1) ** 2 <= LARGEST:
+    if ideal is None and (n + d) * (d + 1) ** 2 <= MAX_REPRESENTATION_NUMBERS:
         affine = np.zeros((n + d, d + 1, d + 1))
         affine[:n, :d, :d] = rho
         affine[range(n, n + d), range(d), d] = 1.0
@@ -237,4 +237,4 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     if ideal is not None:  # the Jacobi check verifies that the matrices are derivations of it
         return LieAlgebra(constants, dim=n + d, basis=names + space, name=name)
     constants = constants.rows(groups(constants.i, constants.j, constants.k)[0])
-    return LieAlgebra._proved(constants, n + d, tuple(names + space), name, affine, {})
+    return LieAlgebra._from_valid(constants, n + d, tuple(names + space), name, affine, {})

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.constants import read_basis
-from coadjoint.algebra.exact.elimination import Number, Span, Vector, added, read_vector
+from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple, read_vector
 from coadjoint.algebra.exact.numbers import exact_number, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import substituted
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import array_given, title
+from coadjoint.validation import title, to_array
 
 BYTES_PER_FRACTION = 300  # in a dictionary, including intermediate results
 
@@ -27,17 +27,17 @@ Rows = dict[int, list[tuple[int, int, Number]]]
 Brackets = Mapping[tuple[int, int], Mapping[int, Number]]
 
 
-def _vectors(g: LieAlgebra, given: Any, what: str) -> list[Vector]:
+def _vectors(g: LieAlgebra, argument: Any, what: str) -> list[Vector]:
     """Parse vectors of g, given as components or names of basis elements."""
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"{what} belongs to a LieAlgebra, not to a {type(g).__name__}")
-    if isinstance(given, np.ndarray) and given.dtype.kind == "U":
-        given = given.tolist()
-    if not isinstance(given, list | tuple) and np.ndim(given := array_given(given, what)) == 0:
-        raise TypeError(f"{what} must be a sequence of vectors or of names of basis elements, not {short(given)}")
+    if isinstance(argument, np.ndarray) and argument.dtype.kind == "U":
+        argument = argument.tolist()
+    if not isinstance(argument, list | tuple) and np.ndim(argument := to_array(argument, what)) == 0:
+        raise TypeError(f"{what} must be a sequence of vectors or of names of basis elements, not {short(argument)}")
     place = {label: i for i, label in enumerate(g.basis)}
     vectors: list[Vector] = []
-    for number, vector in enumerate(given):
+    for number, vector in enumerate(argument):
         if isinstance(vector, str):
             if vector not in place:
                 known = ", ".join(map(short, g.basis[:8]))
@@ -70,7 +70,7 @@ def _bracket(rows: Rows, u: Mapping[int, Number], v: Mapping[int, Number]) -> Ve
     for i, left in u.items():
         for j, k, c in rows[i]:
             if j in v:
-                added(result, left * v[j], {k: c})
+                add_multiple(result, left * v[j], {k: c})
     return result
 
 
@@ -78,7 +78,7 @@ def _constants(brackets: Brackets) -> list[tuple[int, int, int, float]]:
     return [(i, j, k, rounded(c)) for (i, j), components in brackets.items() for k, c in components.items()]
 
 
-def _combined(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
+def _combine_representation(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
     """Return sum_j v_j rho_j for each vector, each entry rounded once."""
     if g.representation is None:
         return None
@@ -90,7 +90,7 @@ def _combined(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
     for number, vector in enumerate(vectors):
         total: Vector = {}
         for j, value in vector.items():
-            added(total, value, entries[j])
+            add_multiple(total, value, entries[j])
         for place, value in total.items():
             rho[number].flat[place] = rounded(value)
     return rho
@@ -121,7 +121,7 @@ def _is_exact(brackets: Brackets) -> bool:
     return all(rounded(c) == c for components in brackets.values() for c in components.values())
 
 
-def _whole(vectors: Sequence[Mapping[int, Number]]) -> tuple[list[dict[int, int]], int]:
+def _to_integers(vectors: Sequence[Mapping[int, Number]]) -> tuple[list[dict[int, int]], int]:
     """Return integer vectors and their common denominator; integers multiply much faster than fractions."""
     common = math.lcm(*(value.denominator for vector in vectors for value in vector.values()))
     return [{i: int(value * common) for i, value in vector.items()} for vector in vectors], common
@@ -167,7 +167,7 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
         raise ValueError(f"the new basis must consist of {g.dim} vectors, not {len(vectors)}")
     span = _span(vectors, "the new basis")
     old = [span.combination({i: 1}) or {} for i in range(g.dim)]  # e_i by the new basis, so x_i by x'
-    (new, by_new), (inverse, by_inverse) = _whole(vectors), _whole(old)
+    (new, by_new), (inverse, by_inverse) = _to_integers(vectors), _to_integers(old)
     rows, brackets = _by_element(g), {}
     having: list[list[int]] = [[] for _ in range(g.dim)]  # indices of new elements with a component along e_j
     for number, vector in enumerate(new):
@@ -177,19 +177,19 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     spread, joined = np.array([len(numbers) for numbers in having]), np.array([len(vector) for vector in inverse])
     most = 2 * int((spread[g.triples.i] * spread[g.triples.j] * joined[g.triples.k]).sum())
     constants = min(most, g.dim**2 * (g.dim - 1) // 2)
-    check_room(BYTES_PER_FRACTION * constants, f"{g.name or 'the algebra'} in the new basis")
+    check_available_memory(BYTES_PER_FRACTION * constants, f"{g.name or 'the algebra'} in the new basis")
     for i, u in enumerate(new):
         for other in sorted({v for a in u for j, _, _ in rows[a] for v in having[j] if v > i}):
             components: Vector = {}
             for k, value in _bracket(rows, u, new[other]).items():
-                added(components, value, inverse[k])
+                add_multiple(components, value, inverse[k])
             brackets[i, other] = {k: Fraction(value) / (by_new**2 * by_inverse) for k, value in components.items()}
     return LieAlgebra(
         _constants(brackets),
         dim=g.dim,
         basis=read_basis(basis, g.dim),
         name=None if g.name is None else title(f"{g.name} in another basis"),
-        representation=_combined(g, vectors),
+        representation=_combine_representation(g, vectors),
         casimirs=_casimirs(g, old, g.dim, _is_exact(brackets)),
     )
 
@@ -221,14 +221,14 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
     >>> subalgebra(so(4), ["e1", "e2", "e4"]).bracket([1, 0, 0], [0, 1, 0])
     array([ 0.,  0., -1.])
     """
-    given = _vectors(g, vectors, "the subalgebra")
-    if not given:
+    argument = _vectors(g, vectors, "the subalgebra")
+    if not argument:
         raise ValueError("the subalgebra has no vectors; give at least one")
-    span, rows = _span(given, "the subalgebra"), _by_element(g)
+    span, rows = _span(argument, "the subalgebra"), _by_element(g)
     brackets = {}
-    for i, u in enumerate(given):
-        for j in range(i + 1, len(given)):
-            components = span.combination(_bracket(rows, u, given[j]))
+    for i, u in enumerate(argument):
+        for j in range(i + 1, len(argument)):
+            components = span.combination(_bracket(rows, u, argument[j]))
             if components is None:
                 raise ValueError(f"this span is not a subalgebra: the bracket of vectors {i} and {j} leaves their span")
             brackets[i, j] = components
@@ -236,10 +236,10 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
         basis = vectors
     return LieAlgebra(
         _constants(brackets),
-        dim=len(given),
+        dim=len(argument),
         basis=basis,
         name=None if g.name is None else title(f"subalgebra of {g.name}"),
-        representation=_combined(g, given),
+        representation=_combine_representation(g, argument),
     )
 
 
@@ -271,11 +271,11 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
     >>> quotient(e(3), ["e4", "e5", "e6"])
     LieAlgebra('e(3) / ideal', dim=3: [e1, e2] = e3, [e1, e3] = -e2, [e2, e3] = e1)
     """
-    given = _vectors(g, ideal, "the ideal")
-    span, rows = _span(given, "the ideal"), _by_element(g)
-    if len(given) == g.dim:
+    argument = _vectors(g, ideal, "the ideal")
+    span, rows = _span(argument, "the ideal"), _by_element(g)
+    if len(argument) == g.dim:
         raise ValueError("the ideal is all of g; the quotient would have dimension 0")
-    for number, vector in enumerate(given):
+    for number, vector in enumerate(argument):
         for i in sorted({j for part in vector for j, _, _ in rows[part]}):
             if span.combination(_bracket(rows, {i: 1}, vector)) is None:
                 raise ValueError(
@@ -291,7 +291,7 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
     restricted = [{place[j]: value for j, value in span.remainder({i: 1}).items()} for i in range(g.dim)]
     rho = g.representation
     if rho is not None:
-        zero = _combined(g, given)
+        zero = _combine_representation(g, argument)
         rho = rho[kept] if zero is not None and not zero.any() else None
     return LieAlgebra(
         _constants(brackets),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from coadjoint.algebra.constants import check_room_of_algebra
+from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs, real_form, traceless
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.short_repr import short
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 
 def _antihermitian(n: int) -> tuple[list[Entry], list[Entry], list[Entry]]:
@@ -50,8 +50,8 @@ def su(n: int) -> LieAlgebra:
     >>> su(3).casimirs_known["quadratic"].degree
     2
     """
-    n = read_whole(n, "n of su(n)", 2)
-    check_room_of_algebra(f"su({short(n)})", n * n - 1, 3 * n**3)
+    n = read_integer(n, "n of su(n)", 2)
+    check_algebra_memory(f"su({short(n)})", n * n - 1, 3 * n**3)
     real, imaginary, weights = _antihermitian(n)
     begin = n * (n - 1)
     imaginary += [(begin + k, k + d, k + d, d - 0.5) for k in range(n - 1) for d in (0, 1)]
@@ -87,8 +87,8 @@ def u(n: int) -> LieAlgebra:
     >>> u(2).casimirs_known
     mappingproxy({'trace': x3 + x4, 'quadratic': x1^2 + x2^2 + 2*x3^2 + 2*x4^2})
     """
-    n = read_whole(n, "n of u(n)")
-    check_room_of_algebra(f"u({short(n)})", n * n, 3 * n**3)
+    n = read_integer(n, "n of u(n)")
+    check_algebra_memory(f"u({short(n)})", n * n, 3 * n**3)
     real, imaginary, weights = _antihermitian(n)
     begin = n * (n - 1)
     imaginary += [(begin + k, k, k, -0.5) for k in range(n)]

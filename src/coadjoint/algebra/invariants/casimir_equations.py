@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.components import connected, parts
-from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Integers, expand, groups, largest_alike
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Integers, expand, group_max_abs, groups
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient is 1
@@ -108,7 +108,7 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     value = np.add.reduceat(term[order], starts) if order.size else term
     least: Any = 0
     if constants.dtype.kind == "f" and order.size:
-        sizes = np.tile(largest_alike(triples.i * dim + triples.j, values), 2)[by_removed]
+        sizes = np.tile(group_max_abs(triples.i * dim + triples.j, values), 2)[by_removed]
         least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(sizes[entry][order], starts)
     kept = np.asarray(np.abs(value) > least, dtype=bool)
     row, column = np.divmod(position[order[starts]][kept], count)
@@ -116,7 +116,7 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     return Equations(count, along, target, column, value[kept])
 
 
-def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
+def blocks(linear_equations: Equations) -> Iterator[tuple[Integers, Equations]]:
     """Yield the independent blocks: their sorted unknowns, and their equations renumbered from 0.
 
     Unknowns that one equation sets to zero are eliminated repeatedly; the remaining equations split into connected
@@ -129,25 +129,29 @@ def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
     >>> [unknowns.tolist() for unknowns, _ in found]  # x1 x3 and x2^2
     [[2, 3]]
     """
-    names, rows = np.unique(given.along * given.unknowns + given.target, return_inverse=True)
+    names, rows = np.unique(
+        linear_equations.along * linear_equations.unknowns + linear_equations.target, return_inverse=True
+    )
     rows = rows.astype(np.int64)
-    columns, values = given.columns, given.values
-    alive = np.ones(given.unknowns, dtype=bool)
+    columns, values = linear_equations.columns, linear_equations.values
+    alive = np.ones(linear_equations.unknowns, dtype=bool)
     single = np.bincount(rows, minlength=names.size)[rows] == 1
     while single.any():
         alive[columns[single]] = False
         kept = alive[columns]
         rows, columns, values = rows[kept], columns[kept], values[kept]
         single = np.bincount(rows, minlength=names.size)[rows] == 1
-    label = connected(given.unknowns + names.size, columns, given.unknowns + rows)[: given.unknowns]
+    label = connected(linear_equations.unknowns + names.size, columns, linear_equations.unknowns + rows)[
+        : linear_equations.unknowns
+    ]
     order = np.argsort(label[columns], kind="stable")
     owner = label[columns][order]
-    place = np.zeros(given.unknowns, dtype=np.int64)
+    place = np.zeros(linear_equations.unknowns, dtype=np.int64)
     for members in parts(label):
         if alive[members[0]]:
             place[members] = np.arange(members.size)
             at = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
-            along, target = np.divmod(names[rows[at]], given.unknowns)
+            along, target = np.divmod(names[rows[at]], linear_equations.unknowns)
             target = np.unique(target, return_inverse=True)[1].astype(np.int64)
             yield members, Equations(members.size, along, target, place[columns[at]], values[at])
 

@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import numerical_kernel, rational_kernel
 from coadjoint.algebra.exact.components import summands
-from coadjoint.algebra.exact.rational_constants import cleared, rational_constants
+from coadjoint.algebra.exact.rational_constants import clear_denominators, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, equations, monomial_count, monomials
 from coadjoint.algebra.invariants.generic_rank import generic_rank
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.long_operations import at, waiting
-from coadjoint.validation import read_whole
+from coadjoint.long_operations import at, long_operation
+from coadjoint.validation import read_integer
 
-MONOMIALS = 40_000  # monomials of one degree in one summand; at most a minute
-TERMS = 10_000_000  # terms of their derivatives before like terms are collected; 1 GB
+MAX_MONOMIALS = 40_000  # monomials of one degree in one summand; at most a minute
+MAX_DERIVATIVE_TERMS = 10_000_000  # terms of their derivatives before like terms are collected; 1 GB
 EXACT_BLOCK, FLOAT_BLOCK = 3000, 1000  # coupled unknowns, solved as a dense matrix; at most a minute
-EXPONENTS = 50_000_000  # over all Casimirs; a Polynomial stores one per coordinate and monomial; 400 MB
+MAX_EXPONENTS = 50_000_000  # over all Casimirs; a Polynomial stores one per coordinate and monomial; 400 MB
 
 
 class _Arithmetic(NamedTuple):
@@ -55,16 +55,16 @@ def check_size(dim: int, degree: int, constants: int) -> None:
     ValueError: degree 6 on dimension 24 has 475020 monomials, above the limit of 40000; lower max_degree
     """
     count = monomial_count(dim, degree)
-    if count > MONOMIALS:
+    if count > MAX_MONOMIALS:
         raise ValueError(
-            f"degree {degree} on dimension {dim} has {count} monomials, above the limit of {MONOMIALS}; "
+            f"degree {degree} on dimension {dim} has {count} monomials, above the limit of {MAX_MONOMIALS}; "
             f"lower max_degree"
         )
     terms = 2 * constants * count * degree // dim
-    if terms > TERMS:
+    if terms > MAX_DERIVATIVE_TERMS:
         raise ValueError(
             f"degree {degree} on dimension {dim} with {constants} structure constants has equations of {terms} terms, "
-            f"above the limit of {TERMS}; lower max_degree, or choose a basis with fewer constants"
+            f"above the limit of {MAX_DERIVATIVE_TERMS}; lower max_degree, or choose a basis with fewer constants"
         )
 
 
@@ -72,7 +72,9 @@ def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
     """Convert coefficients to a polynomial; rational ones are scaled to primitive integers."""
     values = list(vector.values())
     if not any(isinstance(value, float) for value in values):
-        whole = cleared([Fraction(value) for value in values]).tolist()  # primitive, since the first fraction is 1
+        whole = clear_denominators(
+            [Fraction(value) for value in values]
+        ).tolist()  # primitive, since the first fraction is 1
         values = [value // math.gcd(*whole) for value in whole]
     exponents = (np.bincount(basis[column], minlength=dim).tolist() for column in vector)
     return Polynomial({tuple(e): value for e, value in zip(exponents, values, strict=True)})
@@ -126,16 +128,16 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
     return found
 
 
-class NoPolynomials(dict[str, Polynomial]):
+class EmptyCasimirs(dict[str, Polynomial]):
     """An empty dict of polynomial Casimirs whose repr explains that none were found.
 
     `count`: independent Casimirs of any kind; `degree`: highest degree searched; `known`: names of known Casimirs.
 
     Examples
     --------
-    >>> NoPolynomials(1, 4, ["log C"])
+    >>> EmptyCasimirs(1, 4, ["log C"])
     {} (no polynomial up to degree 4; of Casimirs of any kind there is 1; casimirs_known has: log C)
-    >>> NoPolynomials(0, 4, []) == {}
+    >>> EmptyCasimirs(0, 4, []) == {}
     True
     """
 
@@ -155,10 +157,10 @@ class NoPolynomials(dict[str, Polynomial]):
         return f"{{}} ({said}{named})"
 
 
-@waiting("casimirs")
+@long_operation("casimirs")
 def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
     """Return generators of the polynomial Casimirs up to a degree: the implementation of `LieAlgebra.casimirs`."""
-    max_degree = read_whole(max_degree, "max_degree")
+    max_degree = read_integer(max_degree, "max_degree")
     known: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
     placed: list[tuple[Integers, Polynomial]] = []
     exponents = 0
@@ -168,9 +170,9 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
             known[key] = summand_casimirs(constants, coordinates.size, max_degree)
         placed += [(coordinates, polynomial) for polynomial in known[key]]
         exponents += sum(len(polynomial.monomials) for polynomial in known[key]) * dim
-        if exponents > EXPONENTS:
+        if exponents > MAX_EXPONENTS:
             raise ValueError(
-                f"the Casimirs of this direct sum of dimension {dim} need more than {EXPONENTS} exponents as "
+                f"the Casimirs of this direct sum of dimension {dim} need more than {MAX_EXPONENTS} exponents as "
                 f"polynomials in all coordinates; compute the Casimirs of one summand instead"
             )
     found = [_extended(polynomial, coordinates, dim) for coordinates, polynomial in placed]

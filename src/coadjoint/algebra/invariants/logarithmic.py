@@ -16,7 +16,9 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 HOLD, QUOTIENT, LOGARITHM, ANGLE, SINH, SINH_SQUARED, COSH = 0, 1, 2, 3, 4, 5, 6
-DENOMINATOR = 1000  # two angles have a common period if their ratio is a fraction with at most this denominator
+MAX_PERIOD_DENOMINATOR = (
+    1000  # two angles have a common period if their ratio is a fraction with at most this denominator
+)
 
 Number = int | Fraction
 
@@ -67,7 +69,7 @@ class LogarithmicSum:
     terms: tuple[Term, ...]
 
     def __str__(self) -> str:
-        return " + ".join(_written(term) for term in self.terms).replace("+ -", "- ") or "0"
+        return " + ".join(_format_term(term) for term in self.terms).replace("+ -", "- ") or "0"
 
     @classmethod
     def quotient(cls, above: Polynomial, below: Polynomial) -> LogarithmicSum:
@@ -96,12 +98,12 @@ class LogarithmicSum:
         scaled = (term._replace(weight=term.weight * weight) for term in self.terms)
         return LogarithmicSum(self.dim, tuple(term for term in scaled if term.weight != 0))
 
-    def mapped(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicSum:
+    def transformed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicSum:
         """Return the same function in other coordinates: `change` maps each polynomial.
 
         Examples
         --------
-        >>> double = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).mapped(lambda p: 2 * p)
+        >>> double = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).transformed(lambda p: 2 * p)
         >>> double.invariant().value([0.5])
         0.0
         """
@@ -121,7 +123,7 @@ class LogarithmicSum:
         multiples: list[Fraction] = []
         for weight in weights:
             ratio = weight / weights[0]
-            simple = ratio.limit_denominator(DENOMINATOR)
+            simple = ratio.limit_denominator(MAX_PERIOD_DENOMINATOR)
             if float(simple) != float(ratio):
                 return None
             multiples.append(simple)
@@ -180,7 +182,7 @@ class LogarithmicSum:
         )
 
 
-def _written(term: Term) -> str:
+def _format_term(term: Term) -> str:
     """Format one term."""
     weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{term.weight} "
     if term.kind == QUOTIENT:
@@ -203,8 +205,8 @@ class LogarithmicInvariant(Invariant):
         return LogarithmicSum.invariant, (self.formula,)  # closures cannot be pickled; the formula can
 
     def changed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicInvariant:
-        """Return the same invariant in other coordinates, see `LogarithmicSum.mapped`."""
-        return self.formula.mapped(change).invariant()
+        """Return the same invariant in other coordinates, see `LogarithmicSum.transformed`."""
+        return self.formula.transformed(change).invariant()
 
 
 def _functions(forms: Forms, dim: int) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:

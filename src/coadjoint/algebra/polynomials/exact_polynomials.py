@@ -57,10 +57,10 @@ class ExactPolynomials:
         """Return x1^e1 ... xn^en."""
         return self._context.from_dict({(*exponents, *(0,) * len(self.symbols)): 1})
 
-    def of(self, given: Polynomial) -> Exact:
+    def of(self, argument: Polynomial) -> Exact:
         """Convert a polynomial in n coordinates to an element of the ring; floats are converted exactly."""
         rest = (0,) * len(self.symbols)
-        return self._context.from_dict({(*e, *rest): rational(c) for e, c in given.monomials.items()})
+        return self._context.from_dict({(*e, *rest): rational(c) for e, c in argument.monomials.items()})
 
     def polynomial(self, exact: Exact) -> Polynomial:
         """Convert an element without symbols to a `Polynomial` with integer and rational coefficients."""

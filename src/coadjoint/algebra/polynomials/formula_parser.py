@@ -15,27 +15,27 @@ from typing import Any, ClassVar, NamedTuple
 from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.number_literals import (
-    MOST_DIGITS,
+    MAX_DIGITS,
     NUMBER,
     Constant,
     checked,
-    read_constant,
+    parse_number,
     too_large,
 )
-from coadjoint.algebra.polynomials.polynomial import MOST_DEGREE, TOO_HIGH, Polynomial
-from coadjoint.memory import check_room
+from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, TOO_HIGH, Polynomial
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 Number = int | Fraction
 Formula = Number | Polynomial | LogarithmicSum
 
-MOST_LETTERS = 10_000  # characters of a formula with brackets; expanded polynomials are not bounded
-MOST_TERMS = 10_000
-MOST_NESTED = 60
-NESTED = "has brackets or signs that are nested too deeply"
+MAX_CHARACTERS = 10_000  # characters of a formula with brackets; expanded polynomials are not bounded
+MAX_TERMS = 10_000
+MAX_NESTING = 60
+NESTING_MESSAGE = "has brackets or signs that are nested too deeply"
 
-SHOWN = 60
-ASKED_EVERY = 1024
+MAX_QUOTED = 60
+MEMORY_CHECK_INTERVAL = 1024
 BYTES_PER_TERM = 300
 BYTES_PER_EXPONENT = 8
 
@@ -46,7 +46,7 @@ _TOKEN = re.compile(
 
 def too_high(what: str, degree: int) -> ValueError:
     """Return the error for a degree beyond the range of float64."""
-    return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}; {TOO_HIGH}")
+    return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MAX_DEGREE}; {TOO_HIGH}")
 
 
 class Monomials:
@@ -60,9 +60,9 @@ class Monomials:
         """Add one term."""
         total = self.coefficients
         total[exponents] = checked(total[exponents] + coefficient) if exponents in total else coefficient
-        if len(total) % ASKED_EVERY == 0:
+        if len(total) % MEMORY_CHECK_INTERVAL == 0:
             size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * self.dim)
-            check_room(2 * size, f"a polynomial of {len(total)} terms or more in {self.dim} coordinates")
+            check_available_memory(2 * size, f"a polynomial of {len(total)} terms or more in {self.dim} coordinates")
 
     def polynomial(self) -> Polynomial:
         """Return the sum."""
@@ -79,7 +79,7 @@ class Power(NamedTuple):
 class Product:
     """A product during parsing: a number, powers of coordinates, and other factors."""
 
-    def __init__(self, reader: Reader) -> None:
+    def __init__(self, reader: FormulaParser) -> None:
         self.reader = reader
         self.number: Constant = 1
         self.exponents: list[int] | None = None
@@ -101,15 +101,15 @@ class Product:
 
     def divide(self, divisor: Any) -> None:
         """Divide the product so far."""
-        divisor = self.reader.valued(divisor)
+        divisor = self.reader.to_polynomial_value(divisor)
         if isinstance(divisor, int | Fraction):
             if divisor == 0:
-                raise self.reader.divides_by_zero()
+                raise self.reader.division_by_zero()
             self.number = checked(self.number * (Fraction(1) / divisor))
             return
         above = self.value()
         if not (isinstance(above, Polynomial) and isinstance(divisor, Polynomial)):
-            raise self.reader.refused(
+            raise self.reader.not_allowed(
                 "has a division that is not known: polynomials divide polynomials, and numbers divide everything"
             )
         self.number, self.exponents, self.degree = 1, None, 0
@@ -124,35 +124,37 @@ class Product:
 
     def _times(self, left: Polynomial | LogarithmicSum, right: Polynomial | LogarithmicSum) -> Polynomial:
         if isinstance(left, LogarithmicSum) or isinstance(right, LogarithmicSum):
-            raise self.reader.refused("multiplies a logarithm, an angle or a quotient by something other than a number")
+            raise self.reader.not_allowed(
+                "multiplies a logarithm, an angle or a quotient by something other than a number"
+            )
         self.reader.check_size(left.degree + right.degree, len(left.monomials) * len(right.monomials))
         return left * right
 
 
-class Reader:
+class FormulaParser:
     """Parser state: the text of a formula, its parameters, and the next token."""
 
     power_sign: ClassVar[str] = "**"
     operations: ClassVar[tuple[str, ...]] = ("*", "/")
-    most_letters: float = MOST_LETTERS
-    how = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
+    max_characters: float = MAX_CHARACTERS
+    notation_help = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
 
     def __init__(self, text: str, parameters: Mapping[str, Number], dim: int, letter: str) -> None:
-        if len(text) > self.most_letters:
-            raise ValueError(f"{short(text)} has {len(text)} letters; a formula has at most {self.most_letters}")
+        if len(text) > self.max_characters:
+            raise ValueError(f"{short(text)} has {len(text)} letters; a formula has at most {self.max_characters}")
         self.text, self.parameters, self.dim, self.letter = text, parameters, dim, letter
         self._constant = (0,) * dim
         self._end = self._depth = 0
         self.next()
 
-    def whole(self) -> Any:
+    def parse(self) -> Any:
         """Parse the whole text."""
-        value = self.valued(self.sum())
+        value = self.to_polynomial_value(self.sum())
         if self.token.lastgroup != "end":
-            raise self.unread()
+            raise self.syntax_error()
         return value
 
-    def valued(self, value: Any) -> Any:
+    def to_polynomial_value(self, value: Any) -> Any:
         """Return a value, with the power of a coordinate converted to a polynomial."""
         if not isinstance(value, Power):
             return value
@@ -165,10 +167,10 @@ class Reader:
         self._begin = self._end
         token = _TOKEN.match(self.text, self._begin)
         if token is None:
-            raise self.unread()
+            raise self.syntax_error()
         self.token, self._end = token, token.end()
 
-    def take(self, *signs: str) -> str | None:
+    def accept(self, *signs: str) -> str | None:
         """Consume and return the next sign if it is one of `signs`; otherwise return None."""
         sign = self.token["sign"] or self.token["name"]
         if sign not in signs:
@@ -176,35 +178,37 @@ class Reader:
         self.next()
         return sign
 
-    def need(self, sign: str) -> None:
+    def expect(self, sign: str) -> None:
         """Consume a required sign, or raise the syntax error."""
-        if self.take(sign) is None:
-            raise self.unread()
+        if self.accept(sign) is None:
+            raise self.syntax_error()
 
-    def unread(self) -> ValueError:
+    def syntax_error(self) -> ValueError:
         """Return the syntax error at the next token."""
         place = self.text[self._begin :].strip() or "its end"
-        return ValueError(f"{short(self.text, SHOWN)} cannot be read from {short(place, SHOWN)} on; {self.how}")
+        return ValueError(
+            f"{short(self.text, MAX_QUOTED)} cannot be read from {short(place, MAX_QUOTED)} on; {self.notation_help}"
+        )
 
-    def refused(self, why: str) -> ValueError:
+    def not_allowed(self, why: str) -> ValueError:
         """Return the error for a well-formed formula that is not allowed."""
-        return ValueError(f"{short(self.text, SHOWN)} {why}")
+        return ValueError(f"{short(self.text, MAX_QUOTED)} {why}")
 
-    def divides_by_zero(self) -> ValueError:
+    def division_by_zero(self) -> ValueError:
         """Return the error for a division by zero."""
-        return self.refused("divides by zero")
+        return self.not_allowed("divides by zero")
 
     def check_size(self, degree: int, terms: int = 0) -> None:
         """Raise an error if the expanded expression would be too large."""
-        if degree > MOST_DEGREE:
-            raise too_high(short(self.text, SHOWN), degree)
-        if terms > MOST_TERMS:
-            raise self.refused(f"has about {short(terms)} terms when it is multiplied out, beyond {MOST_TERMS}")
+        if degree > MAX_DEGREE:
+            raise too_high(short(self.text, MAX_QUOTED), degree)
+        if terms > MAX_TERMS:
+            raise self.not_allowed(f"has about {short(terms)} terms when it is multiplied out, beyond {MAX_TERMS}")
 
     def sum(self) -> Any:
         """Parse a sum: a number, a polynomial, or a sum with logarithms."""
         total, rest, numbers = Monomials(self.dim), None, True
-        sign: str | None = self.take("+", "-")
+        sign: str | None = self.accept("+", "-")
         while True:
             product = self._product()
             if sign == "-":
@@ -215,7 +219,7 @@ class Reader:
             else:
                 numbers = numbers and product.exponents is None
                 total.add(tuple(product.exponents) if product.exponents else self._constant, product.number)
-            sign = self.take("+", "-")
+            sign = self.accept("+", "-")
             if sign is None:
                 break
         if rest is None:
@@ -225,38 +229,38 @@ class Reader:
     def _product(self) -> Product:
         product = Product(self)
         product.multiply(self.factor())
-        while (operation := self.take(*self.operations)) is not None:
+        while (operation := self.accept(*self.operations)) is not None:
             (product.multiply if operation == "*" else product.divide)(self.factor())
         return product
 
     def factor(self) -> Any:
         """Parse a factor with its sign and power."""
         self._depth += 1
-        if self._depth > MOST_NESTED:
-            raise self.refused(NESTED)
-        if self.take("-") is not None:
+        if self._depth > MAX_NESTING:
+            raise self.not_allowed(NESTING_MESSAGE)
+        if self.accept("-") is not None:
             product = Product(self)
             product.multiply(-1)
             product.multiply(self.factor())
             value = product.value()
         else:
             value = self._atom()
-            if self.take(self.power_sign) is not None:
-                value = self._raised(value, self.factor())
+            if self.accept(self.power_sign) is not None:
+                value = self._power_of(value, self.factor())
         self._depth -= 1
         return value
 
     def _atom(self) -> Any:
-        if self.take("(") is not None:
+        if self.accept("(") is not None:
             value = self.sum()
-            self.need(")")
+            self.expect(")")
             return value
         name = self.token["name"]
         if name is None:
             return self.whole_number()
         index = self.coordinate(name)
         if index is None and name not in self.parameters and name not in ("log", "atan2"):
-            raise self.refused(f"has {short(name, SHOWN)}, which is not a known name; {self.how}")
+            raise self.not_allowed(f"has {short(name, MAX_QUOTED)}, which is not a known name; {self.notation_help}")
         self.next()
         if index is not None:
             return Power(index, 1)
@@ -266,45 +270,47 @@ class Reader:
         """Parse a whole number."""
         number = self.token["number"]
         if number is None or not number.isdecimal():
-            raise self.unread()
+            raise self.syntax_error()
         self.next()
-        return int(read_constant(number))
+        return int(parse_number(number))
 
     def coordinate(self, name: str) -> int | None:
         """Return the index of a coordinate, or None if the name is not a coordinate."""
         letter, digits = name[:1], name[1:]
         if letter != self.letter or not digits.isdecimal():
             return None
-        index = int(digits) if len(digits) <= MOST_DIGITS else 0
+        index = int(digits) if len(digits) <= MAX_DIGITS else 0
         if not 1 <= index <= self.dim:
-            raise self.refused(f"has the coordinate {letter}{digits[:20]}; there are {letter}1 to {letter}{self.dim}")
+            raise self.not_allowed(
+                f"has the coordinate {letter}{digits[:20]}; there are {letter}1 to {letter}{self.dim}"
+            )
         return index - 1
 
     def _function(self, name: str) -> LogarithmicSum:
-        self.need("(")
-        forms = [self.valued(self.sum())]
-        while self.take(",") is not None:
-            forms.append(self.valued(self.sum()))
-        self.need(")")
+        self.expect("(")
+        forms = [self.to_polynomial_value(self.sum())]
+        while self.accept(",") is not None:
+            forms.append(self.to_polynomial_value(self.sum()))
+        self.expect(")")
         if len(forms) != (1 if name == "log" else 2) or not all(isinstance(form, Polynomial) for form in forms):
-            raise self.refused(f"has {name} of something other than {'a polynomial' if name == 'log' else 'two'}")
+            raise self.not_allowed(f"has {name} of something other than {'a polynomial' if name == 'log' else 'two'}")
         return LogarithmicSum.logarithm(*forms) if name == "log" else LogarithmicSum.angle(*forms)
 
-    def _raised(self, base: Any, power: Any) -> Any:
+    def _power_of(self, base: Any, power: Any) -> Any:
         """Return a whole power after checking its size."""
-        power = self.valued(power)
+        power = self.to_polynomial_value(power)
         if not isinstance(power, int) or power < 0:
-            raise self.refused(f"has the power {short(power)}; powers are whole numbers from 0 up")
+            raise self.not_allowed(f"has the power {short(power)}; powers are whole numbers from 0 up")
         if isinstance(base, LogarithmicSum):
-            raise self.refused("has a power of a logarithm, an angle or a quotient")
+            raise self.not_allowed("has a power of a logarithm, an angle or a quotient")
         if isinstance(base, Power):
             self.check_size(base.exponent * power)
             return Power(base.coordinate, base.exponent * power)
         if isinstance(base, Polynomial):
             self.check_size(base.degree * power)
             terms = len(base.monomials)
-            self.check_size(0, math.comb(terms + power - 1, power) if terms > 1 and power < MOST_DEGREE else 1)
-        elif abs(base) not in (0, 1) and power > MOST_DEGREE:
+            self.check_size(0, math.comb(terms + power - 1, power) if terms > 1 and power < MAX_DEGREE else 1)
+        elif abs(base) not in (0, 1) and power > MAX_DEGREE:
             raise too_large()
         value = base**power
         return value if isinstance(value, Polynomial) else checked(value)

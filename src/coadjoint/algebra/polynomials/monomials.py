@@ -14,18 +14,18 @@ from coadjoint.short_repr import short
 Exponents = tuple[int, ...]
 
 
-def read_exponents(given: Any) -> Exponents:
+def read_exponents(argument: Any) -> Exponents:
     """Validate exponents and return them as Python integers."""
-    if not isinstance(given, tuple | list):
-        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {short(given)}")
-    if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # fast path for many coordinates
-        return tuple(given)
-    for exponent in given:
+    if not isinstance(argument, tuple | list):
+        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {short(argument)}")
+    if set(map(type, argument)) <= {int} and min(argument, default=0) >= 0:  # fast path for many coordinates
+        return tuple(argument)
+    for exponent in argument:
         if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
-            raise TypeError(f"exponents {short(given)} must be whole numbers; {short(exponent)} is not")
+            raise TypeError(f"exponents {short(argument)} must be whole numbers; {short(exponent)} is not")
         if exponent < 0:
-            raise ValueError(f"exponents {short(given)} must not be negative")
-    return tuple(map(int, given))
+            raise ValueError(f"exponents {short(argument)} must not be negative")
+    return tuple(map(int, argument))
 
 
 def read_coefficient(value: Any, what: str) -> Coefficient:

@@ -11,14 +11,14 @@ Constant = int | float | Fraction
 
 PLAIN_NUMBER = r"(?:\d+\.?\d*|\.\d+)"
 NUMBER = rf"{PLAIN_NUMBER}(?:[eE][+-]?\d+)?"
-MOST_DIGITS = 400
+MAX_DIGITS = 400
 
 
-def read_constant(written: str) -> Constant:
+def parse_number(written: str) -> Constant:
     """Parse a number: int if it consists of digits, else float."""
     if not written.isdigit():
         return checked(float(written))
-    if len(written) > MOST_DIGITS:
+    if len(written) > MAX_DIGITS:
         raise ValueError(f"a number of {len(written)} digits {TOO_LARGE}")
     return checked(int(written))
 

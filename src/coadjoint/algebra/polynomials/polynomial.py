@@ -17,13 +17,15 @@ from coadjoint.algebra.polynomials.monomials import Exponents, read_coefficient,
 from coadjoint.algebra.polynomials.number_literals import quotient
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.polynomials.product_sums import Coefficient, ProductSum, differentiated
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import array_given, read_whole
+from coadjoint.validation import read_integer, to_array
 
-QUIET = np.errstate(over="ignore", invalid="ignore")  # values beyond float64 become infinite without a warning
+IGNORE_OVERFLOW = np.errstate(
+    over="ignore", invalid="ignore"
+)  # values beyond float64 become infinite without a warning
 
-MOST_DEGREE = 1024
+MAX_DEGREE = 1024
 TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
 BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
@@ -82,7 +84,7 @@ class Polynomial:
                 f"{type(monomials).__name__}"
             )
         if dim is not None:
-            dim = read_whole(dim, "dim of a Polynomial")
+            dim = read_integer(dim, "dim of a Polynomial")
         if not monomials and dim is None:
             raise ValueError("dim must be given for a Polynomial without monomials")
         collected: dict[Exponents, Coefficient] = {}
@@ -101,9 +103,9 @@ class Polynomial:
 
     def _fill(self, monomials: Mapping[Exponents, Coefficient], dim: int) -> None:
         order = sorted(monomials, key=lambda e: (sum(e), tuple(map(operator.neg, e))))
-        if order and sum(order[-1]) > MOST_DEGREE:
+        if order and sum(order[-1]) > MAX_DEGREE:
             degree = short(sum(order[-1]))
-            raise ValueError(f"a Polynomial has at most degree {MOST_DEGREE}, and this one has {degree}; {TOO_HIGH}")
+            raise ValueError(f"a Polynomial has at most degree {MAX_DEGREE}, and this one has {degree}; {TOO_HIGH}")
         self._monomials = {e: monomials[e] for e in order if monomials[e] != 0}
         self._dim = dim
 
@@ -126,9 +128,9 @@ class Polynomial:
         >>> Polynomial.variable(1, 3)
         x2
         """
-        dim = read_whole(dim, "dim of a Polynomial")
-        i = read_whole(i, "the index of a coordinate", 0, dim - 1)
-        check_room(BYTES_PER_EXPONENT * dim, f"a coordinate among {short(dim)}")
+        dim = read_integer(dim, "dim of a Polynomial")
+        i = read_integer(i, "the index of a coordinate", 0, dim - 1)
+        check_available_memory(BYTES_PER_EXPONENT * dim, f"a coordinate among {short(dim)}")
         return cls._of({(0,) * i + (1,) + (0,) * (dim - i - 1): 1}, dim)
 
     @property
@@ -240,9 +242,9 @@ class Polynomial:
         return Polynomial._of({e: quotient(value, below) for e, value in self._monomials.items()}, self._dim)
 
     def __pow__(self, power: int) -> Polynomial:
-        left = read_whole(power, "the power of a Polynomial", 0, MOST_DEGREE, why=TOO_HIGH)
-        if self.degree * left > MOST_DEGREE:
-            raise ValueError(f"a Polynomial has at most degree {MOST_DEGREE}, not {self.degree * left}; {TOO_HIGH}")
+        left = read_integer(power, "the power of a Polynomial", 0, MAX_DEGREE, why=TOO_HIGH)
+        if self.degree * left > MAX_DEGREE:
+            raise ValueError(f"a Polynomial has at most degree {MAX_DEGREE}, not {self.degree * left}; {TOO_HIGH}")
         result, square = Polynomial({(0,) * self._dim: 1}), self
         while left:
             if left & 1:
@@ -274,7 +276,7 @@ class Polynomial:
         >>> Polynomial({(3, 1): 2}).derivative(0)
         6*x1^2*x2
         """
-        i = read_whole(i, "the index of a coordinate", 0, self._dim - 1)
+        i = read_integer(i, "the index of a coordinate", 0, self._dim - 1)
         terms = {e[:i] + (e[i] - 1,) + e[i + 1 :]: e[i] * value for e, value in self._monomials.items() if e[i]}
         return Polynomial._of(terms, self._dim)
 
@@ -310,13 +312,13 @@ class Polynomial:
         return ProductSum(terms, len(polynomials))
 
     def _point(self, x: Any, several: bool = False) -> NDArray[Any]:
-        point = array_given(x, "x", "iufc")
+        point = to_array(x, "x", "iufc")
         if point.shape != (self._dim,) and not (several and point.shape[-1:] == (self._dim,)):
             shape = f"(..., {self._dim})" if several and point.ndim > 1 else f"({self._dim},)"
             raise ValueError(f"x must have shape {shape}, not {point.shape}")
         return point if point.dtype == object else point.astype(np.result_type(point.dtype, np.float64), copy=False)
 
-    @QUIET
+    @IGNORE_OVERFLOW
     def __call__(self, x: Any) -> Any:
         """Return the value at x, shape (n,), or the values at states of shape (..., n).
 
@@ -327,7 +329,7 @@ class Polynomial:
             return self._value_sum(point).item(0)
         return self._value_sum.along(point)[..., 0]
 
-    @QUIET
+    @IGNORE_OVERFLOW
     def gradient(self, x: Any) -> NDArray[Any]:
         """Return the gradient at x, both of shape (n,), or at states of shape (..., n); dtype object is allowed.
 
@@ -339,7 +341,7 @@ class Polynomial:
         point = self._point(x, several=True)
         return self._gradient_sum(point) if point.ndim == 1 else self._gradient_sum.along(point)
 
-    @QUIET
+    @IGNORE_OVERFLOW
     def hessian(self, x: Any) -> NDArray[Any]:
         """Return the second derivatives at x, shape (n, n); dtype object is allowed.
 
@@ -349,18 +351,18 @@ class Polynomial:
         array([[10.,  6.],
                [ 6.,  0.]])
         """
-        check_room(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
+        check_available_memory(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
 
 
 def _read_text(text: str, dim: int | None, basis: Sequence[str] | None) -> tuple[Mapping[Exponents, Coefficient], int]:
     """Parse text to monomials and the number of coordinates."""
-    from coadjoint.algebra.polynomials.formulas import read_polynomial
+    from coadjoint.algebra.polynomials.formulas import parse_polynomial
 
     names = None if basis is None else tuple(basis)
     if names is None and dim is None:
         raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
-    count = read_whole(dim if names is None else len(names), "dim of a Polynomial")
+    count = read_integer(dim if names is None else len(names), "dim of a Polynomial")
     if dim is not None and count != dim:
         raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
-    return read_polynomial(text, count, names).monomials, count
+    return parse_polynomial(text, count, names).monomials, count

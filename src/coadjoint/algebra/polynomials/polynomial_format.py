@@ -11,8 +11,8 @@ from coadjoint.algebra.polynomials.product_sums import Coefficient
 from coadjoint.optional_packages import need
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
-MOST_DIGITS = 6
-MOST_SHOWN = 30  # monomials printed individually
+MAX_DIGITS = 6
+MAX_SHOWN = 30  # monomials printed individually
 
 
 def coordinate_names(dim: int) -> list[str]:
@@ -28,7 +28,7 @@ def plain(monomials: Monomials, names: Sequence[str]) -> str:
     >>> plain({(2, 0): 0.5, (1, 1): -1}, ["x", "y"])
     '0.5*x^2 - x*y'
     """
-    return _written(monomials, names, "{0}^{1}", "*", _plain_size)
+    return _format_sum(monomials, names, "{0}^{1}", "*", _plain_size)
 
 
 def latex(monomials: Monomials, names: Sequence[str]) -> str:
@@ -39,7 +39,7 @@ def latex(monomials: Monomials, names: Sequence[str]) -> str:
     >>> print(latex({(2, 0): Fraction(1, 2), (1, 1): -1}, ["x1", "m12"]))
     \frac{1}{2} x_{1}^{2} - x_{1} m_{12}
     """
-    return _written(monomials, [latex_name(name) for name in names], "{0}^{{{1}}}", " ", _latex_size)
+    return _format_sum(monomials, [latex_name(name) for name in names], "{0}^{{{1}}}", " ", _latex_size)
 
 
 def latex_name(name: str) -> str:
@@ -76,7 +76,7 @@ def readable(monomials: Monomials, names: Sequence[str]) -> str:
     >>> readable({(2,): 0.1 + 0.2}, ["x"]), readable({(k,): 1 for k in range(31)}, ["x"])
     ('0.3*x^2', '<31 monomials of degree 30 and less>')
     """
-    if len(monomials) > MOST_SHOWN:
+    if len(monomials) > MAX_SHOWN:
         return f"<{len(monomials)} monomials of degree {max(map(sum, monomials))} and less>"
     return plain(rounded_if_long(monomials), names)
 
@@ -89,7 +89,7 @@ def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
     >>> print(readable_latex({(2,): 0.1 + 0.2}, ["x1"]))
     0.3 x_{1}^{2}
     """
-    if len(monomials) > MOST_SHOWN:
+    if len(monomials) > MAX_SHOWN:
         return rf"\text{{{len(monomials)} monomials}}"
     return latex(rounded_if_long(monomials), names)
 
@@ -106,12 +106,12 @@ def rounded_if_long(monomials: Monomials) -> dict[tuple[int, ...], Coefficient]:
 
 
 def _readable(value: Coefficient) -> Coefficient:
-    if isinstance(value, float) or max(abs(Fraction(value).numerator), Fraction(value).denominator) >= 10**MOST_DIGITS:
-        return float(f"{float(value):.{MOST_DIGITS}g}")
+    if isinstance(value, float) or max(abs(Fraction(value).numerator), Fraction(value).denominator) >= 10**MAX_DIGITS:
+        return float(f"{float(value):.{MAX_DIGITS}g}")
     return value
 
 
-def _written(
+def _format_sum(
     monomials: Monomials, names: Sequence[str], power: str, between: str, size_of: Callable[[Coefficient], str]
 ) -> str:
     text = ""

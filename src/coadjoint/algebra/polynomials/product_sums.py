@@ -15,7 +15,7 @@ from coadjoint.algebra.exact.numbers import exact_numbers
 
 Coefficient = int | float | Fraction
 
-MOST_NUMBERS = 2**18
+MAX_NUMBERS = 2**18
 """Number of products evaluated at once for many points; more do not fit the cache."""
 
 
@@ -82,27 +82,27 @@ class ProductSum:
         points = x.reshape(-1, x.shape[-1])
         result = np.zeros((len(points), self._places), dtype=x.dtype)
         if len(self._to):
-            together = max(1, MOST_NUMBERS // (len(self._to) + self._shared.different))
+            together = max(1, MAX_NUMBERS // (len(self._to) + self._distinct_products.distinct_factors))
             for first in range(0, len(points), together):
                 some = slice(first, first + together)
-                result[some, self._shared.places] = self._at(np.ascontiguousarray(points[some].T)).T
+                result[some, self._distinct_products.places] = self._at(np.ascontiguousarray(points[some].T)).T
         return result.reshape(*x.shape[:-1], self._places)
 
     def _at(self, x: NDArray[Any]) -> NDArray[Any]:
         """Return the nonconstant sums at points (n, k), shape (places with terms, k)."""
-        shared, exact = self._shared, x.dtype == object
+        shared, exact = self._distinct_products, x.dtype == object
         powers = [x]
         while len(powers) < int(self._power.max(initial=1)):
             powers.append(powers[-1] * x)
         table = np.stack(powers)
-        products = np.ones((shared.different, x.shape[1]), dtype=x.dtype)
+        products = np.ones((shared.distinct_factors, x.shape[1]), dtype=x.dtype)
         for which, index, power in shared.factors:
             products[which] = products[which] * table[power - 1, index]
         coefficients = (self._exact if exact else self._coefficients.astype(x.dtype))[shared.order]
         return np.add.reduceat(products[shared.product] * coefficients[:, None], shared.starts, axis=0)
 
     @cached_property
-    def _shared(self) -> _Shared:
+    def _distinct_products(self) -> _DistinctProducts:
         of_rows: list[tuple[tuple[int, int], ...]] = [()] * len(self._to)
         ends = np.append(self._starts, len(self._index))
         for row, (first, last) in enumerate(pairwise(ends.tolist())):
@@ -118,13 +118,13 @@ class ProductSum:
         places, starts = np.unique(self._to[order], return_index=True)
         product = np.array([place[factors] for factors in of_rows], dtype=np.int64)[order]
         columns = [tuple(np.array(step, dtype=np.int64).T) for step in steps]
-        return _Shared(len(place), columns, order, product, places, starts)
+        return _DistinctProducts(len(place), columns, order, product, places, starts)
 
 
-class _Shared(NamedTuple):
+class _DistinctProducts(NamedTuple):
     """The distinct products of all sums, and the terms in order of place."""
 
-    different: int
+    distinct_factors: int
     factors: list[tuple[NDArray[np.int64], ...]]  # of the first factor of each product, then of the second, and so on
     order: NDArray[np.int64]
     product: NDArray[np.int64]

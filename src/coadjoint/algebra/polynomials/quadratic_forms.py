@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.product_sums import Coefficient
 
-ROOM = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
+MAX_STORED_EXPONENTS = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
 
 
-def within(monomials: int, dim: int) -> bool:
+def casimirs_fit(monomials: int, dim: int) -> bool:
     """Return whether polynomials with this many monomials in `dim` coordinates are small enough to be stored."""
-    return monomials * dim <= ROOM
+    return monomials * dim <= MAX_STORED_EXPONENTS
 
 
 def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Polynomial:

@@ -18,7 +18,7 @@ from coadjoint.analysis.backward_error.modified_hamiltonian import (
     read_subject,
 )
 from coadjoint.analysis.short_motion import short_motion
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
@@ -28,12 +28,12 @@ from coadjoint.validation import check_power, read_finite, read_number
 
 Floats = npt.NDArray[np.float64]
 
-MOST_MONOMIALS = 1500
-POINTS_EACH = 4  # points of the motion for each monomial that is fitted
+MAX_MONOMIALS = 1500
+POINTS_PER_MONOMIAL = 4  # points of the motion for each monomial that is fitted
 # The truncated least-squares fit drops singular directions that hardly change the energy along the motion, until the
 # corrector moves states by at most this multiple of the motion of the error term over one radian.
-LARGEST = 4.0
-PARTS = tuple(10.0**-k for k in range(10, 0, -1))
+MAX_DISPLACEMENT = 4.0
+CUTOFFS = tuple(10.0**-k for k in range(10, 0, -1))
 
 
 class Corrector:
@@ -89,13 +89,13 @@ class Corrector:
         -------
         ndarray, shape (..., n)
         """
-        return self._moved(x, h, 1.0)
+        return self._apply_flow(x, h, 1.0)
 
     def inverse(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return the initial state of the kernel for a given initial output; parameters as for a call."""
-        return self._moved(x, h, -1.0)
+        return self._apply_flow(x, h, -1.0)
 
-    def _moved(self, x: npt.ArrayLike, h: float, direction: float) -> Floats:
+    def _apply_flow(self, x: npt.ArrayLike, h: float, direction: float) -> Floats:
         states, n = read_finite(x, "x"), self._flow.dim
         if states.ndim == 0 or states.shape[-1] != n:
             raise ValueError(f"x has the shape {states.shape}; its last axis must have {n} coordinates")
@@ -152,8 +152,10 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     if starts.ndim != 2 or starts.shape[1] != system.dim:
         raise ValueError(f"x0 has the shape {starts.shape}; it must be ({system.dim},) or (k, {system.dim})")
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
-    count = max(POINTS_EACH * len(basis) // len(starts), 64)
-    check_room(8 * 3 * len(basis) * count * len(starts), f"{len(basis)} monomials at {count * len(starts)} states")
+    count = max(POINTS_PER_MONOMIAL * len(basis) // len(starts), 64)
+    check_available_memory(
+        8 * 3 * len(basis) * count * len(starts), f"{len(basis)} monomials at {count * len(starts)} states"
+    )
     motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
     energy = ring.of(H)
@@ -164,20 +166,20 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     if size == 0.0:
         return Corrector(system, Polynomial({}, dim=system.dim), scheme.order, 0.0)
     every = np.concatenate(motions)
-    bound = LARGEST * _moved_by(system, term, every) / min(rates)
+    bound = MAX_DISPLACEMENT * _largest_speed(system, term, every) / min(rates)
     left, right, across = np.linalg.svd(columns, full_matrices=False)
-    for part in PARTS:
+    for part in CUTOFFS:
         taken = right > part * right[0]
         factors = -system.sign * (across[taken].T @ ((left[:, taken].T @ target) / right[taken]))
         monomials = {next(iter(one.monomials)): float(c) for one, c in zip(basis, factors, strict=True)}
         generator = Polynomial(monomials, dim=system.dim)
-        if _moved_by(system, generator, every) <= bound:
+        if _largest_speed(system, generator, every) <= bound:
             break
     rest = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
     return Corrector(system, generator, scheme.order, rest)
 
 
-def _moved_by(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
+def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
     """Return the largest speed of the flow of a function at some states."""
     slopes = np.asarray(function.gradient(points))
     return max(
@@ -188,10 +190,10 @@ def _moved_by(system: LiePoissonSystem, function: Polynomial, points: Floats) ->
 def _monomials(n: int, degree: int) -> list[Polynomial]:
     """Return all monomials of degree 1 to `degree` in n coordinates."""
     total = comb(n + degree, n) - 1
-    if total > MOST_MONOMIALS:
+    if total > MAX_MONOMIALS:
         raise ValueError(
             f"a corrector in {n} coordinates would need {total} monomials of degree up to {degree}; at most "
-            f"{MOST_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
+            f"{MAX_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
         )
     found = []
     for size in range(1, degree + 1):

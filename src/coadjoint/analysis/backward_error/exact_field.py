@@ -20,7 +20,7 @@ from coadjoint.analysis.backward_error.modified_field_base import Floats, Modifi
 from coadjoint.analysis.backward_error.skew_fields import Matrix, skew_factor
 from coadjoint.analysis.backward_error.step_series import ExactSystem
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_number
@@ -46,12 +46,12 @@ class ExactField(ModifiedField):
         known_to: float,
     ) -> None:
         super().__init__(system, method, order, "")
-        self._given, self._fields, self.known_to = given, fields, known_to
+        self._exact_system, self._fields, self.known_to = given, fields, known_to
 
     @cached_property
     def terms(self) -> Mapping[int, tuple[Polynomial, ...]]:
         """Power k -> the n polynomials of f_k."""
-        polynomial = self._given.ring.polynomial
+        polynomial = self._exact_system.ring.polynomial
         return MappingProxyType({k: tuple(map(polynomial, f)) for k, f in enumerate(self._fields)})
 
     @cached_property
@@ -63,7 +63,7 @@ class ExactField(ModifiedField):
 
     @property
     def first_error(self) -> int | None:
-        motion = [self._given.field, *[[self._given.ring.zero] * self.system.dim] * (self.order - 1)]
+        motion = [self._exact_system.field, *[[self._exact_system.ring.zero] * self.system.dim] * (self.order - 1)]
         return next((k for k, (f, due) in enumerate(zip(self._fields, motion, strict=True)) if f != due), None)
 
     def rate(self, invariant: Any) -> dict[int, Polynomial]:
@@ -79,7 +79,7 @@ class ExactField(ModifiedField):
         dict
             Power -> Polynomial.
         """
-        return {k: self._given.ring.polynomial(F) for k, F in self._changes(self._polynomial(invariant)).items()}
+        return {k: self._exact_system.ring.polynomial(F) for k, F in self._changes(self._polynomial(invariant)).items()}
 
     def keeps(self, invariant: Any) -> int | None:
         return next(iter(self._changes(self._polynomial(invariant))), None)
@@ -87,14 +87,14 @@ class ExactField(ModifiedField):
     def _polynomial(self, given: Any) -> Exact:
         found = self._invariant(given)
         if isinstance(found, Polynomial):
-            return self._given.ring.of(found)
+            return self._exact_system.ring.of(found)
         try:
-            return self._given.value_of(as_hamiltonian(found, self.system.dim).value)
+            return self._exact_system.value_of(as_hamiltonian(found, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:
             raise TypeError(f"{short(given)} is not a polynomial; an exact field can test polynomials only") from reason
 
     def _changes(self, F: Exact) -> dict[int, Exact]:
-        ring, found = self._given.ring, {}
+        ring, found = self._exact_system.ring, {}
         for k, field in enumerate(self._fields):
             change = ring.along(field, F)
             if change != 0:
@@ -102,7 +102,7 @@ class ExactField(ModifiedField):
         return found
 
     def _loss(self, k: int) -> str:
-        change = self._changes(self._given.energy)[k]
+        change = self._changes(self._exact_system.energy)[k]
         return f"grad H . f has a coefficient of {size_of(change):.3g}"
 
     @cached_property
@@ -115,11 +115,11 @@ class ExactField(ModifiedField):
             The scheme does not keep the energy (the message gives the power of h and the size), or H is not quadratic.
         """
         self._check_energy()
-        ring, sign, found = self._given.ring, self.system.sign, {}
+        ring, sign, found = self._exact_system.ring, self.system.sign, {}
         for k, field in enumerate(self._fields):
-            K: Matrix = self._given.structure
+            K: Matrix = self._exact_system.structure
             if k:
-                K = skew_factor(ring, self._given.energy, [sign * f for f in field])
+                K = skew_factor(ring, self._exact_system.energy, [sign * f for f in field])
             found[k] = tuple(tuple(map(ring.polynomial, row)) for row in K)
         return MappingProxyType(found)
 
@@ -127,9 +127,9 @@ class ExactField(ModifiedField):
     def _skew_table(self) -> ProductSum:
         return Polynomial.side_by_side([F for K in self.skew_terms.values() for row in K for F in row])
 
-    @QUIET
+    @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
-        if self._given.energy.total_degree() > 2:
+        if self._exact_system.energy.total_degree() > 2:
             return super().skew_matrix(x, h)
         states, given = self._states(x)
         n, step = self.system.dim, read_number(h, "h")
@@ -142,7 +142,7 @@ class ExactField(ModifiedField):
 
         If the mapping is empty, the scheme is a Poisson map to this order.
         """
-        ring, J, found = self._given.ring, self._given.structure, {}
+        ring, J, found = self._exact_system.ring, self._exact_system.structure, {}
         for k, field in enumerate(self._fields):
             size = bracket_change(ring, J, field)
             if size:
@@ -164,15 +164,15 @@ class ExactField(ModifiedField):
                 f"{self.method} is not a Poisson map on {self.system.name}: at h^{k} the change of the bracket along "
                 f"its field has a coefficient of {size:.3g}"
             )
-        for name, C in self._given.casimirs.items():
+        for name, C in self._exact_system.casimirs.items():
             for k, change in self._changes(C).items():
                 raise ValueError(
                     f"the field of {self.method} on {self.system.name} is not Hamiltonian: at h^{k} it moves {name}, "
                     f"with a coefficient of {size_of(change):.3g}"
                 )
-        ring, sign, found = self._given.ring, self.system.sign, {0: self._given.energy}
+        ring, sign, found = self._exact_system.ring, self.system.sign, {0: self._exact_system.energy}
         for k, field in enumerate(self._fields[1:], 1):
-            H = hamiltonian_of(ring, self._given.structure, [sign * f for f in field])
+            H = hamiltonian_of(ring, self._exact_system.structure, [sign * f for f in field])
             if H is None:
                 raise ValueError(
                     f"the term f_{k} of {self.method} on {self.system.name} is Poisson, but has no polynomial "

@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from coadjoint.analysis.backward_error.field_of_step import field_at
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
-from coadjoint.long_operations import at, waiting
+from coadjoint.long_operations import at, long_operation
 from coadjoint.methods.formal.formal_numbers import vector
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.system_checks import System
 from coadjoint.systems.user_functions import sample_points
 
-SLIGHT = 53  # steps move by about 2^-53 of the state
-WORTH = 1e-6  # largest accepted relative disagreement of two sets of steps
-SAMPLES = (0, 1)  # the sample points of a system at which invariants are tested
-SEEN = 1e-9  # relative threshold for a change of an invariant at a point
+DISPLACEMENT_BITS = 53  # steps move by about 2^-53 of the state
+MAX_DISAGREEMENT = 1e-6  # largest accepted relative disagreement of two sets of steps
+SAMPLE_POINTS = (0, 1)  # the sample points of a system at which invariants are tested
+CHANGE_THRESHOLD = 1e-9  # relative threshold for a change of an invariant at a point
 
 
 class FieldAtPoints(ModifiedField):
@@ -76,12 +76,12 @@ class FieldAtPoints(ModifiedField):
 
         state = self._states(x)[0][0]
         # f_k is known to h^(order - k), and loses h^(k + 1) to rounding.
-        digits = 30 + int(0.302 * (SLIGHT + 4) * (self.order + 2))
-        with workdps(digits), waiting("a modified field at a point"):
+        digits = 30 + int(0.302 * (DISPLACEMENT_BITS + 4) * (self.order + 2))
+        with workdps(digits), long_operation("a modified field at a point"):
             exact = vector(map(mp.mpf, state.tolist()))
             slope = np.abs(np.asarray(self.system.vector_field(state), dtype=np.float64)).max()
             size = np.abs(state).max()
-            unit = mp.ldexp(1, -SLIGHT) * (mp.mpf(size) / slope if slope and size else 1)
+            unit = mp.ldexp(1, -DISPLACEMENT_BITS) * (mp.mpf(size) / slope if slope and size else 1)
             multiples = [k // 2 + 1 if k % 2 == 0 else -(k // 2 + 1) for k in range(self.order)]
             sets = [
                 field_at(self._stepped, exact, [factor * unit * multiple for multiple in multiples])
@@ -93,8 +93,8 @@ class FieldAtPoints(ModifiedField):
         with np.errstate(over="ignore", invalid="ignore"):  # overflow fails the test below
             scale = np.maximum(np.abs(values).max(axis=1), max(slope, size) * rate ** np.arange(self.order))
             worst = np.max(errors / scale[:, None], axis=1)
-        if not np.all(worst <= WORTH):
-            k = int(np.flatnonzero(~(worst <= WORTH))[0])
+        if not np.all(worst <= MAX_DISAGREEMENT):
+            k = int(np.flatnonzero(~(worst <= MAX_DISAGREEMENT))[0])
             raise ValueError(
                 f"f_{k} of {self.method} differs by {worst[k]:.2g} of its size between two sets of steps at "
                 f"{short(state.tolist())}: there the step has no power series in h, or it rounds"
@@ -122,10 +122,10 @@ class FieldAtPoints(ModifiedField):
     @property
     def first_error(self) -> int | None:
         for k in range(self.order):
-            for state, values, errors in map(self._sampled, SAMPLES):
+            for state, values, errors in map(self._sampled, SAMPLE_POINTS):
                 motion = np.asarray(self.system.vector_field(state))
                 rate = np.abs(motion).max() / np.abs(state).max()
-                least = SEEN * np.abs(motion).max() * rate**k
+                least = CHANGE_THRESHOLD * np.abs(motion).max() * rate**k
                 if np.any(np.abs(values[k] - motion * (k == 0)) > least + 2 * errors[k]):
                     return k
         return None
@@ -135,12 +135,12 @@ class FieldAtPoints(ModifiedField):
         given = self._invariant(invariant)
         gradient = (as_hamiltonian(given, self.system.dim) if hasattr(given, "monomials") else given).gradient
         lost = [self.order]
-        for state, values, _ in map(self._sampled, SAMPLES):
+        for state, values, _ in map(self._sampled, SAMPLE_POINTS):
             slope = np.asarray(gradient(state))
             motion = np.abs(values[0]).max()
             for k in range(self.order):
                 scale = max(np.abs(values[k]).max(), motion * (motion / np.abs(state).max()) ** k)
-                if abs(slope @ values[k]) > SEEN * np.abs(slope).sum() * scale:
+                if abs(slope @ values[k]) > CHANGE_THRESHOLD * np.abs(slope).sum() * scale:
                     lost.append(k)
         return None if min(lost) == self.order else min(lost)
 

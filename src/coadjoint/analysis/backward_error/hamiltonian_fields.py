@@ -7,7 +7,7 @@ from typing import Any
 
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.analysis.backward_error.field_of_step import Field, size_of
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 
 BYTES_PER_ENTRY = 40  # of a matrix of fractions during its reduction
 
@@ -82,7 +82,7 @@ def _of_degree(ring: ExactPolynomials, J: list[Field], field: Field, degree: int
             if (i, exponents) not in entries:
                 return None
             entries[i, exponents][size] = value
-    check_room(
+    check_available_memory(
         BYTES_PER_ENTRY * len(entries) * (size + 1), f"a Hamiltonian of degree {degree} in {ring.dim} coordinates"
     )
     flat = [fmpq(0)] * (len(entries) * (size + 1))

@@ -13,22 +13,22 @@ from coadjoint.analysis.backward_error.field_at_points import FieldAtPoints
 from coadjoint.analysis.backward_error.field_of_step import field_of_series, size_of
 from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
 from coadjoint.analysis.backward_error.step_series import ExactSystem, check_at_a_point, scale_of_motion
-from coadjoint.long_operations import waiting
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import need
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System, check_vectors
+from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.validation import read_choice, read_whole
+from coadjoint.validation import read_choice, read_integer
 
-MOST = 64
+MAX_ORDER = 64
 MARGIN = 1000  # below the order of a scheme, terms within this many roundings of its coefficients are set to zero
 WAYS = ("auto", "exact", "numerical")
 
 
-@waiting("modified_field")
+@long_operation("modified_field")
 def modified_field(system: System, method: Any, order: int, *, way: str = "auto") -> ModifiedField:
     """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).
 
@@ -76,8 +76,8 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     (None, None, 2)
     """
     need("a modified field", "mpmath")
-    check_vectors(system, "a modified field is available for states that are vectors")
-    order = read_whole(order, "order of a modified field", 1, MOST)
+    check_vector_states(system, "a modified field is available for states that are vectors")
+    order = read_integer(order, "order of a modified field", 1, MAX_ORDER)
     read_choice(way, "way to a modified field", WAYS)
     if system.hamiltonian.timed:
         raise ValueError(
@@ -113,7 +113,7 @@ def _step_of(system: System, method: Any) -> Callable[[npt.NDArray[Any], Any], A
 
 def _exact(system: System, method: Any, step: Callable[..., Any], order: int) -> ExactField:
     exact = ExactSystem(system)
-    exact.check_room(order)
+    exact.check_available_memory(order)
     formal, known_to = step, UNIT_ROUNDOFF
     fractions: tuple[float, ...] = (1.0,)
     declared = order

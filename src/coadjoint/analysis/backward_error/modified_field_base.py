@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_finite, read_number
 
@@ -67,7 +67,7 @@ class ModifiedField(ABC):
         It is the order of the scheme; 0 if f_0 is not the field of the system (wrong coefficients or wrong speed).
         """
 
-    @QUIET
+    @ignore_overflow
     def __call__(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return f_0(x) + h f_1(x) + ... at one state or many.
 
@@ -89,7 +89,7 @@ class ModifiedField(ABC):
             total = total * step + term
         return total.reshape(given)
 
-    @QUIET
+    @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that keeps the energy.
 

@@ -14,19 +14,19 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, readable, readable_latex
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.backward_error.modified_energy_at_points import ModifiedEnergyAtPoints
-from coadjoint.analysis.backward_error.scheme_terms import HIGHEST, ErrorTerm, SchemeTerms, Term
+from coadjoint.analysis.backward_error.scheme_terms import MAX_POWER, ErrorTerm, SchemeTerms, Term
 from coadjoint.analysis.backward_error.symbols_of_hamiltonian import no_symbols, symbols_of
-from coadjoint.long_operations import waiting
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import need
-from coadjoint.program.modified_energy.composition_logarithm import swept_exactly
+from coadjoint.program.modified_energy.composition_logarithm import exact_sweeps
 from coadjoint.program.modified_energy.modified_terms import coordinates_of
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import is_of_a_ring, read_whole
+from coadjoint.validation import read_integer, supports_arithmetic
 
 
 class ModifiedHamiltonian:
@@ -195,12 +195,12 @@ class ModifiedHamiltonian:
 
 
 def _step(h: Any) -> Any:
-    if isinstance(h, bool) or not is_of_a_ring(h) or np.ndim(h):
+    if isinstance(h, bool) or not supports_arithmetic(h) or np.ndim(h):
         raise TypeError(f"the step h is {short(h)}; it must be a number")
     return h
 
 
-@waiting("modified_hamiltonian")
+@long_operation("modified_hamiltonian")
 def modified_hamiltonian(
     system: System, method: Method | str | Mapping[str, Any], order: int = 4, *, symbols: Any = False
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
@@ -254,14 +254,16 @@ def modified_hamiltonian(
     True
     """
     system, scheme = read_subject(system, method)
-    order = read_whole(order, "order", 1, HIGHEST, why="the words in the free algebra double in number with each power")
+    order = read_integer(
+        order, "order", 1, MAX_POWER, why="the words in the free algebra double in number with each power"
+    )
     program = scheme.program(system)
     if system.hamiltonian.timed:
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time, so no function of x is conserved; "
             "a modified Hamiltonian needs an autonomous system"
         )
-    sweeps, after = swept_exactly(scheme.swept())
+    sweeps, after = exact_sweeps(scheme.swept())
     H = polynomial_of(system.hamiltonian)
     if H is None:
         if symbols is not False:

@@ -12,13 +12,13 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.backward_error.symbols_of_hamiltonian import Symbols
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates
-from coadjoint.program.modified_energy.modified_terms import check_ahead, coordinates_of, modified_terms
-from coadjoint.program.parts.part_polynomials import part_polynomials, with_given_coefficients
+from coadjoint.program.modified_energy.modified_terms import check_cost, coordinates_of, modified_terms
+from coadjoint.program.parts.part_polynomials import part_polynomials, with_hamiltonian_coefficients
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-HIGHEST = 12
+MAX_POWER = 12
 """Largest power of h: above it, the words in the free algebra alone take minutes."""
 
 Term = Polynomial | SymbolicPolynomial
@@ -66,7 +66,7 @@ class SchemeTerms:
     def error_term(self) -> ErrorTerm:
         """Return the term at the first power above h^0 that is non-zero for general systems."""
         if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
-            for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
+            for highest in range(min(self._order + 1, MAX_POWER + 1), MAX_POWER + 2):
                 coordinates = self._coordinates(highest)
                 weight = coordinates.leading
                 if weight is not None:
@@ -83,10 +83,10 @@ class SchemeTerms:
         pieces = None
         if (wanted or self.symbols.values) and not self._program.shift:
             if wanted:
-                check_ahead(self._system, self._program, max(wanted))
+                check_cost(self._system, self._program, max(wanted))
             parts = self._program.parts
             own, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
-            pieces = with_given_coefficients(ring, parts, own, self.symbols.given, factors)
+            pieces = with_hamiltonian_coefficients(ring, parts, own, self.symbols.given, factors)
         found = modified_terms(ring, self._system, self._program, coordinates, wanted, pieces)
         terms = {power: self.symbols.written(term) for power, term in found.of_power.items()}
         return terms, found.radius, found.neglected

@@ -14,7 +14,7 @@ from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.field_of_step import Field, plain_ring, size_of
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, formal_numbers, vector
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
@@ -22,9 +22,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
-MOST_MONOMIALS = 10**5  # of a field: beyond, its products with itself take minutes
-SLIGHT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
-MOST_OFF = 1e6  # largest coefficient of the first omitted power of the series, in the same units
+MAX_MONOMIALS = 10**5  # of a field: beyond, its products with itself take minutes
+DISPLACEMENT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
+MAX_OMITTED_COEFFICIENT = 1e6  # largest coefficient of the first omitted power of the series, in the same units
 
 
 class ExactSystem:
@@ -75,12 +75,12 @@ class ExactSystem:
                 found[name] = self.value_of(as_hamiltonian(C, self.system.dim).value)
         return found
 
-    def check_room(self, order: int) -> None:
+    def check_available_memory(self, order: int) -> None:
         """Raise an error if the polynomials of an order do not fit in memory."""
         n, degree = self.system.dim, max(int(f.total_degree()) for f in self.field)
         highest = 1 + order * max(degree - 1, 0)
         count = math.comb(n + highest, n) - (math.comb(n + highest - 1, n) if degree > 1 else 0)
-        check_room(
+        check_available_memory(
             BYTES_PER_MONOMIAL * n * order * count,
             f"a modified field of order {order}, of degree {highest} in {n} coordinates,",
             "take a lower order",
@@ -107,10 +107,10 @@ def _check_monomials(system: System) -> None:
     entries = np.diff(terms[0].indptr)
     i, j, _, _ = system.algebra.triples
     count = int(np.sum(entries[i] + entries[j]))
-    if count > MOST_MONOMIALS:
+    if count > MAX_MONOMIALS:
         raise ValueError(
             f"the field of {system.name} has about {count:.0e} monomials; exact series support at most "
-            f"{MOST_MONOMIALS:.0e}"
+            f"{MAX_MONOMIALS:.0e}"
         )
 
 
@@ -123,16 +123,16 @@ def check_at_a_point(
     from mpmath import mp, workdps
 
     order = len(series) - 1
-    digits = 30 - int((order + 2) * math.log10(SLIGHT))
+    digits = 30 - int((order + 2) * math.log10(DISPLACEMENT))
     with workdps(digits):
         drawn = np.random.default_rng(order).uniform(0.5, 1.0, exact.system.dim)
         x = vector(map(mp.mpf, drawn))
         moved = max(abs(value) for value in values_at(exact.field, drawn)) or mp.mpf(1)
-        h = mp.mpf(SLIGHT) / moved
+        h = mp.mpf(DISPLACEMENT) / moved
         end = np.asarray(step(x, h))
         expected = sum(np.array(values_at(terms, drawn)) * h**k for k, terms in enumerate(series))
         size = max(abs(value) for value in end - expected)
-        allowed = MOST_OFF * (mp.mpf(SLIGHT) ** (order + 1) + known_to * SLIGHT)
+        allowed = MAX_OMITTED_COEFFICIENT * (mp.mpf(DISPLACEMENT) ** (order + 1) + known_to * DISPLACEMENT)
         if not size <= allowed:
             raise TypeError(
                 f"the power series of the step contradicts the step at a sample point (by {float(size):.2g}, where "

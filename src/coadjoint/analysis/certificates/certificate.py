@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 HOLDS = "holds"
 FAILS = "fails"
-BEYOND = "kept though not declared"
-ABSENT = "not kept, not declared"
+UNDECLARED_KEPT = "kept though not declared"
+UNDECLARED_LOST = "not kept, not declared"
 INAPPLICABLE = "not applicable"
 UNDECIDED = "not decidable here"
-VERDICTS = (HOLDS, FAILS, BEYOND, ABSENT, INAPPLICABLE, UNDECIDED)
+VERDICTS = (HOLDS, FAILS, UNDECLARED_KEPT, UNDECLARED_LOST, INAPPLICABLE, UNDECIDED)
 SCHEMA = 1
 """Version of the mapping of a certificate."""
-WIDTH = 120
-HEADINGS = ("what", "declared", "verdict", "measured")
+MAX_WIDTH = 120
+COLUMN_HEADINGS = ("what", "declared", "verdict", "measured")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def verdict(claimed: bool, kept: bool | None) -> str:
     """Return the verdict on a property; `kept` is None where the measurement does not decide."""
     if kept is None:
         return UNDECIDED
-    return (HOLDS if kept else FAILS) if claimed else (BEYOND if kept else ABSENT)
+    return (HOLDS if kept else FAILS) if claimed else (UNDECLARED_KEPT if kept else UNDECLARED_LOST)
 
 
 @dataclass(frozen=True, repr=False)
@@ -141,7 +141,8 @@ class Certificate:
         raise KeyError(str(unknown_name("row", key, [row.key for row in self.rows])))
 
     def __repr__(self) -> str:
-        return f"<certificate of {self.subject['scheme']['shown']} on {self.subject['system']['name']}: {self._said()}>"
+        scheme, system = self.subject["scheme"]["shown"], self.subject["system"]["name"]
+        return f"<certificate of {scheme} on {system}: {self._declared_text()}>"
 
     def __str__(self) -> str:
         """Format the certificate as a table."""
@@ -149,19 +150,19 @@ class Certificate:
         sizes = [max(len(row.what) for row in self.rows), max(len(row.declared) for row in self.rows)]
         sizes = [min(sizes[0], 32), min(sizes[1], 16), max(len(row.verdict) for row in self.rows)]
         lines = []
-        for what, declared, found, said in (HEADINGS, *map(_cells, self.rows)):
+        for what, declared, found, said in (COLUMN_HEADINGS, *map(_cells, self.rows)):
             entries = [textwrap.wrap(what, sizes[0]), textwrap.wrap(declared, sizes[1]), [found]]
-            entries.append(textwrap.wrap(said, max(30, WIDTH - sum(sizes) - 6)))
+            entries.append(textwrap.wrap(said, max(30, MAX_WIDTH - sum(sizes) - 6)))
             for number in range(max(map(len, entries))):
                 cells = [entry[number] if number < len(entry) else "" for entry in entries]
                 padded = [cell.ljust(size) for cell, size in zip(cells, sizes, strict=False)]
                 lines.append("  ".join([*padded, cells[-1]]).rstrip())
-        return "\n".join([*head, "", *lines, "", self._said()])
+        return "\n".join([*head, "", *lines, "", self._declared_text()])
 
     def _repr_html_(self) -> str:
-        head, (name, *others) = self._head(), HEADINGS
+        head, (name, *others) = self._head(), COLUMN_HEADINGS
         rows = {name: tuple(others), **{what: tuple(cells) for what, *cells in map(_cells, self.rows)}}
-        return html_table(f"{'; '.join(head)}; {self._said()}", rows)
+        return html_table(f"{'; '.join(head)}; {self._declared_text()}", rows)
 
     def _head(self) -> list[str]:
         return [
@@ -169,7 +170,7 @@ class Certificate:
             f"{len(self.subject['states'])} states, {self.subject['steps']} steps from each",
         ]
 
-    def _said(self) -> str:
+    def _declared_text(self) -> str:
         if not self.declares:
             return "nothing was declared, so nothing can fail: see the measured values"
         if self.passed:

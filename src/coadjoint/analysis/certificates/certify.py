@@ -18,16 +18,16 @@ from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.study import study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
-from coadjoint.long_operations import tell, waiting
+from coadjoint.long_operations import long_operation, warn_if_long
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
-from coadjoint.systems.system_checks import System, check_one_system, in_coordinates
-from coadjoint.validation import read_number, read_whole
+from coadjoint.systems.system_checks import System, as_vector_system, check_one_system
+from coadjoint.validation import read_integer, read_number
 
-MOST_STEPS = 10**7
-SIZES = (1e-75, 1e75)
+MAX_STEPS = 10**7
+ALLOWED_SIZES = (1e-75, 1e75)
 """Allowed sizes of the largest entry of a state."""
 
 
@@ -103,43 +103,45 @@ def certify(
     h = read_number(step, "step")
     if h == 0.0:
         raise ValueError(f"step is {h!r}; it must not be zero")
-    count = None if steps is None else read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
+    count = None if steps is None else read_integer(steps, "steps", 1, MAX_STEPS, floats=True)
     if isinstance(method, str | Mapping):
         method = read_method(method)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
-    system = in_coordinates(system)
+    system = as_vector_system(system)
     size = float(np.max(np.abs(states), initial=0.0))
-    if size != 0.0 and not SIZES[0] <= size <= SIZES[1]:
+    if size != 0.0 and not ALLOWED_SIZES[0] <= size <= ALLOWED_SIZES[1]:
         raise ValueError(
             f"x0 has entries up to {size!r}; products of their defects leave the range of float64, so choose units in "
             "which they "
-            f"are from {SIZES[0]} to {SIZES[1]}"
+            f"are from {ALLOWED_SIZES[0]} to {ALLOWED_SIZES[1]}"
         )
-    with np.errstate(all="ignore"), waiting("certify"):
+    with np.errstate(all="ignore"), long_operation("certify"):
         subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
         if count is not None:
             taken = subject.seconds * len(subject.states) * count
-            tell(f"the long run of {count} steps from {len(subject.states)} states", taken, "fewer steps= take less")
-        return Certificate(_rows(subject), _described(subject))
+            warn_if_long(
+                f"the long run of {count} steps from {len(subject.states)} states", taken, "fewer steps= take less"
+            )
+        return Certificate(_rows(subject), _subject_text(subject))
 
 
 def _rows(subject: Subject) -> tuple[Row, ...]:
     found = study(subject)
-    telling = subject.h if found is None else found.telling(subject.h)
+    coarse_step = subject.h if found is None else found.coarse_step(subject.h)
     run = long_run(subject)
     return (
         *convergence_rows(subject, found),
-        symmetry_row(subject, telling),
-        reversibility_row(subject, telling),
-        poisson_row(subject, telling),
-        *invariant_rows(subject, run, telling),
+        symmetry_row(subject, coarse_step),
+        reversibility_row(subject, coarse_step),
+        poisson_row(subject, coarse_step),
+        *invariant_rows(subject, run, coarse_step),
         *attitude_rows(subject, found, 0 if run.solution is None else run.solution.stats.steps),
         run_row(subject, run),
     )
 
 
-def _described(subject: Subject) -> dict[str, Any]:
+def _subject_text(subject: Subject) -> dict[str, Any]:
     system, algebra = subject.system, subject.system.algebra
     return {
         "system": {

@@ -9,15 +9,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from coadjoint.methods.protocol.method import Method, declared_by
+from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import StepMethod
 from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_flag, read_whole
+from coadjoint.validation import read_bool, read_integer
 
-NOTHING = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
-MOST_ORDER = 256
+NO_PROPERTIES = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+MAX_ORDER = 256
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Claims:
 
 
 @dataclass(frozen=True)
-class GivenStep(StepMethod):
+class FunctionStep(StepMethod):
     """A function ``step(x, h)``, or ``step(x, t, h)`` if `timed`, as a scheme."""
 
     function: Callable[..., Any]
@@ -47,7 +47,7 @@ class GivenStep(StepMethod):
         return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
 
     def properties(self, system: System) -> Properties:
-        return NOTHING
+        return NO_PROPERTIES
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return np.asarray(self.function(x, t, h) if self.timed else self.function(x, h))
@@ -66,15 +66,17 @@ def scheme_and_claims(
             if value is not None:
                 raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; omit {name}")
         # The error of a scheme with its own step size does not depend on the step of the run.
-        return method, Claims(None if method.own_steps else method.order, method.symmetric, declared_by(method, system))
+        return method, Claims(
+            None if method.own_steps else method.order, method.symmetric, declared_properties(method, system)
+        )
     if isinstance(method, type) or not callable(method):
         raise TypeError(
             f"method is {short(method)}; it must be a scheme such as Splitting(order=2), or a function step(x, h)"
         )
     if order is not None:
-        order = read_whole(order, "order", 1, MOST_ORDER)
+        order = read_integer(order, "order", 1, MAX_ORDER)
     if symmetric is not None:
-        symmetric = read_flag(symmetric, "symmetric")
+        symmetric = read_bool(symmetric, "symmetric")
     if not isinstance(properties, Properties | None):
         raise TypeError(f"properties is {short(properties)}; give co.methods.Properties(...), or None")
     if properties is not None and properties.attitude != "none":
@@ -82,7 +84,7 @@ def scheme_and_claims(
             f'properties has attitude="{properties.attitude}", but a function step(x, h) moves the momentum only; '
             'give attitude="none"'
         )
-    return GivenStep(method, _takes_time(method)), Claims(order, symmetric, properties)
+    return FunctionStep(method, _takes_time(method)), Claims(order, symmetric, properties)
 
 
 def _takes_time(function: Callable[..., Any]) -> bool:

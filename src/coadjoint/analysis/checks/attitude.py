@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import invariant_form
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.convergence import allowed
+from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.slope import CLEAR
+from coadjoint.analysis.checks.slope import FLOOR_FACTOR
 from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
@@ -23,19 +23,19 @@ from coadjoint.runs.solution import Solution
 
 Floats = NDArray[np.float64]
 
-LARGEST = 64
+MAX_DIM = 64
 """Largest dimension in which the coadjoint matrix is integrated."""
-LARGEST_FOLLOWED = 16
+MAX_REFERENCE_DIM = 16
 """Largest dimension in which the group element is compared with the independent integration."""
-SAVED = 16
-MOST_WORK = 5e7
+SAVED_POINTS = 16
+MAX_WORK = 5e7
 """Bound on steps times the cube of the dimension; on large algebras fewer steps carry the element."""
-SECONDS, FEWEST, MOST_STEPS = 1.0, 4, 2**53
+TIME_LIMIT, MIN_STEPS, MAX_STEPS = 1.0, 4, 2**53
 """Approximate time limit of the steps with an element, and the limits of their number."""
-LARGE_CONDITION = 1e3
-KEEPING = ("every representation", "coadjoint")
+MAX_CONDITION = 1e3
+CONSERVING_KINDS = ("every representation", "coadjoint")
 
-Seen = tuple[float, float, str]
+Measurement = tuple[float, float, str]
 """Defect, bound, and description of the measurement."""
 
 
@@ -53,15 +53,15 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
         why = "the scheme carries none"
     elif steps == 0:
         why = "no step could be taken"
-    elif system.dim > LARGEST:
+    elif system.dim > MAX_DIM:
         why = f"the coadjoint matrix of dimension {system.dim} is not carried for this"
     if why:
         claimed = system.algebra is not None and kind != "none"
         found = verdict(claimed, None) if claimed else INAPPLICABLE
         return [Row("attitude", "group element", kind, "-", found, claimed=claimed, reason=why)]
-    steps = max(min(steps, SAVED), min(steps, int(MOST_WORK / system.dim**3)))
+    steps = max(min(steps, SAVED_POINTS), min(steps, int(MAX_WORK / system.dim**3)))
     with_matrix = min(steps, _affordable(subject, "coadjoint"))
-    claimed = kind in KEEPING
+    claimed = kind in CONSERVING_KINDS
     rows = [
         _row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, with_matrix))
     ]
@@ -76,14 +76,16 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
                 _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, with_matrix))
             )
     # Without a declared order the rate of convergence of the element is unknown.
-    if study is not None and subject.claims.order is not None and system.dim <= LARGEST_FOLLOWED:
+    if study is not None and subject.claims.order is not None and system.dim <= MAX_REFERENCE_DIM:
         rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
     return rows
 
 
-def _row(subject: Subject, key: str, what: str, kind: str, claimed: bool, look: Callable[[], Seen | None]) -> Row:
+def _row(
+    subject: Subject, key: str, what: str, kind: str, claimed: bool, measure: Callable[[], Measurement | None]
+) -> Row:
     try:
-        seen = look()
+        seen = measure()
         reason = "" if seen is not None else "the group element could not be computed"
     except IntegrationError as error:
         seen, reason = None, str(error)
@@ -99,7 +101,7 @@ def _row(subject: Subject, key: str, what: str, kind: str, claimed: bool, look: 
 def _affordable(subject: Subject, representation: Any) -> int:
     """Return the number of steps with an element that fit into the time limit, by the cost model."""
     each = subject.seconds_with(representation) * len(subject.states)
-    return max(FEWEST, int(SECONDS / each)) if each > 0.0 else MOST_STEPS
+    return max(MIN_STEPS, int(TIME_LIMIT / each)) if each > 0.0 else MAX_STEPS
 
 
 def _carried(subject: Subject) -> bool:
@@ -111,14 +113,14 @@ def _carried(subject: Subject) -> bool:
 
 
 def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
-    """Run the steps, halved until the run succeeds and the condition of the element is at most `LARGE_CONDITION`.
+    """Run the steps, halved until the run succeeds and the condition of the element is at most `MAX_CONDITION`.
 
     A rounding at time s is multiplied by g_s^-1 g_t until time t, so elements that grow and shrink again lose digits.
     Return the run, its elements and their largest condition number.
     """
     while True:
         try:
-            run = subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
+            run = subject.run(subject.states, subject.h, steps, max(1, steps // SAVED_POINTS), attitude)
         except IntegrationError:
             if steps == 1:
                 raise
@@ -126,7 +128,7 @@ def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats,
             assert run.attitude is not None
             values = np.linalg.svd(run.attitude, compute_uv=False)
             condition = float(np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)))
-            if condition <= LARGE_CONDITION or steps == 1:
+            if condition <= MAX_CONDITION or steps == 1:
                 return run, run.attitude, condition
         steps //= 2
 
@@ -141,7 +143,7 @@ def _size(matrices: Floats) -> Floats:
     return np.asarray(np.linalg.norm(matrices, axis=(-2, -1)))
 
 
-def _momentum(subject: Subject, steps: int) -> Seen:
+def _momentum(subject: Subject, steps: int) -> Measurement:
     """Measure the spatial momentum K x, which is constant; K is the coadjoint matrix."""
     run, K, condition = _run(subject, "coadjoint", steps)
     moved = np.einsum("kmij,kmj->kmi", K, run.x) - run.x[0]
@@ -150,7 +152,7 @@ def _momentum(subject: Subject, steps: int) -> Seen:
     return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
 
 
-def _form(subject: Subject, form: Floats, steps: int) -> Seen:
+def _form(subject: Subject, form: Floats, steps: int) -> Measurement:
     """Measure g^T P g - P, with P the invariant form of the representation (the unit matrix for rotations)."""
     run, g, condition = _run(subject, True, steps)
     defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
@@ -159,7 +161,7 @@ def _form(subject: Subject, form: Floats, steps: int) -> Seen:
     return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {run.stats.steps} steps"
 
 
-def _one_element(subject: Subject, steps: int) -> Seen:
+def _one_element(subject: Subject, steps: int) -> Measurement:
     """Compare the element of the representation with the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
     rho = np.asarray(subject.system.representation)
     in_K, K, of_K = _run(subject, "coadjoint", steps)
@@ -194,7 +196,7 @@ class _WithElement:
 _with_element = lru_cache(maxsize=16)(_WithElement)
 
 
-def _limit(subject: Subject, study: Study) -> Seen | None:
+def _limit(subject: Subject, study: Study) -> Measurement | None:
     """Compare the element at small steps with the independent integration."""
     n, x = subject.system.dim, subject.states[0]
     start = np.concatenate([x, np.eye(n).ravel()])
@@ -204,13 +206,13 @@ def _limit(subject: Subject, study: Study) -> Seen | None:
     element = reference.states[0, n:].reshape(n, n)
     size = float(np.linalg.norm(element))
     # The smallest step at which the error of the momentum is above round-off, else the smallest step.
-    clear = [k for k, error in enumerate(study.errors) if error > CLEAR * study.floors[k]]
+    clear = [k for k, error in enumerate(study.errors) if error > FLOOR_FACTOR * study.floors[k]]
     place = clear[-1] if clear else len(study.counts) - 1
     counts = (study.counts[place], 2 * study.counts[place])
     ends = [subject.run(x, study.span / count, count, attitude="coadjoint") for count in counts]
     found = [run.attitude[-1] for run in ends if run.attitude is not None]
     error = float(np.linalg.norm(found[1] - element)) / size
     change = float(np.linalg.norm(found[1] - found[0])) / size
-    floor = CLEAR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(ends[1].stats.evaluations)))
+    floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(ends[1].stats.evaluations)))
     said = f"error {error:.2g} at the step {abs(study.span) / counts[1]:.3g}, against {reference.by}"
-    return error, floor + allowed(change, 2.0, subject.claims.order), said
+    return error, floor + allowed_error(change, 2.0, subject.claims.order), said

@@ -23,12 +23,12 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 Floats = NDArray[np.float64]
 
 STEPS = 2000
-FEWEST_STEPS = 32
+MIN_STEPS = 32
 """Lower limit on the default length of the long run; fewer steps do not show the growth of deviations."""
-SECONDS = 3.0
-SAVED = 128
-MUCH_LARGER = 16.0
-LOOKED_AT = 8
+TIME_LIMIT = 3.0
+SAVED_POINTS = 128
+MAX_GROWTH_FACTOR = 16.0
+SIZE_SAMPLES = 8
 """Number of points along the run at which the sizes of the invariants are evaluated."""
 
 
@@ -54,27 +54,27 @@ class LongRun:
 
 
 def steps_of(subject: Subject) -> int:
-    """Return the number of steps of the long run: as given, or limited to `SECONDS` of computing time."""
+    """Return the number of steps of the long run: as given, or limited to `TIME_LIMIT` of computing time."""
     if subject.steps is not None:
         return subject.steps
-    return min(STEPS, max(FEWEST_STEPS, subject.affordable(SECONDS)))
+    return min(STEPS, max(MIN_STEPS, subject.affordable(TIME_LIMIT)))
 
 
 def long_run(subject: Subject) -> LongRun:
     """Integrate the long run from every state, halving the number of steps until it succeeds.
 
-    It is also halved if states have grown by more than `MUCH_LARGER`: the step is then too large for the motion, and
-    the linear systems are worse conditioned than the bounds on round-off assume.
+    It is also halved if states have grown by more than `MAX_GROWTH_FACTOR`: the step is then too large for the motion,
+    and the linear systems are worse conditioned than the bounds on round-off assume.
     """
     count, failed, until = steps_of(subject), "", 0.0
     start = np.linalg.norm(subject.states, axis=1)
     while count:
         try:
-            run = subject.run(subject.states, subject.h, count, max(1, count // SAVED), watch=True)
+            run = subject.run(subject.states, subject.h, count, max(1, count // SAVED_POINTS), watch=True)
         except IntegrationError as error:
             failed, until = failed or str(error), until or error.time
         else:
-            if count == 1 or np.all(np.linalg.norm(run.x, axis=-1) <= MUCH_LARGER * start):
+            if count == 1 or np.all(np.linalg.norm(run.x, axis=-1) <= MAX_GROWTH_FACTOR * start):
                 return LongRun(run, failed, until)
         count //= 2
     return LongRun(None, failed, until)
@@ -101,13 +101,13 @@ def run_row(subject: Subject, run: LongRun) -> Row:
     return Row(key, what, ends, run.failed, verdict(declares, False), claimed=declares)
 
 
-def invariant_rows(subject: Subject, run: LongRun, telling: float) -> list[Row]:
+def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[Row]:
     """Return a row for the energy, and one for each Casimir.
 
-    `telling` is a larger step at which the scheme still approximates the motion.
+    `coarse_step` is a larger step at which the scheme still approximates the motion.
     """
     system, properties = subject.system, subject.claims.properties
-    single = _single_steps(subject, telling)
+    single = _single_steps(subject, coarse_step)
     rows = []
     for name, invariant in {"energy": system.hamiltonian, **system.casimirs}.items():
         energy = invariant is system.hamiltonian
@@ -125,9 +125,9 @@ def invariant_rows(subject: Subject, run: LongRun, telling: float) -> list[Row]:
     return rows
 
 
-def _single_steps(subject: Subject, telling: float) -> list[tuple[float, Solution]]:
+def _single_steps(subject: Subject, coarse_step: float) -> list[tuple[float, Solution]]:
     found = []
-    for h in dict.fromkeys((subject.h, telling)):
+    for h in dict.fromkeys((subject.h, coarse_step)):
         try:
             found.append((h, subject.run(subject.states, h, 1)))
         except IntegrationError:
@@ -161,7 +161,9 @@ def _row(
         kind = found.kind
         worst = float(solution.drift()[name])
         members = len(subject.states)
-        chosen = solution.x[np.linspace(0, len(solution.x) - 1, LOOKED_AT).astype(int)].reshape(-1, subject.system.dim)
+        chosen = solution.x[np.linspace(0, len(solution.x) - 1, SIZE_SAMPLES).astype(int)].reshape(
+            -1, subject.system.dim
+        )
         size = float(np.max(_sizes(invariant, chosen)))
         evaluations = solution.stats.evaluations / members + solution.stats.steps + 1
         rounding = 4 * subject.system.dim * UNIT_ROUNDOFF * evaluations + 8 * noise * solution.stats.steps
@@ -181,16 +183,16 @@ def _row(
         value=value,
         bound=bound,
         source=source,
-        reason=_shorter(subject, run),
+        reason=_half_run(subject, run),
         evidence=evidence,
     )
 
 
-def _shorter(subject: Subject, run: LongRun) -> str:
+def _half_run(subject: Subject, run: LongRun) -> str:
     if run.failed:
         return "of the steps that did not fail"
     shorter = run.solution is not None and run.solution.stats.steps < steps_of(subject)
-    return f"of the steps before a state has grown {MUCH_LARGER:.0f} times" if shorter else ""
+    return f"of the steps before a state has grown {MAX_GROWTH_FACTOR:.0f} times" if shorter else ""
 
 
 def _sizes(invariant: Any, states: Floats) -> Floats:

@@ -15,31 +15,31 @@ from coadjoint.systems.system_checks import System
 Floats = NDArray[np.float64]
 
 # The smallest tolerance that DOP853 accepts, and a larger one; the difference of the two runs estimates the error.
-FINE, COARSE = 2.3e-14, 1e-12
+FINE_TOLERANCE, COARSE_TOLERANCE = 2.3e-14, 1e-12
 # DOP853 has order 8, so its error per unit of time is proportional to the tolerance. The finer run has 1/43 of the
 # difference as its error; 1/8 is assumed.
-CLAIMED = 0.125
-MOST_STEPS = 1500
+ERROR_SHARE = 0.125
+MAX_STEPS = 1500
 # Largest relative difference of a closed form from the integrated field; beyond it, one of them is wrong.
-AGREEMENT = 1e-8
+CLOSED_FORM_TOLERANCE = 1e-8
 
 
 class Motion(NamedTuple):
     """States (k, n) after a time, and their error relative to their size, with a safety margin.
 
-    `by` names the source; `doubt` is a message if a closed form contradicts the vector field, else empty.
+    `by` names the source; `contradiction` is a message if a closed form contradicts the vector field, else empty.
     """
 
     states: Floats
     error: float
     by: str
-    doubt: str = ""
+    contradiction: str = ""
 
 
 def motion(system: System, x: Floats, t: float) -> Motion | None:
     """Return the states after time t from states x (k, n) at time 0; t is negative for backward.
 
-    None if the motion leaves the range of float64 or takes more than `MOST_STEPS` steps. The result is cached.
+    None if the motion leaves the range of float64 or takes more than `MAX_STEPS` steps. The result is cached.
     """
     return _motion(system, x.tobytes(), x.shape, t)
 
@@ -47,12 +47,12 @@ def motion(system: System, x: Floats, t: float) -> Motion | None:
 @lru_cache(maxsize=64)
 def _motion(system: System, start: bytes, shape: tuple[int, int], t: float) -> Motion | None:
     x = np.frombuffer(start).reshape(shape)
-    found = [(_followed(system, y, t, FINE), _followed(system, y, t, COARSE)) for y in x]
+    found = [(_integrated(system, y, t, FINE_TOLERANCE), _integrated(system, y, t, COARSE_TOLERANCE)) for y in x]
     if any(fine is None or coarse is None for fine, coarse in found):
         return None
     fine, coarse = (np.array([pair[k] for pair in found]) for k in (0, 1))
     size = float(np.linalg.norm(fine)) or 1.0
-    error = CLAIMED * float(np.linalg.norm(fine - coarse)) / size + 16 * UNIT_ROUNDOFF
+    error = ERROR_SHARE * float(np.linalg.norm(fine - coarse)) / size + 16 * UNIT_ROUNDOFF
     followed = Motion(fine, error, "DOP853 on the vector field")
     closed, halved = _closed(system, x, t), _closed(system, x, t / 2)
     again = None if halved is None else _closed(system, halved, t / 2)
@@ -61,8 +61,10 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float) -> M
     # Two half steps estimate the rounding of the closed form.
     rounding = 2 * float(np.linalg.norm(again - closed)) / size + 16 * UNIT_ROUNDOFF
     apart = float(np.linalg.norm(closed - fine)) / size
-    if apart > AGREEMENT:
-        return followed._replace(doubt=f"the closed form of {system.name} is off the vector field by {apart:.1g}")
+    if apart > CLOSED_FORM_TOLERANCE:
+        return followed._replace(
+            contradiction=f"the closed form of {system.name} is off the vector field by {apart:.1g}"
+        )
     return Motion(closed, rounding, "the closed form")
 
 
@@ -75,7 +77,7 @@ def _closed(system: System, x: Floats, t: float) -> Floats | None:
         return None  # outside the domain of the closed form
 
 
-def _followed(system: System, x: Floats, t: float, tolerance: float) -> Floats | None:
+def _integrated(system: System, x: Floats, t: float, tolerance: float) -> Floats | None:
     from scipy.integrate import DOP853
 
     if t == 0.0:
@@ -88,7 +90,7 @@ def _followed(system: System, x: Floats, t: float, tolerance: float) -> Floats |
     size = float(np.max(np.abs(x))) or 1.0
     try:
         solver = DOP853(field, 0.0, x.ravel(), t, rtol=tolerance, atol=0.1 * tolerance * size)
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             at("the motion by an independent code")
             solver.step()
             if solver.status != "running":

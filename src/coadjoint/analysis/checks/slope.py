@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 
-MOST_POINTS = 5
-FEWEST_POINTS = 3
+MAX_POINTS = 5
+MIN_POINTS = 3
 # Points with errors below this multiple of their round-off are excluded; at 16, the logarithm is off by 1/16.
-CLEAR = 16.0
+FLOOR_FACTOR = 16.0
 
 
 class Slope(NamedTuple):
@@ -72,29 +72,29 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
     points = [
         (step, error, floor)
         for step, error, floor in sorted(zip(steps, errors, floors, strict=True), reverse=True)
-        if error > CLEAR * floor
-    ][-MOST_POINTS:]
-    if len(points) < FEWEST_POINTS:
+        if error > FLOOR_FACTOR * floor
+    ][-MAX_POINTS:]
+    if len(points) < MIN_POINTS:
         return None
     h, e, floor = (np.array(column) for column in zip(*points, strict=True))
-    width = 3 if len(h) == MOST_POINTS else 2
+    width = 3 if len(h) == MAX_POINTS else 2
     large, small = _slope(h[:width], e[:width]), _slope(h[-width:], e[-width:])
     ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
     rounded = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
     return Slope(small, abs(small - large) / (ratio - 1.0) + rounded, small - large, h, e)
 
 
-def slope_of_defects(largest: float, count: int, look: Callable[[float], tuple[float, float]]) -> Slope | None:
+def slope_of_defects(largest: float, count: int, measure: Callable[[float], tuple[float, float]]) -> Slope | None:
     """Return the power of the step with which a defect scales, at `count` steps from the largest one down by factors
     sqrt(2).
 
-    `look` maps a signed step to the defect and its floor; steps at which it fails are skipped.
+    `measure` maps a signed step to the defect and its floor; steps at which it fails are skipped.
     """
     steps, defects, floors = [], [], []
     for k in range(count):
         h = largest / 2.0 ** (k / 2)
         try:
-            defect, floor = look(h)
+            defect, floor = measure(h)
         except (IntegrationError, TypeError, ValueError):
             continue
         steps.append(abs(h))

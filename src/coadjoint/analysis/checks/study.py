@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.checks.reference import Motion, motion
-from coadjoint.analysis.checks.slope import CLEAR, Slope, slope
+from coadjoint.analysis.checks.slope import FLOOR_FACTOR, Slope, slope
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -18,19 +18,19 @@ Floats = NDArray[np.float64]
 
 # The span in natural times: long enough to sample the motion, short enough not to amplify errors.
 NATURAL_TIMES = 2.0
-SHORTER = 4
+SPANS_TRIED = 4
 """Number of spans tried, each half of the previous one, if the motion has no reference over the longer ones."""
 # Larger relative errors are outside the asymptotic range.
-LARGE = 0.05
-FINEST, FINEST_OF_PYTHON = 512, 128
+LARGE_ERROR = 0.05
+MAX_STEPS_COMPILED, MAX_STEPS_PYTHON = 512, 128
 """Upper limits on steps over the span for compiled and other steps, unless the given step needs more."""
-MOST_GIVEN = 4096
-FEW = 64
-MOST_TRIALS = 16
-SECONDS = 3.0
+MAX_GIVEN_STEPS = 4096
+FIRST_STEPS = 64
+MAX_TRIALS = 16
+TIME_LIMIT = 3.0
 """Approximate time limit of the study if steps are expensive."""
 # Ratio of consecutive errors of the study at high order; at low order the step is halved.
-FALL = 16.0
+ERROR_RATIO = 16.0
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,13 @@ class Study:
 
     @property
     def slope(self) -> Slope | None:
-        """The slope of the errors that are below `LARGE` and above round-off."""
-        inside = [k for k, error in enumerate(self.errors) if error < LARGE]
+        """The slope of the errors that are below `LARGE_ERROR` and above round-off."""
+        inside = [k for k, error in enumerate(self.errors) if error < LARGE_ERROR]
         return slope(*([values[k] for k in inside] for values in (self.steps, self.errors, self.floors)))
 
-    def telling(self, h: float) -> float:
+    def coarse_step(self, h: float) -> float:
         """Return the largest step at which the scheme still approximates the motion; at least the given one."""
-        near = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < LARGE / 5]
+        near = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < LARGE_ERROR / 5]
         largest = near[0] if near else h
         return largest if abs(largest) > 1.01 * abs(h) else h
 
@@ -71,14 +71,14 @@ class Study:
 def study(subject: Subject) -> Study | None:
     """Run the scheme over a span with the given step, then with smaller and larger ones; None without a reference."""
     p = subject.claims.order
-    finest = FINEST if subject.compiled else FINEST_OF_PYTHON
+    finest = MAX_STEPS_COMPILED if subject.compiled else MAX_STEPS_PYTHON
     # All runs together take about twice the steps of the longest.
-    most = subject.affordable(SECONDS / 2)
-    most_given, few, finest = min(MOST_GIVEN, most), min(FEW, max(1, most // 4)), min(finest, most)
-    for halving in range(SHORTER):
+    most = subject.affordable(TIME_LIMIT / 2)
+    most_given, few, finest = min(MAX_GIVEN_STEPS, most), min(FIRST_STEPS, max(1, most // 4)), min(finest, most)
+    for halving in range(SPANS_TRIED):
         wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
         # For a tiny given step the order is measured with larger steps, for a huge one with smaller steps.
-        given = round(min(wanted / abs(subject.h), 2.0 * MOST_GIVEN))
+        given = round(min(wanted / abs(subject.h), 2.0 * MAX_GIVEN_STEPS))
         given = given if halving else max(1, given)
         given = 0 if given > most_given else given
         span, first = (given * subject.h, given) if given else (math.copysign(wanted, subject.h), few)
@@ -87,7 +87,7 @@ def study(subject: Subject) -> Study | None:
             break
     else:
         return None
-    ratio = min(2.0, FALL ** (1.0 / p)) if p else math.sqrt(2.0)
+    ratio = min(2.0, ERROR_RATIO ** (1.0 / p)) if p else math.sqrt(2.0)
     found = Study(span, [], [], [], [], reference, given, [])
     size = float(np.linalg.norm(reference.states)) or 1.0
 
@@ -109,15 +109,16 @@ def study(subject: Subject) -> Study | None:
 
     def clear(count: int) -> bool:
         k = found.counts.index(count)
-        return found.errors[k] > CLEAR * found.floors[k]
+        return found.errors[k] > FLOOR_FACTOR * found.floors[k]
 
-    # First steps grow until errors are above round-off; then finer steps down to round-off, coarser ones up to `LARGE`.
+    # First steps grow until errors are above round-off; then finer steps down to round-off, coarser ones up to
+    # `LARGE_ERROR`.
     known = tried(first)
     while known and first > 1 and not clear(first):
         first = max(1, first // 2)
         known = tried(first)
     count = first
-    for _ in range(MOST_TRIALS):
+    for _ in range(MAX_TRIALS):
         if count in found.counts and not clear(count):
             break
         count = max(count + 1, math.ceil(count * ratio))
@@ -125,8 +126,8 @@ def study(subject: Subject) -> Study | None:
             break
         tried(count)
     count = first
-    for _ in range(MOST_TRIALS):
-        if count == 1 or (found.errors and found.errors[0] > LARGE):
+    for _ in range(MAX_TRIALS):
+        if count == 1 or (found.errors and found.errors[0] > LARGE_ERROR):
             break
         count = min(count - 1, math.floor(count / ratio))
         if not tried(count):

@@ -22,17 +22,17 @@ from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 
-FEWEST_STATES = 4
-MOST_STATES = 8
+MIN_STATES = 4
+MAX_STATES = 8
 # Time between states along the motion, as a fraction of the natural time: distinct states, few steps apart.
-APART = 0.7
-LARGEST_DENSE = 256
+STATE_SPACING = 0.7
+MAX_DENSE_DIM = 256
 """Largest dimension in which dense matrices of a step are computed."""
-ROTATION = 1.1e-8
+SECONDS_PER_COST = 1.1e-8
 """Seconds on one core for a unit of the cost model."""
-DEAR = 2.5e-4
+EXPENSIVE_SECONDS = 2.5e-4
 """Seconds per step above which derivatives are taken along some directions, at fewer states."""
-STATES_OF_DEAR_STEPS = 2
+STATES_OF_EXPENSIVE_STEPS = 2
 DIRECTIONS = 4
 SEED = 1993
 
@@ -58,11 +58,11 @@ class Subject:
     @cached_property
     def states(self) -> Floats:
         """States (k, n): those given, extended along the motion of the first if they are few."""
-        fewest, most = (STATES_OF_DEAR_STEPS,) * 2 if self.dear else (FEWEST_STATES, MOST_STATES)
+        fewest, most = (STATES_OF_EXPENSIVE_STEPS,) * 2 if self.expensive else (MIN_STATES, MAX_STATES)
         if len(self.given) >= fewest:
             return self.given[:most]
         found, x = list(self.given), self.given[0]
-        apart = np.copysign(APART * self.time, self.h)
+        apart = np.copysign(STATE_SPACING * self.time, self.h)
         while len(found) < fewest:
             ahead = motion(self.system, x[None], float(apart))
             if ahead is None:
@@ -88,17 +88,17 @@ class Subject:
         except IntegrationError:
             return 0.0
         work = self.method.work(self.system, representation)
-        return ROTATION * float(work.cost(stats.iterations, stats.evaluations))
+        return SECONDS_PER_COST * float(work.cost(stats.iterations, stats.evaluations))
 
     @property
-    def dear(self) -> bool:
+    def expensive(self) -> bool:
         """Whether steps are so expensive that fewer states and steps are taken."""
-        return self.seconds > DEAR
+        return self.seconds > EXPENSIVE_SECONDS
 
     def affordable(self, seconds: float) -> int:
         """Return how many steps of all states fit into some seconds; 2^53 if steps are cheap."""
         each = self.seconds * len(self.states)
-        return max(1, int(seconds / each)) if self.dear else 2**53
+        return max(1, int(seconds / each)) if self.expensive else 2**53
 
     @cached_property
     def time(self) -> float:
@@ -107,7 +107,7 @@ class Subject:
         return min((time for time in times if time > 0.0), default=abs(self.h))
 
     @cached_property
-    def rests(self) -> bool:
+    def at_equilibrium(self) -> bool:
         """Whether every state is an equilibrium."""
         return all(natural_time(self.system, x) == 0.0 for x in self.given)
 
@@ -159,14 +159,14 @@ class Subject:
         """
         key = x.tobytes(), h
         if key not in self._conditions:
-            self._conditions[key] = self._estimate(x, h) if self.dear else self._condition(x, h)
+            self._conditions[key] = self._estimate(x, h) if self.expensive else self._condition(x, h)
         return self._conditions[key]
 
     def _estimate(self, x: Floats, h: float) -> float:
         there = self.step(x[None], h)[0]
-        return self.size_of_tangent(x, h) * self.size_of_tangent(there, -h)
+        return self.tangent_norm(x, h) * self.tangent_norm(there, -h)
 
-    def size_of_tangent(self, x: Floats, h: float) -> float:
+    def tangent_norm(self, x: Floats, h: float) -> float:
         """Return the norm of the derivative of a step, by differences along some directions."""
         small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
         units = directions(len(x)).T

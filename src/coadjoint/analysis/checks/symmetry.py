@@ -11,35 +11,35 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.slope import Slope, slope_of_defects
-from coadjoint.analysis.checks.subject import DIRECTIONS, LARGEST_DENSE, Subject
+from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = NDArray[np.float64]
-There = Callable[[Floats, float], Floats]
+StepMap = Callable[[Floats, float], Floats]
 
-MOST_COORDINATES = 10
+MAX_COORDINATES = 10
 """Largest dimension in which all reflections of coordinates are tried; above it, only x -> -x."""
-SLOPES = 6
-ALONG = f", seen along {DIRECTIONS} directions"
+SLOPE_STEPS = 6
+DIRECTIONS_NOTE = f", seen along {DIRECTIONS} directions"
 # Largest relative noise allowed for the iteration error of a step given as a function.
-MOST_NOISE = 1e-6
+MAX_NOISE = 1e-6
 
 
-def symmetry_row(subject: Subject, telling: float) -> Row:
+def symmetry_row(subject: Subject, coarse_step: float) -> Row:
     """Return the row on psi_(-h) psi_h = 1.
 
-    `telling` is a larger step at which the scheme still approximates the motion.
+    `coarse_step` is a larger step at which the scheme still approximates the motion.
     """
     claim = subject.claims.symmetric
 
     def back(x: Floats, h: float) -> Floats:
         return subject.step(subject.step(x, h), -h, h)
 
-    return _row(subject, telling, "symmetry", "a step back undoes a step", claim, back)
+    return _row(subject, coarse_step, "symmetry", "a step back undoes a step", claim, back)
 
 
-def reversibility_row(subject: Subject, telling: float) -> Row:
+def reversibility_row(subject: Subject, coarse_step: float) -> Row:
     """Return the row on R psi_h R psi_h = 1 for a reflection R of coordinates that reverses the motion; it has no
     claim.
     """
@@ -52,7 +52,7 @@ def reversibility_row(subject: Subject, telling: float) -> Row:
     def turned(x: Floats, h: float) -> Floats:
         return np.asarray(signs * subject.step(signs * subject.step(x, h), h))
 
-    row = _row(subject, telling, "reversibility", what, None, turned)
+    row = _row(subject, coarse_step, "reversibility", what, None, turned)
     shown = ", ".join(("-" if sign < 0 else "+") for sign in signs[:12])
     return Row(**{**vars(row), "reason": f"under the reflection ({shown})"})
 
@@ -61,7 +61,7 @@ def reversing(subject: Subject) -> Floats | None:
     """Return signs R with R f(R x) = -f(x) at every state, x -> -x tried first; None if no candidate fits."""
     n, field = subject.system.dim, subject.system.vector_field
     tried: Any = [(-1.0,) * n]
-    if n <= MOST_COORDINATES:
+    if n <= MAX_COORDINATES:
         tried = itertools.chain(tried, itertools.product((-1.0, 1.0), repeat=n))
     velocities = [np.asarray(field(x)) for x in subject.states]
     for candidate in tried:
@@ -75,17 +75,17 @@ def reversing(subject: Subject) -> Floats | None:
     return None
 
 
-def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | None, there: There) -> Row:
+def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool | None, step_map: StepMap) -> Row:
     claimed = bool(claim)
     declared = "nothing" if claim is None else "kept" if claim else "not kept"
-    if subject.system.dim > LARGEST_DENSE and not subject.dear:
+    if subject.system.dim > MAX_DENSE_DIM and not subject.expensive:
         why = f"its bound needs a dense matrix of dimension {subject.system.dim}"
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     worst: tuple[float, float, float] | None = None
     failed = ""
-    for h in dict.fromkeys((subject.h, telling)):
+    for h in dict.fromkeys((subject.h, coarse_step)):
         try:
-            for x, moved in zip(subject.states, there(subject.states, h) - subject.states, strict=True):
+            for x, moved in zip(subject.states, step_map(subject.states, h) - subject.states, strict=True):
                 defect, bound = float(np.linalg.norm(moved)), _bound(subject, x, h)
                 if worst is None or defect * worst[1] > worst[0] * bound:
                     worst = (defect, bound, h)
@@ -94,7 +94,7 @@ def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | No
     if worst is None:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=failed)
     defect, bound, h = worst
-    fitted = None if subject.dear and defect <= bound else _defect_slope(subject, there, telling)
+    fitted = None if subject.expensive and defect <= bound else _defect_slope(subject, step_map, coarse_step)
     measured = f"defect {defect:.2g} at the step {h:.3g}"
     if defect > bound and fitted is not None:
         measured += f", of order {fitted}"
@@ -108,7 +108,7 @@ def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | No
         claimed=claimed,
         value=defect,
         bound=bound,
-        source="round-off of two steps times the condition of one" + (ALONG if subject.dear else ""),
+        source="round-off of two steps times the condition of one" + (DIRECTIONS_NOTE if subject.expensive else ""),
         reason=failed,
         evidence=points,
     )
@@ -118,14 +118,14 @@ def _bound(subject: Subject, x: Floats, h: float) -> float:
     """Return the round-off of two steps, amplified by the condition of the step back."""
     size = float(np.linalg.norm(x))
     run = subject.run(x, h, 1)
-    noise = min(8 * subject.noise, MOST_NOISE * size)
+    noise = min(8 * subject.noise, MAX_NOISE * size)
     return 2 * subject.condition(x, h) * (subject.rounding(h, run.stats.evaluations) * size + noise)
 
 
-def _defect_slope(subject: Subject, there: There, largest: float) -> Slope | None:
-    def look(h: float) -> tuple[float, float]:
-        moved = there(subject.states, h) - subject.states
+def _defect_slope(subject: Subject, step_map: StepMap, largest: float) -> Slope | None:
+    def measure(h: float) -> tuple[float, float]:
+        moved = step_map(subject.states, h) - subject.states
         floor = subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise
         return float(np.linalg.norm(moved)), floor
 
-    return slope_of_defects(largest, SLOPES, look)
+    return slope_of_defects(largest, SLOPE_STEPS, measure)

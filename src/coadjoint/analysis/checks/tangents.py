@@ -13,7 +13,7 @@ from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 
 Floats = NDArray[np.float64]
 
-FLOOR_OF_DIFFERENCES = 1e-9
+DIFFERENCE_FLOOR = 1e-9
 DIGITS = 40
 
 
@@ -40,17 +40,17 @@ def tangent(subject: Subject, x: Floats, h: float) -> Tangent:
         P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
     except TypeError:
         # The system lacks a derivative; differentiate the step itself.
-        by, P = _of_the_step(subject, x, h)
+        by, P = _differences(subject, x, h)
     if by == "differences":
         # A step that rounds to float64 internally is detected by the disagreement of both derivatives.
-        precise = _in_many_digits(subject, x, h)
+        precise = _multiprecision_differences(subject, x, h)
         size = 1.0 + float(np.linalg.norm(P))
         if precise is not None and np.max(np.abs(precise - P)) <= AGREEMENT * size:
             return Tangent(precise, "multiprecision")
     return Tangent(P, by)
 
 
-def _of_the_step(subject: Subject, x: Floats, h: float) -> tuple[str, Floats]:
+def _differences(subject: Subject, x: Floats, h: float) -> tuple[str, Floats]:
     def step(y: Any) -> Any:
         if np.iscomplexobj(y):
             return subject.method.step(subject.system, y, 0.0, h)
@@ -60,7 +60,7 @@ def _of_the_step(subject: Subject, x: Floats, h: float) -> tuple[str, Floats]:
     return found.by, found.derivative
 
 
-def _in_many_digits(subject: Subject, x: Floats, h: float) -> Floats | None:
+def _multiprecision_differences(subject: Subject, x: Floats, h: float) -> Floats | None:
     """Return central differences in 40 digits, or None if the step does not accept mpmath numbers."""
     try:
         import mpmath

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RESOLUTION = 160  # dots per inch
-DENSE = 1e-3  # time spacing of the exact motion in plots
+DENSE_SPACING = 1e-3  # time spacing of the exact motion in plots
 
 
 def write_figures(folder: Path) -> list[Path]:
@@ -113,7 +113,7 @@ def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
     attitude = run.solution.attitude
     assert attitude is not None
     last = run.at(end) + 1
-    times = np.arange(0.0, end + DENSE / 2, DENSE)
+    times = np.arange(0.0, end + DENSE_SPACING / 2, DENSE_SPACING)
     exact = paper_rigid_body().exact(BODY_START, times, attitude=True)[1][:, 0, 0]
     long = end > BODY_END
     axes.plot(

@@ -6,7 +6,7 @@ import numpy as np
 
 from coadjoint.analysis.poisson_defect import poisson_defect
 from coadjoint.experiments.reich1993.systems import CALM_START, SPIRAL_START
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -15,7 +15,7 @@ from coadjoint.systems.examples.paper_examples import paper_a37, paper_rigid_bod
 
 TIME = 0.1
 STAGES = 8  # of order 16; a step of 0.1 is the exact motion to round-off
-SETTLED = 40  # iterations; each reduces the error by a factor of the step
+CONVERGED_ITERATIONS = 40  # iterations; each reduces the error by a factor of the step
 
 
 def statements() -> list[Statement]:
@@ -31,7 +31,7 @@ def _poisson_flow() -> Statement:
         defects.append(found.defect)
         bounds.append(found.bound)
         printed.append(float(np.linalg.norm(P.T @ system.structure_matrix(x) @ P - system.structure_matrix(flow(x)))))
-    return judged(
+    return judge(
         "flow_poisson",
         "section 2 (i)",
         "the exact flow keeps the Poisson bracket",
@@ -46,7 +46,7 @@ def _poisson_flow() -> Statement:
 
 def _flow_matrix() -> tuple[np.ndarray, np.ndarray, float]:
     body, x = paper_rigid_body(), np.array(CALM_START)
-    stages = stage_iterates(body, STAGES, TIME, x, SETTLED)[-1]
+    stages = stage_iterates(body, STAGES, TIME, x, CONVERGED_ITERATIONS)[-1]
     B = step_matrix(body, stages, TIME, "structure")
     return B, body.hamiltonian.hessian(x), float(np.linalg.norm(B @ x - body.exact(x, TIME)))
 
@@ -59,7 +59,7 @@ def _bound(B: np.ndarray) -> float:
 def _orthogonal_flow() -> Statement:
     B, M, error = _flow_matrix()
     defect = float(np.linalg.norm(B.T @ M @ B - M))
-    return judged(
+    return judge(
         "flow_m_orthogonal",
         "section 2 (ii)",
         "the exact flow is phi_t(x) = B_t(x) x with an M-orthogonal B_t",
@@ -75,7 +75,7 @@ def _remark_2_1() -> Statement:
     root = np.diag(np.sqrt(np.diag(M)))
     turned = root @ B @ np.linalg.inv(root)
     defect, determinant = float(np.linalg.norm(turned.T @ turned - np.eye(3))), float(np.linalg.det(turned))
-    return judged(
+    return judge(
         "remark_2_1",
         "remark 2.1",
         "M^(1/2) x moves by rotations",

@@ -7,14 +7,14 @@ import numpy as np
 from coadjoint.analysis.order import fit_order
 from coadjoint.experiments.convergence import (
     SLOPE_TOLERANCE,
-    Trial,
+    ReferenceProblem,
     fitted_drift,
     fitted_order,
     roundoff,
     within,
 )
 from coadjoint.experiments.reich1993.systems import four_dimensional_trial
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.experiments.step_matrices import stage_iterates
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre
@@ -24,7 +24,7 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SLOPES = f"slopes within {SLOPE_TOLERANCE} on so(4), t = 2"
-LONG, STEP = 2000, 0.05  # steps and step of the runs that should keep an invariant to round-off
+LONG_STEPS, STEP = 2000, 0.05  # steps and step of the runs that should keep an invariant to round-off
 
 
 def statements() -> list[Statement]:
@@ -46,16 +46,16 @@ def _text(slopes: dict[str, float]) -> str:
     return ", ".join(f"{name}: {slope:.2f}" for name, slope in slopes.items())
 
 
-def _drifts(case: Trial, method: Method) -> dict[str, float]:
+def _drifts(case: ReferenceProblem, method: Method) -> dict[str, float]:
     """Return the drifts over many steps in units of their round-off bound."""
-    run = integrate(case.system, case.x0, (0.0, LONG * STEP), STEP, method, save_every=LONG)
+    run = integrate(case.system, case.x0, (0.0, LONG_STEPS * STEP), STEP, method, save_every=LONG_STEPS)
     size = float(case.x0 @ case.x0)
-    return {name: float(drift) / roundoff(LONG, size) for name, drift in run.drift().items()}
+    return {name: float(drift) / roundoff(LONG_STEPS, size) for name, drift in run.drift().items()}
 
 
-def _gauss_order(case: Trial) -> Statement:
+def _gauss_order(case: ReferenceProblem) -> Statement:
     slopes = {f"s={s}": fitted_order(case, GaussLegendre(s)).order for s in (1, 2, 3)}
-    return judged(
+    return judge(
         "gauss_order",
         "section 3, (5)",
         "Gauss-Legendre methods with s stages",
@@ -66,20 +66,20 @@ def _gauss_order(case: Trial) -> Statement:
     )
 
 
-def _gauss_keeps(case: Trial) -> Statement:
+def _gauss_keeps(case: ReferenceProblem) -> Statement:
     worst = {s: max(_drifts(case, GaussLegendre(s)).values()) for s in (1, 2, 3)}
-    return judged(
+    return judge(
         "gauss_quadratic",
         "remarks 3.1, 3.2",
         "Gauss-Legendre methods keep the energy and the quadratic Casimirs",
         paper="T and quadratic Casimir functions are preserved",
-        criterion=f"drift over {LONG} steps of {STEP} on so(4) at most 8 u steps |x|^2",
+        criterion=f"drift over {LONG_STEPS} steps of {STEP} on so(4) at most 8 u steps |x|^2",
         measured="largest drift over bound, " + ", ".join(f"s={s}: {ratio:.2g}" for s, ratio in worst.items()),
         holds=max(worst.values()) <= 1.0,
     )
 
 
-def _stages(case: Trial) -> Statement:
+def _stages(case: ReferenceProblem) -> Statement:
     assert isinstance(case.system, LiePoissonSystem)
     steps = [0.4 / 2**k for k in range(5)]
     errors = np.empty((4, len(steps)))
@@ -87,7 +87,7 @@ def _stages(case: Trial) -> Statement:
         iterates = stage_iterates(case.system, 2, h, case.x0, 60)
         errors[:, k] = [np.max(np.abs(iterates[count] - iterates[-1])) for count in range(1, 5)]
     slopes = {f"l={i + 1}": fit_order(steps, row, 1e-15).order for i, row in enumerate(errors)}
-    return judged(
+    return judge(
         "stage_iterates",
         "section 3, after (6)",
         "stages after l function iterations",
@@ -98,11 +98,11 @@ def _stages(case: Trial) -> Statement:
     )
 
 
-def _iteration_order(case: Trial) -> Statement:
+def _iteration_order(case: ReferenceProblem) -> Statement:
     slopes = {
         (s, m): fitted_order(case, IteratedGaussLegendre(s, m)).order for s in (1, 2, 3) for m in range(1, 2 * s + 1)
     }
-    return judged(
+    return judge(
         "iteration_order",
         "section 3, (6)",
         "function iteration used alone",
@@ -113,11 +113,11 @@ def _iteration_order(case: Trial) -> Statement:
     )
 
 
-def _lemma_3_1(case: Trial) -> Statement:
+def _lemma_3_1(case: ReferenceProblem) -> Statement:
     slopes = {
         (s, m): fitted_order(case, ModifiedGaussLegendre(s, m)).order for s in (1, 2, 3) for m in range(1, 2 * s + 2)
     }
-    return judged(
+    return judge(
         "lemma_3_1_order",
         "lemma 3.1",
         "order of the modified Gauss methods (6)-(8)",
@@ -128,26 +128,26 @@ def _lemma_3_1(case: Trial) -> Statement:
     )
 
 
-def _lemma_3_1_energy(case: Trial) -> Statement:
+def _lemma_3_1_energy(case: ReferenceProblem) -> Statement:
     ratios = {(s, m): _drifts(case, ModifiedGaussLegendre(s, m))["energy"] for s in (1, 2) for m in range(1, 2 * s + 2)}
-    return judged(
+    return judge(
         "lemma_3_1_energy",
         "lemma 3.1",
         "the modified Gauss methods keep the energy",
         paper="M-orthogonal, hence T is preserved",
-        criterion=f"drift over {LONG} steps of {STEP} on so(4) at most 8 u steps |x|^2, for every m",
+        criterion=f"drift over {LONG_STEPS} steps of {STEP} on so(4) at most 8 u steps |x|^2, for every m",
         measured="drift over bound, " + ", ".join(f"s={s} m={m}: {ratio:.1g}" for (s, m), ratio in ratios.items()),
         holds=max(ratios.values()) <= 1.0,
     )
 
 
-def _remark_3_2(case: Trial) -> Statement:
+def _remark_3_2(case: ReferenceProblem) -> Statement:
     names = tuple(case.system.casimirs)
     slopes = {
         (s, m): min(fitted_drift(case, ModifiedGaussLegendre(s, m), name).order for name in names)
         for s, m in ((1, 2), (1, 3), (1, 4), (2, 4), (2, 5))
     }
-    return judged(
+    return judge(
         "remark_3_2",
         "remark 3.2",
         "quadratic Casimirs of the modified schemes",
@@ -158,12 +158,12 @@ def _remark_3_2(case: Trial) -> Statement:
     )
 
 
-def _iteration_energy(case: Trial) -> Statement:
+def _iteration_energy(case: ReferenceProblem) -> Statement:
     slopes = {
         (s, m): fitted_drift(case, IteratedGaussLegendre(s, m), "energy").order
         for s, m in ((1, 3), (1, 4), (1, 5), (2, 5))
     }
-    return judged(
+    return judge(
         "iteration_energy",
         "section 3, after remark 3.2",
         "function iteration alone with m > p",

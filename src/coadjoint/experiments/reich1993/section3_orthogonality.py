@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.analysis.order import fit_order
 from coadjoint.experiments.convergence import roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
@@ -22,7 +22,7 @@ from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 STEP = 0.1
 MODIFIED = ModifiedGaussLegendre(stages=1, freeze="structure")
-SETTLED = 60
+CONVERGED_ITERATIONS = 60
 
 
 def statements() -> list[Statement]:
@@ -51,7 +51,7 @@ def _midpoint_formula() -> Statement:
     B = np.linalg.solve(np.eye(3) - W, np.eye(3) + W)
     difference = float(np.linalg.norm(stepper(body, MODIFIED, STEP)(x) - B @ x))
     defect = float(np.linalg.norm(B.T @ M @ B - M))
-    return judged(
+    return judge(
         "midpoint_formula",
         "(10)-(11)",
         "the modified midpoint rule is Lemma 3.1 with s = 1, m = 2, and M-orthogonal",
@@ -72,7 +72,7 @@ def _not_symmetric() -> Statement:
     slope = fit_order(steps, returned(MODIFIED), 1e-14).order
     symmetric = max(returned(GaussLegendre(1)))
     bound = roundoff(2, float(np.linalg.norm(x)))
-    return judged(
+    return judge(
         "midpoint_not_symmetric",
         "after (11)",
         "the modified midpoint rule is not symmetric",
@@ -89,7 +89,7 @@ def _radau() -> Statement:
     drift = run.drift()
     lost = float(run.casimirs["|x|^2"][-1] - run.casimirs["|x|^2"][0])
     bound = roundoff(run.stats.steps, float(drift["energy"].initial))
-    return judged(
+    return judge(
         "remark_3_1",
         "remark 3.1",
         "Radau methods on the energy surface",
@@ -112,7 +112,7 @@ def _stronger_than_energy() -> Statement:
     B = np.linalg.inv(root) @ rotation @ root
     error, defect = float(np.linalg.norm(B @ x - y)), float(np.linalg.norm(B.T @ M @ B - M))
     equivalent = max(error, defect) <= _matrix_bound(B)
-    return judged(
+    return judge(
         "stronger_than_energy",
         "abstract, remark 3.1",
         "M-orthogonality is more than preservation of energy",
@@ -134,7 +134,7 @@ def _dissipation() -> Statement:
     shown = {t: float(growth[int(t / 100)]) for t in (100, 1000, 2000)}
     energy = float(run.drift()["energy"])
     bound = roundoff(run.stats.steps, float(np.dot(CALM_START, CALM_START)))
-    return judged(
+    return judge(
         "no_dissipation",
         "introduction",
         "M-orthogonal schemes do not drift on the level sets of the energy",
@@ -155,7 +155,7 @@ def _identity() -> Statement:
         float(np.max(np.abs(algebra.structure_matrix(p) @ q + algebra.structure_matrix(q) @ p)))
         for p, q in zip(x, y, strict=True)
     )
-    return judged(
+    return judge(
         "example_3_1_identity",
         "example 3.1",
         "J(x) y = -J(y) x on so(3)",
@@ -169,7 +169,7 @@ def _identity() -> Statement:
 def _gauss_both() -> Statement:
     body, x = paper_rigid_body(), np.array(CALM_START)
     M = np.diag(body.hamiltonian.gradient(np.ones(3)))
-    stages = stage_iterates(body, 2, STEP, x, SETTLED)[-1]
+    stages = stage_iterates(body, 2, STEP, x, CONVERGED_ITERATIONS)[-1]
     by_structure = step_matrix(body, stages, STEP, "structure")
     by_gradient = step_matrix(body, stages, STEP, "gradient")
     bound = _matrix_bound(by_structure, 6)
@@ -177,7 +177,7 @@ def _gauss_both() -> Statement:
     first = float(np.linalg.norm(by_structure.T @ M @ by_structure - M))
     second = float(np.linalg.norm(by_gradient.T @ by_gradient - np.eye(3)))
     other = float(np.linalg.norm(by_structure.T @ by_structure - np.eye(3)))
-    return judged(
+    return judge(
         "example_3_1_gauss",
         "example 3.1",
         "Gauss methods on so(3) are both M- and I-orthogonal",
@@ -201,7 +201,7 @@ def _modified_either() -> Statement:
     bound = roundoff(1000, float(np.dot(CALM_START, CALM_START)))
     kept = max(drifts["structure"]["energy"], drifts["gradient"]["|x|^2"])
     lost = min(drifts["structure"]["|x|^2"], drifts["gradient"]["energy"])
-    return judged(
+    return judge(
         "example_3_1_modified",
         "example 3.1",
         "modified Gauss methods are M- or I-orthogonal, by the formulation",

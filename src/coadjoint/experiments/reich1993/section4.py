@@ -17,7 +17,7 @@ from coadjoint.experiments.reich1993.systems import (
     four_dimensional_body,
     four_dimensional_trial,
 )
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -62,7 +62,7 @@ def _order() -> Statement:
         "so(3)": fitted_order(body_trial(), COORDINATES).order,
         "so(4)": fitted_order(four_dimensional_trial(), COORDINATES).order,
     }
-    return judged(
+    return judge(
         "lemma_4_1_order",
         "lemma 4.1",
         "order of the splitting X1(h/2) ... Xn(h) ... X1(h/2)",
@@ -81,7 +81,7 @@ def _symmetric() -> Statement:
         # Two steps of 2 n - 1 flows, each rounding every component a few times.
         bound = roundoff(2 * (2 * system.dim - 1), float(np.linalg.norm(there)))
         ratios[name] = float(np.linalg.norm(back - x)) / bound
-    return judged(
+    return judge(
         "lemma_4_1_symmetric",
         "lemma 4.1",
         "the splitting is symmetric",
@@ -94,7 +94,7 @@ def _symmetric() -> Statement:
 
 def _poisson() -> Statement:
     found = {name: poisson_defect(stepper(s, COORDINATES, STEP), x) for name, (s, x) in _systems().items()}
-    return judged(
+    return judge(
         "lemma_4_1_poisson",
         "lemma 4.1",
         "the splitting is a Poisson map",
@@ -129,7 +129,7 @@ def _example_flows() -> Statement:
     run = integrate(body, x, (0.0, STEPS * STEP), STEP, COORDINATES, save_every=STEPS)
     drift, bound = float(run.drift()["|x|^2"]), roundoff(5 * STEPS, float(x @ x))
     small = roundoff(5, float(np.linalg.norm(x)))
-    return judged(
+    return judge(
         "example_4_1",
         "example 4.1",
         "on so(3) the splitting is five rotations, hence I-orthogonal",
@@ -147,7 +147,7 @@ def _orthogonal_not_poisson() -> Statement:
     found = poisson_defect(stepper(body, method, STEP), x)
     kept = float(integrate(body, x, (0.0, 100.0), STEP, method, save_every=1000).drift()["|x|^2"])
     bound = roundoff(1000, float(x @ x))
-    return judged(
+    return judge(
         "orthogonal_not_poisson",
         "example 4.1",
         "I-orthogonality does not imply the Lie-Poisson structure",
@@ -169,7 +169,7 @@ def _fourth_order() -> Statement:
     }
     condition = abs(2 * c1**3 + c2**3)
     found = poisson_defect(stepper(paper_a37(), method, STEP), np.array(SPIRAL_START))
-    return judged(
+    return judge(
         "fourth_order",
         "section 4",
         "composition with 2 c1 + c2 = 1, 2 c1^3 + c2^3 = 0",
@@ -195,7 +195,7 @@ def _casimirs() -> Statement:
         }
         drift = run.drift()
         worst[name] = max(float(drift[casimir]) / bound[casimir] for casimir in bound)
-    return judged(
+    return judge(
         "lemma_4_2",
         "lemma 4.2",
         "the splitting keeps every Casimir",

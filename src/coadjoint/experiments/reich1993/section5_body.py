@@ -9,12 +9,16 @@ from coadjoint.analysis.phase_drift import PhaseDrift, phase_drift
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.body_runs import MIDPOINT, MODIFIED, RUNGE, SPLITTING, BodyRun, body_run
 from coadjoint.experiments.reich1993.systems import BODY_END, BODY_LATER, BODY_START, BODY_STEP, CALM_START, CALM_STEP
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 
-CAREFUL: dict[str, Method] = {"modified midpoint": MODIFIED, "splitting": SPLITTING, "implicit midpoint": MIDPOINT}
-SMALL = 0.2  # rad, 11 degrees; just visible in the figures
+CONSERVING_SCHEMES: dict[str, Method] = {
+    "modified midpoint": MODIFIED,
+    "splitting": SPLITTING,
+    "implicit midpoint": MIDPOINT,
+}
+SMALL_ANGLE = 0.2  # rad, 11 degrees; just visible in the figures
 
 
 def statements(long_time: float = 500.0) -> list[Statement]:
@@ -22,7 +26,7 @@ def statements(long_time: float = 500.0) -> list[Statement]:
 
     The paper's claims are about "constantly" and "oscillates".
     """
-    calm = {name: body_run(method, CALM_START, long_time, CALM_STEP, 20) for name, method in CAREFUL.items()}
+    calm = {name: body_run(method, CALM_START, long_time, CALM_STEP, 20) for name, method in CONSERVING_SCHEMES.items()}
     return [
         _attitude_update(),
         _attitude_order(),
@@ -50,12 +54,12 @@ def _orthogonality_defect(run: BodyRun) -> float:
 
 
 def _attitude_update() -> Statement:
-    runs = {name: body_run(method, BODY_START, BODY_LATER, BODY_STEP) for name, method in CAREFUL.items()}
+    runs = {name: body_run(method, BODY_START, BODY_LATER, BODY_STEP) for name, method in CONSERVING_SCHEMES.items()}
     size = float(np.linalg.norm(BODY_START))
     # The splitting makes five rotations per step.
     bound = roundoff(5 * BODY_LATER / BODY_STEP, 1.0)
     worst = {name: (_momentum_defect(run) / size, _orthogonality_defect(run)) for name, run in runs.items()}
-    return judged(
+    return judge(
         "attitude_update",
         "(16)",
         "A_new = A B^T keeps A x and keeps A in SO(3)",
@@ -68,12 +72,12 @@ def _attitude_update() -> Statement:
 
 def _attitude_order() -> Statement:
     slopes = {}
-    methods = {**CAREFUL, "Gauss, 2 stages": GaussLegendre(2)}
+    methods = {**CONSERVING_SCHEMES, "Gauss, 2 stages": GaussLegendre(2)}
     for name, method in methods.items():
         steps = [2.0 / count for count in (32, 64, 128, 256, 512)]
         errors = [float(body_run(method, CALM_START, 2.0, h).angle[-1]) for h in steps]
         slopes[name] = fit_order(steps, errors, [roundoff(2.0 / h, 1.0) for h in steps]).order
-    return judged(
+    return judge(
         "attitude_order",
         "after (16)",
         "order of the attitude",
@@ -87,7 +91,7 @@ def _attitude_order() -> Statement:
 def _energy_by_gauss() -> Statement:
     gauss, modified = (body_run(m, BODY_START, BODY_LATER, BODY_STEP).solution.drift() for m in (MIDPOINT, MODIFIED))
     bound = roundoff(BODY_LATER / BODY_STEP, float(gauss["energy"].initial))
-    return judged(
+    return judge(
         "energy_by_gauss",
         "after (16)",
         "energy of the I-orthogonal modified scheme and of Gauss methods",
@@ -102,7 +106,7 @@ def _energy_by_gauss() -> Statement:
 def _reference() -> Statement:
     run = body_run(GaussLegendre(2), BODY_START, BODY_LATER, 0.001, 100)
     error = float(np.max(run.angle))
-    return judged(
+    return judge(
         "reference_solution",
         "section 5.2",
         'the "exact" solution by the fourth-order Gauss method with h = 0.001',
@@ -114,7 +118,9 @@ def _reference() -> Statement:
 
 
 def _runge() -> Statement:
-    runs = {name: body_run(m, BODY_START, BODY_END, BODY_STEP) for name, m in {"Runge": RUNGE, **CAREFUL}.items()}
+    runs = {
+        name: body_run(m, BODY_START, BODY_END, BODY_STEP) for name, m in {"Runge": RUNGE, **CONSERVING_SCHEMES}.items()
+    }
 
     def error(run: BodyRun) -> float:
         attitude = run.solution.attitude
@@ -123,7 +129,7 @@ def _runge() -> Statement:
 
     errors = {name: error(run) for name, run in runs.items()}
     orthogonality = _orthogonality_defect(runs["Runge"])
-    return judged(
+    return judge(
         "runge_unacceptable",
         "figure 3",
         "the explicit Runge method of order 2",
@@ -138,17 +144,20 @@ def _runge() -> Statement:
 
 
 def _small_phase_errors() -> Statement:
-    runs = {name: body_run(CAREFUL[name], BODY_START, 20.0, BODY_STEP) for name in ("modified midpoint", "splitting")}
+    runs = {
+        name: body_run(CONSERVING_SCHEMES[name], BODY_START, 20.0, BODY_STEP)
+        for name in ("modified midpoint", "splitting")
+    }
     times = (1.0, 2.0, 5.0, 10.0, 20.0)
     shown = {name: [float(run.angle[run.at(t)]) for t in times] for name, run in runs.items()}
-    early = all(float(np.max(run.angle[: run.at(2.0) + 1])) <= SMALL for run in runs.values())
-    later = all(float(np.max(run.angle[: run.at(BODY_END) + 1])) <= SMALL for run in runs.values())
-    return judged(
+    early = all(float(np.max(run.angle[: run.at(2.0) + 1])) <= SMALL_ANGLE for run in runs.values())
+    later = all(float(np.max(run.angle[: run.at(BODY_END) + 1])) <= SMALL_ANGLE for run in runs.values())
+    return judge(
         "small_phase_errors",
         "figures 4, 5",
         "modified midpoint rule and splitting",
         paper="both yield only small phase errors",
-        criterion=f"attitude error at most {SMALL} rad (11 degrees); to t = 2 it holds, to t = 5 (the figures) "
+        criterion=f"attitude error at most {SMALL_ANGLE} rad (11 degrees); to t = 2 it holds, to t = 5 (the figures) "
         "it is the limit",
         measured="rad at t = 1, 2, 5, 10, 20: "
         + "; ".join(f"{name} " + ", ".join(f"{v:.3f}" for v in values) for name, values in shown.items()),
@@ -160,7 +169,7 @@ def _small_phase_errors() -> Statement:
 def _growing_phase(calm: dict[str, BodyRun]) -> Statement:
     drifts = {name: calm[name].drift for name in ("implicit midpoint", "modified midpoint")}
     end = calm["implicit midpoint"].solution.t[-1]
-    return judged(
+    return judge(
         "growing_phase",
         "section 5.2",
         "phase error of the modified and the implicit midpoint rule",
@@ -185,7 +194,7 @@ def _oscillating_phase(calm: dict[str, BodyRun]) -> Statement:
     changes = int(np.sum(np.diff(np.sign(run.phase[late])) != 0))
     end = run.solution.t[-1]
     ratio = float(midpoint.angle[-1] / run.angle[-1])
-    return judged(
+    return judge(
         "oscillating_phase",
         "section 5.2",
         "phase drift of the Lie-Poisson integrator",

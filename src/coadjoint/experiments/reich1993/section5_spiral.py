@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.experiments.convergence import roundoff
 from coadjoint.experiments.reich1993.systems import COORDINATES, SPIRAL_END, SPIRAL_START, SPIRAL_STEP
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.protocol.method import Method
@@ -56,7 +56,7 @@ def _flows() -> Statement:
     step = integrate(paper_a37(A), x, (0.0, time), time, COORDINATES).x[-1]
     composed = float(np.linalg.norm(step - y))
     bound = roundoff(5, float(np.linalg.norm(x)))
-    return judged(
+    return judge(
         "spiral_flows",
         "section 5.1",
         "the three printed flows on A3,7",
@@ -73,7 +73,7 @@ def _flows() -> Statement:
 def _parameter() -> Statement:
     drifts = {a: float(spiral_run(COORDINATES, a).drift()["log C"]) for a in (2.0, 1.0, 0.5, -1.5)}
     bound = roundoff(5 * SPIRAL_END / SPIRAL_STEP, 1.0)
-    return judged(
+    return judge(
         "spiral_parameter",
         "section 5.1",
         "the parameter a of A3,7",
@@ -97,7 +97,7 @@ def _printed_casimir() -> Statement:
     bound = roundoff(5 * run.stats.steps, 1.0)
     unwrapped = float(run.drift()["log C"])
     crossings = np.flatnonzero(np.diff(np.sign(x1)) != 0)
-    return judged(
+    return judge(
         "spiral_casimir",
         "section 5.1",
         "the printed Casimir C = (x1^2 + x2^2) exp(-2 a arctan(x2/x1))",
@@ -117,7 +117,7 @@ def _figure_1() -> Statement:
     energy, casimir = float(run.drift()["energy"]), float(run.drift()["log C"])
     ratio = energy / float(half.drift()["energy"])
     bound = roundoff(5 * run.stats.steps, 1.0)
-    return judged(
+    return judge(
         "figure_1",
         "figure 1",
         "drift of the Lie-Poisson integrator on A3,7",
@@ -135,7 +135,7 @@ def _figure_2() -> Statement:
     energy, casimir = float(run.drift()["energy"]), float(run.drift()["log C"])
     ratio = casimir / float(half.drift()["log C"])
     bound = roundoff(run.stats.steps, float(run.drift()["energy"].initial))
-    return judged(
+    return judge(
         "figure_2",
         "figure 2",
         "drift of the M-orthogonal modified midpoint rule on A3,7",

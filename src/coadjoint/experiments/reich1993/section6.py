@@ -8,7 +8,7 @@ from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamil
 from coadjoint.analysis.order import fit_order
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.splitting import Splitting
@@ -37,7 +37,7 @@ def _perturbed_hamiltonian() -> Statement:
         perturbed.append(float(np.max(np.abs(both - both[0]))))
     floor = [roundoff(10.0 / h, float(body.energy(CALM_START))) for h in steps]
     slopes = fit_order(steps, plain, floor).order, fit_order(steps, perturbed, floor).order
-    return judged(
+    return judge(
         "perturbed_hamiltonian",
         "section 6",
         "the splitting is the flow of a perturbed Hamiltonian",
@@ -68,7 +68,7 @@ def _lemma_6_1() -> Statement:
         ]
         slopes[name] = float(np.polyfit(np.log(steps), np.log(lead), 1)[0])
     inside = [slope for name, slope in slopes.items() if name != "Runge, T"]
-    return judged(
+    return judge(
         "lemma_6_1",
         "lemma 6.1",
         "the leading error Y of a scheme lies in the Lie algebra of its group of maps",
@@ -93,7 +93,7 @@ def _bracket() -> Statement:
     bracket = first @ Y - second @ X
     J3 = skew[0] @ M @ skew[1] - skew[1] @ M @ skew[0]
     excess = float(np.max(np.abs(bracket - J3 @ M @ x)) + np.max(np.abs(J3 + J3.T)))
-    return judged(
+    return judge(
         "bracket_of_fields",
         "section 6",
         "M-orthogonal fields with constant J are closed under the bracket",
@@ -125,7 +125,7 @@ def _remark_6_1() -> Statement:
 
     alone = slope([(sweep, share) for share in fractions])
     paired = slope([(method, share / 2) for share in fractions for method in (sweep, adjoint)])
-    return judged(
+    return judge(
         "remark_6_1",
         "remark 6.1",
         "higher orders by composition of a first-order splitting",

@@ -9,9 +9,16 @@ import numpy as np
 
 from coadjoint.algebra import catalogue
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.convergence import SLOPE_TOLERANCE, fitted_drift, fitted_order, roundoff, trial, within
+from coadjoint.experiments.convergence import (
+    SLOPE_TOLERANCE,
+    fitted_drift,
+    fitted_order,
+    reference_problem,
+    roundoff,
+    within,
+)
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES
-from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
@@ -21,7 +28,7 @@ from coadjoint.systems.hamiltonians.separable import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 
-COUNTS = (32, 64, 128, 256)  # few, since every run compiles the functions again
+STEP_COUNTS = (32, 64, 128, 256)  # few, since every run compiles the functions again
 
 
 def curved_structure(x: Any) -> Any:
@@ -43,12 +50,12 @@ def statements() -> list[Statement]:
 
 def _other_bracket() -> Statement:
     system = PoissonSystem(curved_structure, Quadratic([1.0, 0.5, 1.0 / 3.0]), casimirs=paper_rigid_body().casimirs)
-    case = trial(system, CALM_START, 0.5)
+    case = reference_problem(system, CALM_START, 0.5)
     method = ModifiedGaussLegendre(1, freeze="structure")
-    slope, lost = fitted_order(case, method, COUNTS).order, fitted_drift(case, method, "|x|^2", COUNTS).order
+    slope, lost = fitted_order(case, method, STEP_COUNTS).order, fitted_drift(case, method, "|x|^2", STEP_COUNTS).order
     run = integrate(system, CALM_START, (0.0, 50.0), 0.05, method, save_every=1000)
     drift, bound = float(run.drift()["energy"]), roundoff(1000, 5.25)
-    return judged(
+    return judge(
         "other_bracket",
         "(17)",
         "M-orthogonal schemes for a bracket that is not linear in x",
@@ -67,11 +74,11 @@ def _separable() -> Statement:
         2: (lambda y: math.sin(y), lambda y: math.cos(y), lambda y: -math.sin(y)),
     }
     system = LiePoissonSystem(catalogue.so(3), Separable(functions), name="separable")
-    slope = fitted_order(trial(system, CALM_START, 1.0), COORDINATES, COUNTS).order
+    slope = fitted_order(reference_problem(system, CALM_START, 1.0), COORDINATES, STEP_COUNTS).order
     run = integrate(system, CALM_START, (0.0, 100.0), 0.05, COORDINATES, save_every=2000)
     drift, bound = float(run.drift()["|x|^2"]), roundoff(5 * 2000, 5.25)
     found = poisson_defect(stepper(system, COORDINATES, 0.05), CALM_START)
-    return judged(
+    return judge(
         "separable",
         "section 7",
         "the splitting for a Hamiltonian that is a sum of functions of one coordinate",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.algebra import catalogue
-from coadjoint.experiments.convergence import Trial, trial
+from coadjoint.experiments.convergence import ReferenceProblem, reference_problem
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -29,11 +29,11 @@ def four_dimensional_body() -> LiePoissonSystem:
     return LiePoissonSystem(catalogue.so(4), Quadratic([1.0, 0.8, 0.55, 0.9, 0.35, 0.6]), name="body in 4 dimensions")
 
 
-def body_trial() -> Trial:
+def body_trial() -> ReferenceProblem:
     """Return the trial of the rigid body far from the separatrix up to t = 2."""
-    return trial(paper_rigid_body(), CALM_START, 2.0)
+    return reference_problem(paper_rigid_body(), CALM_START, 2.0)
 
 
-def four_dimensional_trial() -> Trial:
+def four_dimensional_trial() -> ReferenceProblem:
     """Return the trial of the four-dimensional body up to t = 2."""
-    return trial(four_dimensional_body(), np.array([0.9, -0.4, 0.7, 0.5, 1.1, -0.6]), 2.0)
+    return reference_problem(four_dimensional_body(), np.array([0.9, -0.4, 0.7, 0.5, 1.1, -0.6]), 2.0)

@@ -14,7 +14,14 @@ from coadjoint.analysis.certificates.certificate import HOLDS, Row
 from coadjoint.analysis.certificates.certify import certify
 from coadjoint.errors import in_one_line
 from coadjoint.experiments.selftest.findings import Finding
-from coadjoint.experiments.selftest.subjects import more_schemes, references, schemes, served, state_of, systems
+from coadjoint.experiments.selftest.subjects import (
+    more_schemes,
+    references,
+    schemes,
+    state_of,
+    supported_systems,
+    systems,
+)
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.isospectral_gauss import IsospectralGauss
 from coadjoint.methods.protocol.method import Method
@@ -24,11 +31,11 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 STEP = 1 / 16
-LOST_ORDER = 0.5
+ORDER_TOLERANCE = 0.5
 """Allowed deficit of the order measured from two finite steps."""
 CERTIFIED_STEPS = 100
-LONGEST = 32  # characters of the name of a scheme
-TOLD = {
+MAX_NAME_LENGTH = 32  # characters of the name of a scheme
+CHECK_DESCRIPTIONS = {
     "symmetry": "a step back undoes a step",
     "reversibility": "reversible as the motion",
     "poisson": "Poisson bracket",
@@ -63,7 +70,7 @@ def orders() -> Iterator[Finding]:
         if method.own_steps:  # their lengths do not follow from the step
             continue
         slopes = {}
-        for key, system in served(method).items():
+        for key, system in supported_systems(method).items():
             if key not in references():
                 continue
             errors, floor = [], 0.0
@@ -77,10 +84,14 @@ def orders() -> Iterator[Finding]:
         told = [key for key, slope in slopes.items() if slope < math.inf]
         if told:
             worst = min(told, key=lambda key: slopes[key])
-            yield Finding(f"order of {_called(method)}", slopes[worst], method.order - LOST_ORDER, worst, least=True)
+            yield Finding(
+                f"order of {_scheme_name(method)}", slopes[worst], method.order - ORDER_TOLERANCE, worst, least=True
+            )
         elif slopes:
             exact = "exact but for rounding"
-            yield Finding(f"order of {_called(method)}", math.inf, method.order - LOST_ORDER, exact, least=True)
+            yield Finding(
+                f"order of {_scheme_name(method)}", math.inf, method.order - ORDER_TOLERANCE, exact, least=True
+            )
 
 
 def certificates() -> Iterator[Finding]:
@@ -91,24 +102,24 @@ def certificates() -> Iterator[Finding]:
     rows: dict[str, list[tuple[str, Row]]] = {}
     lacking, count = [], 0
     for method in (each for each in schemes() if not each.own_steps):
-        for key, system in served(method).items():
+        for key, system in supported_systems(method).items():
             found = certify(system, method, state_of(system), STEP / 2, steps=CERTIFIED_STEPS)
             count += 1
             for row in found.table:
                 if row.claimed and row.verdict != HOLDS:
-                    lacking.append(f"{_called(method)} on {key}: {row.what}")
-                kind = next((kind for kind in TOLD if row.key.startswith(kind)), None)
+                    lacking.append(f"{_scheme_name(method)} on {key}: {row.what}")
+                kind = next((kind for kind in CHECK_DESCRIPTIONS if row.key.startswith(kind)), None)
                 if kind and row.claimed and row.value is not None and row.bound:
-                    rows.setdefault(kind, []).append((f"{_called(method)} on {key}", row))
-    for kind, said in TOLD.items():
+                    rows.setdefault(kind, []).append((f"{_scheme_name(method)} on {key}", row))
+    for kind, said in CHECK_DESCRIPTIONS.items():
         if kind in rows:
             place, row = max(rows[kind], key=lambda one: _part(one[1]))
             yield Finding(f"{said}, {len(rows[kind])} times", row.value or 0.0, row.bound or 0.0, place)
     yield Finding(f"of {count} certificates fail", float(len(lacking)), 0.0, "; ".join(lacking)[:200])
 
 
-def _called(method: Method) -> str:
-    return in_one_line(str(method), LONGEST)
+def _scheme_name(method: Method) -> str:
+    return in_one_line(str(method), MAX_NAME_LENGTH)
 
 
 def _part(row: Row) -> float:
@@ -119,7 +130,7 @@ def same_bits() -> Iterator[Finding]:
     """Run members alone, in ensembles, on threads, saved and watched or not; count those whose bits differ."""
     alone, looked, tried = [], [], 0
     for method in more_schemes():
-        for key, system in served(method).items():
+        for key, system in supported_systems(method).items():
             x0 = np.array([state_of(system, number) for number in range(5)])
             together = integrate(system, x0, (0.0, 1.0), STEP, method, threads=1)
             others = integrate(system, x0[::-1], (0.0, 1.0), STEP, method, threads=2)
@@ -127,9 +138,9 @@ def same_bits() -> Iterator[Finding]:
             last = integrate(system, x0[3], (0.0, 1.0), STEP, method, save_every=5, watch=False)
             tried += 1
             if not (_same(together.x, others.x[:, ::-1]) and _same(together.x[:, 3], one.x)):
-                alone.append(f"{_called(method)} on {key}")
+                alone.append(f"{_scheme_name(method)} on {key}")
             if not _same(last.x[-1], one.x[-1]):
-                looked.append(f"{_called(method)} on {key}")
+                looked.append(f"{_scheme_name(method)} on {key}")
     yield Finding(f"bits alone, in ensembles, on threads: {tried}", float(len(alone)), 0.0, "; ".join(alone)[:200])
     yield Finding(f"bits saved and watched or not: {tried}", float(len(looked)), 0.0, "; ".join(looked)[:200])
 
@@ -138,11 +149,11 @@ def _same(one: Any, other: Any) -> bool:
     return np.ascontiguousarray(one).tobytes() == np.ascontiguousarray(other).tobytes()
 
 
-def plain_reading() -> Iterator[Finding]:
+def interpreted_steps() -> Iterator[Finding]:
     """Compare a step of the compiled kernels with one in Python; yield the scheme with the largest difference."""
     worst, tried = (0.0, 1.0, ""), 0
     for method in more_schemes():
-        for key, system in served(method).items():
+        for key, system in supported_systems(method).items():
             x = state_of(system)
             found = integrate(system, x, (0.0, STEP), STEP, method)
             plain = np.asarray(method.step(system, x, 0.0, STEP))
@@ -150,7 +161,7 @@ def plain_reading() -> Iterator[Finding]:
             allowed = rounding(system, 1, max(1.0, float(found.stats.evaluations)))
             tried += 1
             if error / allowed >= worst[0] / worst[1]:
-                worst = error, allowed, f"{_called(method)} on {key}"
+                worst = error, allowed, f"{_scheme_name(method)} on {key}"
     yield Finding(f"compiled steps beside Python: {tried}", *worst)
 
 
@@ -166,12 +177,12 @@ def resumed() -> Iterator[Finding]:
     other, tried = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for method in schemes():
-            key, system = next(iter(served(method).items()))
+            key, system = next(iter(supported_systems(method).items()))
             x0 = np.array([state_of(system, number) for number in range(2)])
             whole = integrate(system, x0, (0.0, 1.0), STEP, method)
             path = Path(folder, f"{tried}.zarr")
             integrate(system, x0, (0.0, 5 * STEP), STEP, method, archive=path)
             tried += 1
             if not _same(np.asarray(resume(path, t_end=1.0).x), whole.x):
-                other.append(f"{_called(method)} on {key}")
+                other.append(f"{_scheme_name(method)} on {key}")
     yield Finding(f"cut and resumed: {tried}", float(len(other)), 0.0, "; ".join(other)[:200])

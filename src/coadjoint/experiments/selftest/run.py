@@ -6,10 +6,10 @@ import warnings
 from collections.abc import Iterator
 
 from coadjoint.errors import in_one_line
-from coadjoint.experiments.selftest.checks import certificates, motions, orders, plain_reading, resumed, same_bits
+from coadjoint.experiments.selftest.checks import certificates, interpreted_steps, motions, orders, resumed, same_bits
 from coadjoint.experiments.selftest.findings import Finding
 
-CHECKS = (motions, orders, certificates, same_bits, plain_reading, resumed)
+CHECKS = (motions, orders, certificates, same_bits, interpreted_steps, resumed)
 
 
 def selftest() -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra import catalogue
 from coadjoint.methods import registry
-from coadjoint.methods.forced import check_serves
+from coadjoint.methods.forced import check_supports
 from coadjoint.methods.protocol.method import Method
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -22,7 +22,7 @@ from coadjoint.systems.registry import ready_made_systems
 
 Array = NDArray[Any]
 
-NAMES = {
+SYSTEM_NAMES = {
     "so(3)": "rigid_body",
     "se(3)": "heavy_top",
     "so(4)": "so_n_body",
@@ -37,10 +37,10 @@ NAMES = {
 def systems() -> Mapping[str, Any]:
     """Return the systems by the name of their algebra: bodies, a top, a solvable algebra, matrices."""
     known = ready_made_systems()
-    found = {key: known[name]() for key, name in NAMES.items() if name not in ("", "torus_euler")}
+    found = {key: known[name]() for key, name in SYSTEM_NAMES.items() if name not in ("", "torus_euler")}
     found["su(3)"] = LiePoissonSystem(catalogue.get("su(3)"), Quadratic(np.linspace(0.5, 2.25, 8)), name="su(3)")
     found["torus"] = known["torus_euler"](N=5)
-    return {key: found[key] for key in NAMES}
+    return {key: found[key] for key in SYSTEM_NAMES}
 
 
 def state_of(system: Any, number: int = 0) -> Array:
@@ -84,12 +84,12 @@ def more_schemes() -> list[Method]:
     return list(dict.fromkeys([*schemes(), *schemes(-1)]))
 
 
-def served(method: Method) -> dict[str, Any]:
+def supported_systems(method: Method) -> dict[str, Any]:
     """Return the systems that a scheme supports, by name."""
     found = {}
     for key, system in systems().items():
         try:
-            check_serves(system, method)
+            check_supports(system, method)
         except (TypeError, ValueError):
             continue
         found[key] = system

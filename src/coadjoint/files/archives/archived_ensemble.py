@@ -11,9 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.archived_run import ACCOUNTS, FINISHED, STEPS
+from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE, FINISHED, STEPS
 from coadjoint.files.archives.archived_solution import ArchivedSolution, open_archive
-from coadjoint.files.archives.blocks import MEMBER, NOT_YET, SIZE, STATUS, Block, blocks_of, is_computed, read_about
+from coadjoint.files.archives.blocks import (
+    BLOCK_SIZE_ATTRIBUTE,
+    MEMBER,
+    PENDING,
+    STATUS,
+    Block,
+    blocks_of,
+    is_computed,
+    read_head,
+)
 from coadjoint.files.archives.metadata_checks import check_archive
 from coadjoint.files.archives.store import open_folder, read_root
 from coadjoint.runs.solution import Statistics
@@ -47,19 +56,19 @@ class ArchivedEnsemble(ArchivedSolution):
             _given=system,
             _arrays=arrays,
             attributes=attributes,
-            _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
+            _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS_ATTRIBUTE])),
         )
 
     @cached_property
     def blocks(self) -> list[Block]:
         """Blocks of members that are run together."""
-        return blocks_of(self._arrays["x0"].shape[0], int(self.attributes[SIZE]))
+        return blocks_of(self._arrays["x0"].shape[0], int(self.attributes[BLOCK_SIZE_ATTRIBUTE]))
 
     @cached_property
-    def _abouts(self) -> list[dict[str, Any]]:
+    def _marker_heads(self) -> list[dict[str, Any]]:
         """Heads of the markers of the blocks; empty for blocks that have not begun."""
         with open_folder(self.path) as folder:
-            return [read_about(folder, block.number) or {} for block in self.blocks]
+            return [read_head(folder, block.number) or {} for block in self.blocks]
 
     def _may_be_missing(self, name: str) -> Callable[[tuple[int, ...]], bool] | None:
         array = self._arrays[name]
@@ -68,7 +77,7 @@ class ArchivedEnsemble(ArchivedSolution):
         axis, rows = array.dims.index(MEMBER), array.chunk[0]
 
         def not_written(place: tuple[int, ...]) -> bool:
-            about = self._abouts[place[axis]]
+            about = self._marker_heads[place[axis]]
             return not about or (array.grows and place[0] * rows >= about["rows"])
 
         return not_written
@@ -76,23 +85,25 @@ class ArchivedEnsemble(ArchivedSolution):
     @cached_property
     def finished(self) -> bool:  # type: ignore[override]
         """Whether every block is finished."""
-        return all(about.get(FINISHED, 0) for about in self._abouts)
+        return all(about.get(FINISHED, 0) for about in self._marker_heads)
 
     @cached_property
     def reached(self) -> int:  # type: ignore[override]
         """Number of steps that every member has taken."""
-        return min(int(about.get(STEPS, 0)) for about in self._abouts)
+        return min(int(about.get(STEPS, 0)) for about in self._marker_heads)
 
     @cached_property
     def status(self) -> NDArray[np.int64]:
         """Status of the members."""
-        return self._whole(STATUS)
+        return self._read_entire(STATUS)
 
     @cached_property
     def stats(self) -> Statistics:
         """Work of the run; the seconds are summed over all workers."""
-        done = {name: sum(about.get(name, 0) for about in self._abouts) for name in ("evaluations", "iterations")}
-        return Statistics(self.reached, **done, seconds=sum(float(about.get("seconds", 0.0)) for about in self._abouts))
+        done = {name: sum(about.get(name, 0) for about in self._marker_heads) for name in ("evaluations", "iterations")}
+        return Statistics(
+            self.reached, **done, seconds=sum(float(about.get("seconds", 0.0)) for about in self._marker_heads)
+        )
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
@@ -103,12 +114,12 @@ class ArchivedEnsemble(ArchivedSolution):
     @cached_property
     def _worst(self) -> NDArray[np.float64]:
         names = ("change", "balance") if self._accounts else ("drift",)
-        return np.concatenate([np.moveaxis(self._whole(name), 1, 2) for name in names], axis=-1)
+        return np.concatenate([np.moveaxis(self._read_entire(name), 1, 2) for name in names], axis=-1)
 
     @property
     def said(self) -> str:
         """Number of computed members, as text."""
-        return f"{int(np.count_nonzero(self.status != NOT_YET))} of {len(self.status)} members"
+        return f"{int(np.count_nonzero(self.status != PENDING))} of {len(self.status)} members"
 
     def __repr__(self) -> str:
         return f"<archive {self.path}: {self.said} are computed>"

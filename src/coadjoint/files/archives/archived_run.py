@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, Kept, unwritten_archive
+from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, StoredState, unwritten_archive
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
-from coadjoint.files.datasets.export import said_of
+from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import (
     Variables,
     coordinates_of,
-    over_time,
-    starts_of,
-    summaries_of,
-    times_of_points,
+    start_variables,
+    summary_variables,
+    time_coordinate,
+    time_variables,
 )
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.progress import progress_bar
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-FINISHED, STEPS, STATES, ACCOUNTS = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
+FINISHED, STEPS, STATES, ACCOUNTS_ATTRIBUTE = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
 FIRST_STEP, SAVE_EVERY = "archive_first_step", "archive_save_every"
-BLOCKS, LEAST_ROOM = 64, 2**24
+BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
-SECONDS_OF_STRETCH, FIRST_STRETCH = 0.25, 64
-SECONDS_OF_PIECE, SHARE_OF_COMMITS = 10.0, 20
+ADVANCE_SECONDS, FIRST_ADVANCE = 0.25, 64
+COMMIT_INTERVAL, COMMIT_RATIO = 10.0, 20
 """A piece is committed after 10 s, or after 20 times the duration of the last commit."""
 
 
@@ -64,23 +64,23 @@ class ArchivedRun:
 
         ArchiveUnwritten: the archive could not be written, and holds the last commit.
         """
-        run, stretch, last = self.run, FIRST_STRETCH, self.run.run.times.steps if until is None else until
+        run, stretch, last = self.run, FIRST_ADVANCE, self.run.run.times.steps if until is None else until
         begun = time.perf_counter()
         with progress_bar(last - run.number, progress) as bar:
-            while not run.over and run.number < last:
+            while not run.is_over and run.number < last:
                 target, before = min(last, run.reach, run.number + stretch), time.perf_counter()
                 done = run.number
                 try:
                     run.advance(target)
                 except KeyboardInterrupt:
-                    if not run.torn:
+                    if not run.order_undefined:
                         self.commit()
                     raise
                 bar(target - done)
                 now = time.perf_counter()
                 pace = (target - done) / max(now - before, 1e-6)
-                stretch = max(1, min(int(pace * SECONDS_OF_STRETCH), 4 * stretch))
-                if target == run.reach or now - begun > max(SECONDS_OF_PIECE, SHARE_OF_COMMITS * self._took):
+                stretch = max(1, min(int(pace * ADVANCE_SECONDS), 4 * stretch))
+                if target == run.reach or now - begun > max(COMMIT_INTERVAL, COMMIT_RATIO * self._took):
                     self.commit()
                     begun = time.perf_counter()
         self.commit()
@@ -94,40 +94,42 @@ class ArchivedRun:
         piece: Solution | None = None
         try:
             piece = run.piece()
-            for name, (_, values, _) in growing_of(piece).items():
+            for name, (_, values, _) in growing_variables(piece).items():
                 self.store.write(name, values, (run.first,))
-            for name, (_, values, _) in summaries_of(piece).items():
+            for name, (_, values, _) in summary_variables(piece).items():
                 self.store.write(name, values)
-            self._failure = failure = run.failure(piece) if run.over else None
-            lengths = {"time": run.first + run.held}
-            states = self._kept(lengths)
-            said = {**self._attributes(piece, states), **(said_of(failure) if failure else {})}
+            self._failure = failure = run.failure(piece) if run.is_over else None
+            lengths = {"time": run.first + run.points_held}
+            states = self._store_states(lengths)
+            said = {**self._attributes(piece, states), **(failure_attributes(failure) if failure else {})}
             self.store.commit(said, lengths, states)
             self._states = states
         except (OSError, ArchiveError) as reason:
-            held = self.store.attributes.get(STEPS) == run.number
-            raise unwritten(self.store, reason, None if held else piece) from reason
-        run.let_go()
+            points_held = self.store.attributes.get(STEPS) == run.number
+            raise unwritten_error(self.store, reason, None if points_held else piece) from reason
+        run.release_points()
         self._took, self._committed = time.perf_counter() - began, run.number
 
-    def _kept(self, lengths: Mapping[str, int]) -> list[Kept]:
+    def _store_states(self, lengths: Mapping[str, int]) -> list[StoredState]:
         """Store the state; return all states to retain: those at block starts, and the last of an unfinished run."""
         run, store = self.run, self.store
         blocks = [kept for kept in self._states if kept.about["block"]]
         bytes_of_state = 8 * run.run.state.arrays.numbers.size
-        room = max(LEAST_ROOM, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4)
+        room = max(
+            MIN_STATE_BYTES, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4
+        )
         since = run.number - (blocks[-1].about["number"] if blocks else 0)
-        block = not run.over and since * BLOCKS >= run.run.times.steps and (len(blocks) + 1) * bytes_of_state <= room
-        kept = store.keep(run.stored(block), {"number": run.number, **lengths, "block": int(block)})
-        if run.over and not self._states[-1].about["block"]:
+        block = not run.is_over and since * BLOCKS >= run.run.times.steps and (len(blocks) + 1) * bytes_of_state <= room
+        kept = store.store_state(run.stored(block), {"number": run.number, **lengths, "block": int(block)})
+        if run.is_over and not self._states[-1].about["block"]:
             blocks.append(self._states[-1])
         return [*blocks, kept]
 
-    def _attributes(self, piece: Solution, states: Sequence[Kept]) -> dict[str, Any]:
+    def _attributes(self, piece: Solution, states: Sequence[StoredState]) -> dict[str, Any]:
         stats = piece.stats
         return {
             STEPS: self.run.number,
-            FINISHED: int(self.run.over),
+            FINISHED: int(self.run.is_over),
             STATES: json.dumps(states),
             "evaluations": stats.evaluations,
             "iterations": stats.iterations,
@@ -135,23 +137,23 @@ class ArchivedRun:
         }
 
 
-def states_of(attributes: Mapping[str, Any]) -> list[Kept]:
+def states_of(attributes: Mapping[str, Any]) -> list[StoredState]:
     """Return the states of an archive: of its blocks, and the last one."""
-    return [Kept(*kept) for kept in json.loads(attributes[STATES])]
+    return [StoredState(*kept) for kept in json.loads(attributes[STATES])]
 
 
-def growing_of(piece: Solution) -> Variables:
+def growing_variables(piece: Solution) -> Variables:
     """Return the variables over time of a piece of a run."""
-    return {**over_time(piece), **times_of_points(piece.t)}
+    return {**time_variables(piece), **time_coordinate(piece.t)}
 
 
 def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
     """Return the arrays of a new archive, the first values of those that grow, and the values of the others."""
-    growing = growing_of(piece)
-    fixed: Variables = {**starts_of(piece), **summaries_of(piece), **others}
+    growing = growing_variables(piece)
+    fixed: Variables = {**start_variables(piece), **summary_variables(piece), **others}
     fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
     longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
-    rows = rows_of_chunk(longest, piece._times.every_point)
+    rows = rows_of_chunk(longest, piece._times.total_points)
     arrays = {}
     for name, (dims, values, attributes) in (growing | fixed).items():
         kind = TYPES.get(np.asarray(values).dtype.kind, "string")
@@ -163,12 +165,14 @@ def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArra
 
 def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
     """Return a digest of the state after the first step, which identifies the computation of a run."""
-    run = ready.begun(times._replace(most=2), start)
+    run = ready.begun(times._replace(max_points=2), start)
     run.advance(until=min(1, times.steps))
     return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
 
 
-def unwritten(store: ArchiveStore, reason: OSError | ArchiveError, partial: Solution | None = None) -> ArchiveUnwritten:
+def unwritten_error(
+    store: ArchiveStore, reason: OSError | ArchiveError, partial: Solution | None = None
+) -> ArchiveUnwritten:
     """Return the error for an archive that could not be written, with the points that it lacks."""
     steps = store.attributes.get(STEPS, 0)
     found = unwritten_archive(

@@ -12,33 +12,33 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.archived_run import ACCOUNTS, FINISHED, STEPS, states_of
-from coadjoint.files.archives.blocks import SIZE
-from coadjoint.files.archives.metadata_checks import check_archive, check_reported, reading
+from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE, FINISHED, STEPS, states_of
+from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE
+from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
 from coadjoint.files.archives.store import (
     ArchiveError,
     ArchiveMoved,
-    array_key,
-    missing_chunk,
+    chunk_file,
+    missing_chunk_error,
     open_folder,
-    path_of,
+    read_archive_path,
     read_array,
-    read_kept,
     read_root,
+    read_state,
 )
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.read_solution import ReadSolution
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import need
-from coadjoint.runs.piecewise_run import STATE, larger
+from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.solution import Statistics
 
 if TYPE_CHECKING:
     import xarray
 
 
-REPORTED = (f"{STATE}worst", "earlier", "initial")
+REPORTED_ARRAYS = (f"{STATE_PREFIX}worst", "earlier", "initial")
 """Arrays of the run's state that a solution needs."""
 ATTEMPTS = 20
 
@@ -64,8 +64,8 @@ class ArchivedSolution(ReadSolution):
     def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
         check_archive(path, arrays, attributes)
-        kept = read_kept(path, states_of(attributes)[-1])
-        with reading(path):
+        kept = read_state(path, states_of(attributes)[-1])
+        with as_archive_errors(path):
             check_reported(kept, arrays)
         self.__dict__.update(
             path=path,
@@ -79,8 +79,8 @@ class ArchivedSolution(ReadSolution):
             _given=system,
             _arrays=arrays,
             attributes=attributes,
-            _stored={name: kept[name] for name in REPORTED},
-            _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
+            _stored={name: kept[name] for name in REPORTED_ARRAYS},
+            _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS_ATTRIBUTE])),
         )
 
     path: Path
@@ -103,13 +103,13 @@ class ArchivedSolution(ReadSolution):
         names: list[str] = [name for name in ("x0", "attitude0") if name in self._arrays]
         if self.attributes["between_steps"]:
             names.append("time")
-        values = {name: (self._arrays[name].dims, self._whole(name)) for name in names}
+        values = {name: (self._arrays[name].dims, self._read_entire(name)) for name in names}
         return stored_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
 
-    def _whole(self, name: str) -> NDArray[Any]:
+    def _read_entire(self, name: str) -> NDArray[Any]:
         array = self._arrays[name]
         what = f"{name} of the archive {self.path}"
-        check_room(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
+        check_available_memory(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
         return read_array(self.path, name, array, may_be_missing=self._may_be_missing(name))
 
     def _may_be_missing(self, name: str) -> Callable[[tuple[int, ...]], bool] | None:
@@ -125,8 +125,8 @@ class ArchivedSolution(ReadSolution):
                 except OSError as reason:
                     raise ArchiveError(f"{self.path}: {name} cannot be read ({reason.strerror})") from None
                 for place, _, _ in array.chunks_in([range(0, size, chunk) for size, chunk in array.extent]):
-                    if array_key(place) not in files:
-                        raise missing_chunk(self.path, name, place)
+                    if chunk_file(place) not in files:
+                        raise missing_chunk_error(self.path, name, place)
                 if array.grows:
                     begun = array.shape[0] - array.shape[0] % array.chunk[0]
                     rows = range(begun, array.shape[0])
@@ -146,7 +146,7 @@ class ArchivedSolution(ReadSolution):
 
     @cached_property
     def _worst(self) -> NDArray[np.float64]:
-        worst = larger(self._stored["earlier"], self._stored[f"{STATE}worst"])
+        worst = larger_deviations(self._stored["earlier"], self._stored[f"{STATE_PREFIX}worst"])
         return worst[0] if self.failed is None else worst
 
     def to_xarray(self) -> xarray.Dataset:
@@ -157,7 +157,7 @@ class ArchivedSolution(ReadSolution):
         found: dict[str, Any] = {}
         for name, array in self._arrays.items():
             if array.kind == "string":
-                found[name] = (array.dims, list(map(str, self._whole(name))), dict(array.attributes))
+                found[name] = (array.dims, list(map(str, self._read_entire(name))), dict(array.attributes))
             else:
                 found[name] = variable(ArchivedArray(self.path, name, array, self._may_be_missing(name)))
         given = str(self.attributes.get("coordinates", "")).split()
@@ -166,7 +166,7 @@ class ArchivedSolution(ReadSolution):
 
 
 def _opened(path: Path, system: Any) -> ArchivedSolution:
-    if SIZE in read_root(path)[1]:
+    if BLOCK_SIZE_ATTRIBUTE in read_root(path)[1]:
         from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
 
         return ArchivedEnsemble(path, system)
@@ -205,7 +205,7 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     (101, 3)
     """
     need("an archive of a run", "xarray", "zarr")
-    place = path_of(path)
+    place = read_archive_path(path)
     for attempt in range(ATTEMPTS):
         try:
             return _opened(place, system)

@@ -15,7 +15,7 @@ from xarray.core import indexing
 
 from coadjoint.files.archives.store import read_array
 from coadjoint.files.archives.stored_arrays import StoredArray
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 
 
 class ArchivedArray(BackendArray):
@@ -37,7 +37,9 @@ class ArchivedArray(BackendArray):
             for one, size in zip(key, self.shape, strict=True)
         ]
         ascending = [one if one.step > 0 else one[::-1] for one in chosen]
-        check_room(16 * prod(map(len, chosen)), f"{self.name} of the archive {self.path}", "read a part of it")
+        check_available_memory(
+            16 * prod(map(len, chosen)), f"{self.name} of the archive {self.path}", "read a part of it"
+        )
         found = read_array(self.path, self.name, self.array, ascending, self.may_be_missing)
         back = (
             (slice(None) if each.step > 0 else slice(None, None, -1)) if isinstance(one, slice) else 0

@@ -12,17 +12,17 @@ import numpy as np
 
 from coadjoint import __version__
 from coadjoint.files.archives.archived_run import FINISHED, STEPS, ArchivedRun
-from coadjoint.files.archives.blocks import DONE, FAILED, NOT_YET, STATUS, Block, lock_file, read_marker, write_marker
+from coadjoint.files.archives.blocks import DONE, FAILED, PENDING, STATUS, Block, lock_file, read_marker, write_marker
 from coadjoint.files.archives.store import (
-    HIDDEN,
+    HIDDEN_FOLDER,
     ArchiveError,
     ArchiveStore,
     ArchiveUnwritten,
     open_folder,
     read_root_in,
 )
-from coadjoint.files.datasets.export import said_of
-from coadjoint.files.datasets.variables import over_time, summaries_of
+from coadjoint.files.datasets.export import failure_attributes
+from coadjoint.files.datasets.variables import summary_variables, time_variables
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.times import times_of
 
@@ -60,33 +60,33 @@ class BlockRun(ArchivedRun):
         if run.number == self._committed:
             return
         piece = run.piece()
-        written = {**over_time(piece), **summaries_of(piece)}
+        written = {**time_variables(piece), **summary_variables(piece)}
         for name, (dims, values, _) in written.items():
             store.write(name, values, (run.first, block.first) if dims[0] == "time" else (block.first,))
-        self._failure = run.failure(piece) if run.over else None
+        self._failure = run.failure(piece) if run.is_over else None
         failed = np.asarray(piece.failed)
-        status = np.where(failed, FAILED, DONE) if run.over else np.full(len(failed), NOT_YET)
+        status = np.where(failed, FAILED, DONE) if run.is_over else np.full(len(failed), PENDING)
         store.write(STATUS, status, (block.first,))
-        store.folder.settle((*written, STATUS))
+        store.folder.sync_to_disk((*written, STATUS))
         stats = piece.stats
         self.about = {
             STEPS: run.number,
-            FINISHED: int(run.over),
+            FINISHED: int(run.is_over),
             "evaluations": stats.evaluations,
             "iterations": stats.iterations,
             "seconds": self._seconds + stats.seconds,
             "failed": int(failed.sum()),
             "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
-            "rows": run.first + run.held,
+            "rows": run.first + run.points_held,
         }
         if self._failure is not None:
-            self.about |= said_of(self._failure)
+            self.about |= failure_attributes(self._failure)
             # Members are numbered within the block here; the ensemble adds who failed.
             who = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
             self.about["failed_reason"] = str(self._failure).replace(who, "")
         write_marker(store.folder, block.number, self.about, run.stored())
-        store.check_place()
-        run.let_go()
+        store.check_not_replaced()
+        run.release_points()
         self._took, self._committed = time.perf_counter() - began, run.number
 
 
@@ -100,19 +100,19 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
     try:
         folder = open_folder(path)
     except ArchiveError as reason:
-        raise _unseen(reason) from None
+        raise _unreadable_error(reason) from None
     store: ArchiveStore | None = None
     try:
         try:
             arrays, attributes = read_root_in(path, folder)
         except ArchiveError as reason:
-            raise _unseen(reason) from None
+            raise _unreadable_error(reason) from None
         if attributes["coadjoint_version"] != __version__:
             raise ArchiveError(
                 f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {here} has "
                 f"{__version__}; install the same version everywhere"
             )
-        lock = folder.lock(HIDDEN, lock_file(block.number))
+        lock = folder.lock(HIDDEN_FOLDER, lock_file(block.number))
         if lock is None:
             return BUSY
         store = ArchiveStore(path, arrays, attributes, lock, lock_file(block.number), folder)
@@ -137,7 +137,7 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
         folder.close()
 
 
-def _unseen(reason: ArchiveError) -> ArchiveError:
+def _unreadable_error(reason: ArchiveError) -> ArchiveError:
     """Return the error for an archive that a worker cannot read."""
     return ArchiveError(f"{reason} on the machine {platform.node()}; every worker must see the folder by the same name")
 

@@ -20,36 +20,36 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.store import HIDDEN, array_key
-from coadjoint.files.archives.stored_numbers import numbers_from, numbers_to
+from coadjoint.files.archives.store import HIDDEN_FOLDER, chunk_file
+from coadjoint.files.archives.stored_numbers import deserialize_numbers, serialize_numbers
 
 if TYPE_CHECKING:
     from coadjoint.files.archives.folder import ArchiveFolder
     from coadjoint.files.archives.stored_arrays import StoredArray
 
-SIZE = "archive_block"
+BLOCK_SIZE_ATTRIBUTE = "archive_block"
 """Attribute of an archive: members per block."""
 MEMBER = "member"
-STARTS = ("x0", "attitude0")
+START_ARRAYS = ("x0", "attitude0")
 STATUS = "status"
-COMPUTED = ("drift", "change", "balance", "failed", STATUS)
+BLOCK_ARRAYS = ("drift", "change", "balance", "failed", STATUS)
 """Arrays over the members, and not over time, that a block writes."""
-NOT_YET, DONE, FAILED = 0, 1, 2
-ABOUT_STATUS = {
+PENDING, DONE, FAILED = 0, 1, 2
+STATUS_ATTRIBUTES = {
     "long_name": "whether the member has been computed to its end",
-    "flag_values": [NOT_YET, DONE, FAILED],
+    "flag_values": [PENDING, DONE, FAILED],
     "flag_meanings": "not_computed done failed",
 }
-BYTES = 2**22
+MAX_STATE_BYTES = 2**22
 """Limit on the state of a block at one time, for the default block size."""
-SIDE_BY_SIDE = 32
+MEMBERS_PER_BATCH = 32
 """Members that the kernels advance side by side."""
-BLOCKS_OF_A_WORKER = 4
-ABOUT: dict[str, Any] = {
+BLOCKS_PER_WORKER = 4
+HEAD_TYPES: dict[str, Any] = {
     name: int for name in ("archive_steps", "archive_finished", "evaluations", "iterations", "failed", "rows")
 } | {"seconds": int | float}
 """Numbers that every marker has."""
-LONGEST_HEAD = 2**16
+MAX_HEAD_BYTES = 2**16
 """Limit on the first line of a marker, in bytes."""
 
 
@@ -80,10 +80,10 @@ def size_of_blocks(members: int, numbers: int, workers: int) -> int:
     >>> size_of_blocks(1000, 3, 2), size_of_blocks(10, 3, 2), size_of_blocks(1000, 10**6, 2)
     (128, 2, 1)
     """
-    fair = -(-members // (BLOCKS_OF_A_WORKER * workers))
-    if fair > SIDE_BY_SIDE:
-        fair = -(-fair // SIDE_BY_SIDE) * SIDE_BY_SIDE
-    return max(1, min(fair, members, BYTES // (8 * max(1, numbers))))
+    fair = -(-members // (BLOCKS_PER_WORKER * workers))
+    if fair > MEMBERS_PER_BATCH:
+        fair = -(-fair // MEMBERS_PER_BATCH) * MEMBERS_PER_BATCH
+    return max(1, min(fair, members, MAX_STATE_BYTES // (8 * max(1, numbers))))
 
 
 class Marker(NamedTuple):
@@ -105,16 +105,16 @@ def lock_file(number: int) -> str:
 
 def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
     """Write the marker of a block atomically: a line of JSON with check sums, then the numbers."""
-    raw = numbers_to(stored)
+    raw = serialize_numbers(stored)
     head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
     line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
-    folder.write(HIDDEN, marker_file(number), line.encode() + raw)
-    folder.settle([HIDDEN])
+    folder.write(HIDDEN_FOLDER, marker_file(number), line.encode() + raw)
+    folder.sync_to_disk([HIDDEN_FOLDER])
 
 
-def read_about(folder: ArchiveFolder, number: int) -> dict[str, Any] | None:
+def read_head(folder: ArchiveFolder, number: int) -> dict[str, Any] | None:
     """Return the head of a block's marker, without its numbers; None if it is missing or damaged."""
-    marker = _marker(folder, number, LONGEST_HEAD)
+    marker = _marker(folder, number, MAX_HEAD_BYTES)
     return None if marker is None else marker[0]["about"]
 
 
@@ -124,7 +124,7 @@ def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
     if marker is None or hashlib.sha256(marker[1]).hexdigest() != marker[0].get("numbers"):
         return None
     try:
-        return Marker(marker[0]["about"], numbers_from(marker[1]))
+        return Marker(marker[0]["about"], deserialize_numbers(marker[1]))
     except ValueError:
         return None
 
@@ -132,7 +132,7 @@ def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
 def _marker(folder: ArchiveFolder, number: int, head: int | None = None) -> tuple[dict[str, Any], bytes] | None:
     """Return the head of a marker and its raw numbers; None if it is missing or damaged."""
     try:
-        line, _, raw = folder.read(HIDDEN, marker_file(number), head=head).partition(b"\n")
+        line, _, raw = folder.read(HIDDEN_FOLDER, marker_file(number), head=head).partition(b"\n")
         return _head(line), raw
     except (OSError, ValueError, RecursionError):
         return None
@@ -146,7 +146,7 @@ def _head(line: bytes) -> dict[str, Any]:
     if not isinstance(found, dict) or not isinstance(found.get("about"), dict):
         raise ValueError("the marker is damaged")
     about = found["about"]
-    for name, kinds in ABOUT.items():
+    for name, kinds in HEAD_TYPES.items():
         if isinstance(about.get(name), bool) or not isinstance(about.get(name), kinds) or not 0 <= about[name] < 2**62:
             raise ValueError("the marker is damaged")
     return found
@@ -154,13 +154,13 @@ def _head(line: bytes) -> dict[str, Any]:
 
 def is_computed(name: str, array: StoredArray) -> bool:
     """Whether an array is written by the blocks, rather than when the archive is begun."""
-    return array.grows or name in COMPUTED
+    return array.grows or name in BLOCK_ARRAYS
 
 
 def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Iterator[tuple[str, tuple[int, ...]]]:
     """Yield the chunks of a block with this many rows: array name, and chunk indices."""
     for name, array in arrays.items():
-        if MEMBER not in array.dims or name in STARTS:
+        if MEMBER not in array.dims or name in START_ARRAYS:
             continue
         along = [range(-(-size // chunk)) for size, chunk in zip(array.shape, array.chunk, strict=True)]
         along[array.dims.index(MEMBER)] = range(block.number, block.number + 1)
@@ -170,9 +170,9 @@ def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Ite
             yield name, place
 
 
-def is_whole(folder: ArchiveFolder, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
+def is_complete(folder: ArchiveFolder, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
     """Whether all chunks that a marker refers to exist; some may have been removed."""
     wanted = dict[str, set[str]]()
     for name, place in chunks_of(arrays, block, rows):
-        wanted.setdefault(name, set()).add(array_key(place))
+        wanted.setdefault(name, set()).add(chunk_file(place))
     return all(files <= folder.names(name) for name, files in wanted.items())

@@ -20,27 +20,27 @@ if TYPE_CHECKING:
 
 RETRIES = 3
 """Attempts without progress, after losses of workers or of their data, before giving up."""
-SECONDS_BETWEEN_LOOKS = 0.5
-SECONDS_WITHOUT_SCHEDULER = 10.0
-SECONDS_BETWEEN_TRIES = 2.0
+POLL_SECONDS = 0.5
+SCHEDULER_TIMEOUT = 10.0
+RETRY_SECONDS = 2.0
 
 
 def on_processes(
-    workers: int, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int | None, progress: bool
+    workers: int, store: ArchiveStore, remaining: list[Block], ready: PreparedRun, threads: int | None, progress: bool
 ) -> None:
     """Run blocks in processes of this machine, which end with this call."""
-    if not left:
+    if not remaining:
         return
     from coadjoint.files.archives.local_cluster import local_cluster
 
-    with local_cluster(min(workers, len(left))) as client:
-        on_client(client, store, left, ready, threads, progress)
+    with local_cluster(min(workers, len(remaining))) as client:
+        on_client(client, store, remaining, ready, threads, progress)
 
 
 def on_client(
     client: Any,
     store: ArchiveStore,
-    left: list[Block],
+    remaining: list[Block],
     ready: PreparedRun,
     threads: int | None,
     progress: bool,
@@ -51,62 +51,62 @@ def on_client(
     ArchiveUnwritten: the cluster is lost, or a block cannot be written. ArchiveError: a worker does not see the
     archive, or has another version of the library.
     """
-    with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
+    with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         tries = 0
         while tries < RETRIES:
-            before = len(left)
-            left, failure = _round(client, store, left, ready, threads or 1, bar)
-            if not left:
+            before = len(remaining)
+            remaining, failure = _run_round(client, store, remaining, ready, threads or 1, bar)
+            if not remaining:
                 return
             if isinstance(failure, ArchiveError | ArchiveUnwritten):
                 raise failure
-            tries = 0 if len(left) < before else tries + 1
-    members = sum(block.last - block.first for block in left)
+            tries = 0 if len(remaining) < before else tries + 1
+    members = sum(block.last - block.first for block in remaining)
     raise ArchiveUnwritten(
         f"{store.path}: {members} members could not be computed, since workers were lost repeatedly "
         f"({type(failure).__name__}: {failure}); the next call with this archive continues"
     ) from failure
 
 
-def _round(
-    client: Any, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int, bar: Any
+def _run_round(
+    client: Any, store: ArchiveStore, remaining: list[Block], ready: PreparedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
     """Submit blocks and wait for them; return the unfinished ones, and the first reason."""
     archive, token, whole = str(store.path), secrets.token_hex(4), not isinstance(ready.system, Batch)
-    ready.loops(_signed(store, ready)).make_all()  # built here rather than by each worker
+    ready.loops(_signed_step(store, ready)).build_all()  # built here rather than by each worker
     try:
         everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
     except (OSError, CancelledError) as lost:
         # A worker that dies while it receives the tables fails this request, but not the cluster.
-        if not _answers(client):
-            raise _lost(store) from lost
-        return left, lost
+        if not _scheduler_responds(client):
+            raise _cluster_lost_error(store) from lost
+        return remaining, lost
 
     def submitted(block: Block, again: int) -> Any:
         given = everything if whole else ready.among(block.first, block.last)
         key = f"coadjoint-{token}-{block.number}-{again}"
         return client.submit(run_block, archive, block, given, whole, threads, key=key, pure=False)
 
-    tasks = {submitted(block, 0): block for block in left}
+    tasks = {submitted(block, 0): block for block in remaining}
     undone: list[Block] = []
     failure: BaseException | None = None
     tries, seen = 0, time.monotonic()
     try:
         while tasks:
             try:
-                done = _done(client, tasks)
+                done = _wait_for_tasks(client, tasks)
             except CancelledError as lost:
                 # All workers with the tables are lost, or the scheduler is.
-                if not _answers(client):
+                if not _scheduler_responds(client):
                     raise
                 return [*undone, *tasks.values()], failure or lost
             seen = time.monotonic() if client.status == "running" else seen
-            if time.monotonic() - seen > SECONDS_WITHOUT_SCHEDULER:
-                raise _lost(store)
+            if time.monotonic() - seen > SCHEDULER_TIMEOUT:
+                raise _cluster_lost_error(store)
             busy = []
             for task in done:
                 block = tasks.pop(task)
-                ended, reason = _ended(client, task)
+                ended, reason = _task_result(client, task)
                 if reason is not None:
                     undone.append(block)
                     failure = failure or reason
@@ -116,14 +116,14 @@ def _round(
                     bar(block.last - block.first)
             if busy:
                 # A task of an earlier call still runs them; it ends, or is lost with its worker.
-                time.sleep(SECONDS_BETWEEN_TRIES)
+                time.sleep(RETRY_SECONDS)
                 tries += 1
                 tasks |= {submitted(block, tries): block for block in busy}
     except ArchiveUnwritten:
         raise
     except (OSError, CancelledError) as reason:
         # Raised by a lost connection.
-        raise _lost(store) from reason
+        raise _cluster_lost_error(store) from reason
     except BaseException:
         if client.status == "running":
             client.cancel(list(tasks), force=True)
@@ -131,16 +131,16 @@ def _round(
     return undone, failure
 
 
-def _done(client: Any, tasks: Any) -> Any:
+def _wait_for_tasks(client: Any, tasks: Any) -> Any:
     """Wait until a task has ended, or for a timeout; return those that have."""
     distributed: Any = importlib.import_module("distributed")
     try:
-        return distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
+        return distributed.wait(list(tasks), timeout=POLL_SECONDS, return_when="FIRST_COMPLETED").done
     except TimeoutError:
         return set()
 
 
-def _ended(client: Any, task: Any) -> tuple[Any, BaseException | None]:
+def _task_result(client: Any, task: Any) -> tuple[Any, BaseException | None]:
     """Return the result of a task, or the reason why it has none."""
     try:
         if task.status == "finished":
@@ -148,28 +148,28 @@ def _ended(client: Any, task: Any) -> tuple[Any, BaseException | None]:
         return None, (task.exception() if task.status == "error" else RuntimeError(f"a task is {task.status}"))
     except CancelledError as lost:
         # The worker may be lost before its result is fetched.
-        if not _answers(client):
+        if not _scheduler_responds(client):
             raise
         return None, lost
 
 
-def _answers(client: Any) -> bool:
+def _scheduler_responds(client: Any) -> bool:
     """Whether the scheduler responds."""
     try:
-        client.sync(client.scheduler.identity, n_workers=0, callback_timeout=SECONDS_WITHOUT_SCHEDULER)
+        client.sync(client.scheduler.identity, n_workers=0, callback_timeout=SCHEDULER_TIMEOUT)
     except (OSError, CancelledError):
         return False
     return bool(client.status == "running")
 
 
-def _lost(store: ArchiveStore) -> ArchiveUnwritten:
+def _cluster_lost_error(store: ArchiveStore) -> ArchiveUnwritten:
     return ArchiveUnwritten(
         f"{store.path}: the scheduler of the cluster is lost; what was done is kept, and the next call with this "
         "archive goes on"
     )
 
 
-def _signed(store: ArchiveStore, ready: PreparedRun) -> float:
+def _signed_step(store: ArchiveStore, ready: PreparedRun) -> float:
     """Return the step with its sign."""
     first, last = json.loads(store.attributes["t_span"])
     return ready.step if last >= first else -ready.step

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
-from coadjoint.files.archives.run_in_blocks import run_in_blocks, team_of
-from coadjoint.files.datasets.variables import About, Variables
+from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
+from coadjoint.files.datasets.variables import ExtraMetadata, Variables
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import need
 from coadjoint.runs.prepared_run import PreparedRun
@@ -17,7 +17,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.system_checks import System
-from coadjoint.validation import read_numbers, read_whole
+from coadjoint.validation import read_integer, read_numbers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -100,17 +100,17 @@ def ensemble(
     True
     """
     need("an ensemble in an archive", "xarray", "zarr")
-    progress, team = read_progress(progress), team_of(client, workers, threads)
+    progress, pool = read_progress(progress), read_worker_pool(client, workers, threads)
     if archive is None and client is not None:
         raise TypeError(
             "ensemble was given a client and no archive; give archive=, a folder that all workers see: results never "
             "pass through the client"
         )
-    size = None if members_per_block is None else read_whole(members_per_block, "members_per_block", floats=True)
-    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=team.threads)
+    size = None if members_per_block is None else read_integer(members_per_block, "members_per_block", floats=True)
+    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=pool.threads)
     members = len(ready.start(x0).momenta)
-    about = About(_along_members({} if coordinates is None else coordinates, members), {})
-    return run_in_blocks(ready, x0, t_span, save_every, archive, team, size=size, progress=progress, about=about)
+    about = ExtraMetadata(_along_members({} if coordinates is None else coordinates, members), {})
+    return run_in_blocks(ready, x0, t_span, save_every, archive, pool, size=size, progress=progress, about=about)
 
 
 def _along_members(given: Mapping[str, Any], members: int) -> Variables:

@@ -11,39 +11,39 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.files.archives.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STEPS, first_step
+from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE, FINISHED, FIRST_STEP, STEPS, first_step
 from coadjoint.files.archives.blocks import (
-    ABOUT_STATUS,
+    BLOCK_SIZE_ATTRIBUTE,
     MEMBER,
-    NOT_YET,
-    SIZE,
+    PENDING,
     STATUS,
+    STATUS_ATTRIBUTES,
     Block,
     blocks_of,
-    is_whole,
+    is_complete,
     lock_file,
     marker_file,
-    read_about,
+    read_head,
     size_of_blocks,
 )
-from coadjoint.files.archives.metadata_checks import CROSSINGS, RESERVED, SERIES
-from coadjoint.files.archives.resume import check_new, unmade
-from coadjoint.files.archives.store import HIDDEN, ArchiveError, ArchiveStore
+from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES
+from coadjoint.files.archives.resume import check_new, creation_error
+from coadjoint.files.archives.store import HIDDEN_FOLDER, ArchiveError, ArchiveStore
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, rows_of_chunk
 from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.variables import (
-    About,
+    ExtraMetadata,
     Variables,
     accounts_of,
     coordinates_of,
-    over_time,
-    starts_of,
-    summaries_of,
-    times_of_points,
+    start_variables,
+    summary_variables,
+    time_coordinate,
+    time_variables,
 )
-from coadjoint.files.output.atomic_output import Unfinished
+from coadjoint.files.output.atomic_output import PendingOutput
 from coadjoint.files.records.fingerprints import same_fingerprint
-from coadjoint.files.records.required_functions import GIVEN, OBSERVED, said_of_functions
+from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, function_attributes
 from coadjoint.runs.piecewise_run import PiecewiseRun
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-SAME = {
+IDENTITY_ATTRIBUTES = {
     "system": "the system",
     "sign": "the sign of the system",
     "method": "the scheme",
@@ -61,8 +61,8 @@ SAME = {
     "save_every": "save_every",
     "watch": "watch",
     "attitude_carried": "the attitude",
-    OBSERVED: "observe",
-    ACCOUNTS: "the forces",
+    OBSERVED_ATTRIBUTE: "observe",
+    ACCOUNTS_ATTRIBUTE: "the forces",
     "coadjoint_version": "the version of coadjoint",
     FIRST_STEP: "the first step, by a function or a number that is not stored,",
 }
@@ -83,7 +83,9 @@ class Ensemble(NamedTuple):
         return run.piece()
 
 
-def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, about: About) -> ArchiveStore:
+def create_archive(
+    ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, about: ExtraMetadata
+) -> ArchiveStore:
     """Create an archive with the initial states of all members.
 
     `size` is the number of members per block; if None, it is chosen for this number of workers. `about` has further
@@ -91,28 +93,42 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     """
     target = check_new(archive)
     piece = ensemble.at_start()
-    about = about.beside(piece.system)
+    about = about.with_batch_parameters(piece.system)
     members = len(ensemble.start.momenta)
-    growing = over_time(piece)
+    growing = time_variables(piece)
     longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
     size = min(members, size or size_of_blocks(members, longest, workers))
-    rows = rows_of_chunk(longest * size, ensemble.times.every_point)
-    times = times_of_points(ensemble.times.seen)
-    fixed: Variables = {**starts_of(piece), **about.coordinates, **coordinates_of(piece), **times}
-    later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
-    taken = sorted(name for name in about.coordinates if name in RESERVED or name.startswith((*SERIES, CROSSINGS)))
+    rows = rows_of_chunk(longest * size, ensemble.times.total_points)
+    times = time_coordinate(ensemble.times.saved_times)
+    fixed: Variables = {**start_variables(piece), **about.coordinates, **coordinates_of(piece), **times}
+    later: Variables = {
+        **growing,
+        **summary_variables(piece),
+        STATUS: ((MEMBER,), np.full(members, PENDING), STATUS_ATTRIBUTES),
+    }
+    taken = sorted(
+        name
+        for name in about.coordinates
+        if name in RESERVED_NAMES or name.startswith((*SERIES_PREFIXES, CROSSING_PREFIX))
+    )
     if taken:
         raise ValueError(f"coordinates has the name {taken[0]!r}, which is reserved")
-    points = ensemble.times.every_point
+    points = ensemble.times.total_points
     arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
     here = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
-    attributes = {**described(ensemble, piece), "platform": here, SIZE: size, FINISHED: 0, STEPS: 0}
+    attributes = {
+        **identity_attributes(ensemble, piece),
+        "platform": here,
+        BLOCK_SIZE_ATTRIBUTE: size,
+        FINISHED: 0,
+        STEPS: 0,
+    }
     attributes |= about.attributes
     if about.coordinates:
         attributes["coordinates"] = " ".join(about.coordinates)
     try:
-        with Unfinished(target) as unfinished:
-            store = ArchiveStore.begun(unfinished.place, arrays)
+        with PendingOutput(target) as unfinished:
+            store = ArchiveStore.create_archive(unfinished.place, arrays)
             try:
                 for name, (_, values, _) in fixed.items():
                     store.write(name, np.asarray(values))
@@ -122,16 +138,16 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
                 raise
             store.moved(target)
     except OSError as reason:
-        raise unmade(target, reason) from None
+        raise creation_error(target, reason) from None
     return store
 
 
-def described(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
+def identity_attributes(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
     """Return the attributes that identify a run."""
     return {
         **attributes_of(piece),
-        ACCOUNTS: json.dumps(accounts_of(piece)),
-        **said_of_functions(ensemble.ready, ()),
+        ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
+        **function_attributes(ensemble.ready, ()),
         FIRST_STEP: first_step(ensemble.ready, ensemble.times, ensemble.start),
     }
 
@@ -149,27 +165,27 @@ def _array(
     return StoredArray(dims, kind, tuple(shape), tuple(chunk), dict(attributes))
 
 
-def check_same(ensemble: Ensemble, store: ArchiveStore) -> None:
+def check_same_run(ensemble: Ensemble, store: ArchiveStore) -> None:
     """Raise ArchiveError if the archive is that of another run, with the first difference."""
     piece = ensemble.at_start()
-    mine, theirs = described(ensemble, piece), store.attributes
-    if SIZE not in theirs:
+    mine, theirs = identity_attributes(ensemble, piece), store.attributes
+    if BLOCK_SIZE_ATTRIBUTE not in theirs:
         raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
-    for name, (_, values, _) in starts_of(piece).items():
+    for name, (_, values, _) in start_variables(piece).items():
         array = store.arrays.get(name)
         if array is None or not _equal(store, name, array, np.asarray(values)):
             what = {"x0": "x0", "attitude0": "the initial attitude"}[name]
-            raise _another(store, f"{what} differs")
-    known, given = json.loads(theirs[GIVEN]), json.loads(mine[GIVEN])
+            raise _different_run_error(store, f"{what} differs")
+    known, given = json.loads(theirs[FUNCTIONS_ATTRIBUTE]), json.loads(mine[FUNCTIONS_ATTRIBUTE])
     for name in known.keys() | given.keys():
         if not same_fingerprint(known.get(name, {}), given.get(name, {})):
-            raise _another(store, f"the code or the numbers of functions of {name} differ")
-    for key, what in SAME.items():
+            raise _different_run_error(store, f"the code or the numbers of functions of {name} differ")
+    for key, what in IDENTITY_ATTRIBUTES.items():
         if mine.get(key) != theirs.get(key):
-            raise _another(store, f"{what} differs")
+            raise _different_run_error(store, f"{what} differs")
 
 
-def _another(store: ArchiveStore, said: str) -> ArchiveError:
+def _different_run_error(store: ArchiveStore, said: str) -> ArchiveError:
     return ArchiveError(f"{store.path}: is the archive of another ensemble: {said}; give another name")
 
 
@@ -184,23 +200,23 @@ def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> b
     return True
 
 
-def left_of(store: ArchiveStore) -> list[Block]:
+def unfinished_blocks(store: ArchiveStore) -> list[Block]:
     """Return the unfinished blocks."""
     found = []
-    for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE])):
-        about = read_about(store.folder, block.number)
-        if about is not None and not is_whole(store.folder, store.arrays, block, int(about["rows"])):
-            store.folder.remove(HIDDEN, marker_file(block.number))
+    for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[BLOCK_SIZE_ATTRIBUTE])):
+        about = read_head(store.folder, block.number)
+        if about is not None and not is_complete(store.folder, store.arrays, block, int(about["rows"])):
+            store.folder.remove(HIDDEN_FOLDER, marker_file(block.number))
             about = None
         if about is None or not about[FINISHED]:
             found.append(block)
     return found
 
 
-def finish(store: ArchiveStore) -> dict[str, Any]:
+def finish_ensemble(store: ArchiveStore) -> dict[str, Any]:
     """Mark the ensemble as finished in the root; return its attributes, including those of failures."""
-    blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE]))
-    abouts = [read_about(store.folder, block.number) or {} for block in blocks]
+    blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[BLOCK_SIZE_ATTRIBUTE]))
+    abouts = [read_head(store.folder, block.number) or {} for block in blocks]
     said: dict[str, Any] = {
         FINISHED: 1,
         STEPS: min(int(about[STEPS]) for about in abouts),
@@ -218,5 +234,5 @@ def finish(store: ArchiveStore) -> dict[str, Any]:
             said["failed_reason"] = f"{who}{first['failed_reason']}"
     store.commit(said, {"time": store.arrays["time"].shape[0]})
     for block in blocks:
-        store.folder.remove(HIDDEN, lock_file(block.number))
+        store.folder.remove(HIDDEN_FOLDER, lock_file(block.number))
     return said

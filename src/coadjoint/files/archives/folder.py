@@ -9,15 +9,15 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from coadjoint.files.output.atomic_files import WRITING, settle, write_whole
-from coadjoint.files.output.atomic_output import locked
-from coadjoint.memory import check_room
+from coadjoint.files.output.atomic_files import TEMPORARY_SUFFIX, sync_to_disk, write_atomically
+from coadjoint.files.output.atomic_output import open_locked
+from coadjoint.memory import check_available_memory
 
-ANCHORED = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
+USE_DIR_FD = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
-NO_LINK = "a symbolic link, which an archive never contains"
-NO_FILE = "no regular file"
-BYTES_PER_BYTE = 2
+SYMLINK_REASON = "a symbolic link, which an archive never contains"
+NOT_REGULAR_REASON = "no regular file"
+READ_MEMORY_FACTOR = 2
 """Memory needed to read a file, per byte."""
 
 
@@ -30,7 +30,7 @@ class ArchiveFolder:
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
         self._descriptor: int | None = None
-        if ANCHORED:
+        if USE_DIR_FD:
             self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
         elif not path.is_dir():
             os.scandir(path).close()  # raises the specific OSError
@@ -50,8 +50,8 @@ class ArchiveFolder:
     @contextmanager
     def _at(self, folder: str) -> Iterator[int | None]:
         """Yield the descriptor of a subfolder, or of this folder for ''; None on platforms without descriptors."""
-        if not ANCHORED:
-            _refuse_link(self.path / folder, None)
+        if not USE_DIR_FD:
+            _reject_link(self.path / folder, None)
             yield None
             return
         assert self._descriptor is not None
@@ -61,15 +61,15 @@ class ArchiveFolder:
         try:
             found = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
         except OSError:
-            _refuse_link(Path(folder), self._descriptor)
+            _reject_link(Path(folder), self._descriptor)
             raise
         try:
             yield found
         finally:
             os.close(found)
 
-    def _place(self, folder: str, file: str) -> Path:
-        return Path(file) if ANCHORED else self.path / folder / file
+    def _locate(self, folder: str, file: str) -> Path:
+        return Path(file) if USE_DIR_FD else self.path / folder / file
 
     def read(self, folder: str, file: str, most: int | None = None, head: int | None = None) -> bytes:
         """Return a file of at most `most` bytes, or its first `head` bytes.
@@ -77,37 +77,37 @@ class ArchiveFolder:
         OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
         """
         with self._at(folder) as inside:
-            place = self._place(folder, file)
+            place = self._locate(folder, file)
 
             def opened(name: str, flags: int) -> int:
-                if not ANCHORED:
-                    _refuse_link(place, None)
+                if not USE_DIR_FD:
+                    _reject_link(place, None)
                 flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
                 try:
                     return os.open(name, flags, dir_fd=inside)
                 except OSError:
-                    _refuse_link(place, inside)
+                    _reject_link(place, inside)
                     raise
 
             with open(place, "rb", opener=opened) as content:
                 found = os.fstat(content.fileno())
                 if not stat.S_ISREG(found.st_mode):
-                    raise OSError(errno.EINVAL, NO_FILE)
+                    raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
                 if most is not None and found.st_size > most:
                     raise ValueError(f"it has {found.st_size} bytes, and at most {most} belong there")
                 length = found.st_size if head is None else min(head, found.st_size)
-                check_room(BYTES_PER_BYTE * length, "it")
+                check_available_memory(READ_MEMORY_FACTOR * length, "it")
                 return content.read(length)
 
     def write(self, folder: str, file: str, content: bytes) -> None:
         """Replace a file atomically."""
         with self._at(folder) as inside:
-            write_whole(self._place(folder, file), content, inside)
+            write_atomically(self._locate(folder, file), content, inside)
 
     def make(self, folder: str) -> None:
         """Create a subfolder."""
         with self._at("") as inside:
-            os.mkdir(self._place("", folder), dir_fd=inside)
+            os.mkdir(self._locate("", folder), dir_fd=inside)
 
     def names(self, folder: str) -> set[str]:
         """Return the names in a subfolder."""
@@ -124,42 +124,42 @@ class ArchiveFolder:
     def status(self, folder: str, file: str) -> os.stat_result:
         """Return the status of a file, or of a link itself."""
         with self._at(folder) as inside:
-            return os.stat(self._place(folder, file), dir_fd=inside, follow_symlinks=False)
+            return os.stat(self._locate(folder, file), dir_fd=inside, follow_symlinks=False)
 
     def remove(self, folder: str, file: str) -> None:
         """Remove a file or a link itself, if present."""
         with self._at(folder) as inside, suppress(FileNotFoundError):
-            os.unlink(self._place(folder, file), dir_fd=inside)
+            os.unlink(self._locate(folder, file), dir_fd=inside)
 
     def remove_unfinished(self, folder: str) -> None:
         """Remove temporary files left by killed processes."""
         for name in self.names(folder):
-            if name.startswith(".") and name.endswith(WRITING):
+            if name.startswith(".") and name.endswith(TEMPORARY_SUFFIX):
                 self.remove(folder, name)
 
-    def settle(self, folders: Iterable[str]) -> None:
+    def sync_to_disk(self, folders: Iterable[str]) -> None:
         """Sync the directory entries of some subfolders to disk."""
         for folder in folders:
             with self._at(folder) as inside:
                 if inside is not None:
-                    settle(inside)
+                    sync_to_disk(inside)
 
     def lock(self, folder: str, file: str) -> int | None:
         """Lock a file, created if missing; return its descriptor, or None if another process holds the lock."""
         with self._at(folder) as inside:
-            place = self._place(folder, file)
+            place = self._locate(folder, file)
             try:
-                return locked(place, os.O_CREAT, inside)
+                return open_locked(place, os.O_CREAT, inside)
             except OSError:
-                _refuse_link(place, inside)
+                _reject_link(place, inside)
                 raise
 
 
-def _refuse_link(place: Path, folder: int | None) -> None:
+def _reject_link(place: Path, folder: int | None) -> None:
     """Raise OSError if the path is a symbolic link."""
     try:
         linked = stat.S_ISLNK(os.stat(place, dir_fd=folder, follow_symlinks=False).st_mode)
     except OSError:
         return
     if linked:
-        raise OSError(errno.ELOOP, NO_LINK) from None
+        raise OSError(errno.ELOOP, SYMLINK_REASON) from None

@@ -11,30 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, OneLineError, in_one_line
-from coadjoint.files.archives.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, SAVE_EVERY, STATES, STEPS, states_of
-from coadjoint.files.archives.blocks import MEMBER, SIZE, STATUS
+from coadjoint.files.archives.archived_run import (
+    ACCOUNTS_ATTRIBUTE,
+    FINISHED,
+    FIRST_STEP,
+    SAVE_EVERY,
+    STATES,
+    STEPS,
+    states_of,
+)
+from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE, MEMBER, STATUS
 from coadjoint.files.archives.store import ArchiveError
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.variables import TIME
 from coadjoint.files.records.entries import Entry, parsed
-from coadjoint.files.records.required_functions import GIVEN, OBSERVED
-from coadjoint.runs.piecewise_run import STATE
+from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
+from coadjoint.runs.piecewise_run import STATE_PREFIX
 from coadjoint.runs.times import Times, times_of
 
-TEXTS = ("system_repr", "method_repr", "coadjoint_version", "platform", "attitude_carried", FIRST_STEP)
-SUMMARIES = ({"drift"}, {"change", "balance", "work"})
+TEXT_ATTRIBUTES = ("system_repr", "method_repr", "coadjoint_version", "platform", "attitude_carried", FIRST_STEP)
+SUMMARY_ARRAYS = ({"drift"}, {"change", "balance", "work"})
 """Arrays over the invariants, of a run without forces and with them."""
-KINDS = {"invariant": "string", "failed": "bool", STATUS: "int64", "tenth": "int64"}
-FLOATS = (TIME, "x", "x0", "attitude", "attitude0", "energy", "drift", "change", "balance", "work")
-OWN_LENGTH = ("row", "column", "layer")
+ARRAY_TYPES = {"invariant": "string", "failed": "bool", STATUS: "int64", "tenth": "int64"}
+FLOAT_ARRAYS = (TIME, "x", "x0", "attitude", "attitude0", "energy", "drift", "change", "balance", "work")
+VARYING_DIMENSIONS = ("row", "column", "layer")
 """Dimensions whose length may differ between arrays."""
-SERIES, CROSSINGS = ("casimir_", "observed_"), "event_"
-RESERVED = frozenset({*FLOATS, *KINDS, *OWN_LENGTH, "part", "component", "account", "crossing"})
-"""Names that have a meaning in archives and datasets, beside those that begin with `SERIES` or `CROSSINGS`."""
+SERIES_PREFIXES, CROSSING_PREFIX = ("casimir_", "observed_"), "event_"
+RESERVED_NAMES = frozenset(
+    {*FLOAT_ARRAYS, *ARRAY_TYPES, *VARYING_DIMENSIONS, "part", "component", "account", "crossing"}
+)
+"""Names that have a meaning in archives and datasets, beside those that begin with `SERIES_PREFIXES` or
+`CROSSING_PREFIX`.
+"""
 
 
 @contextmanager
-def reading(path: str | Path) -> Iterator[None]:
+def as_archive_errors(path: str | Path) -> Iterator[None]:
     """Convert errors caused by invalid content of an archive to `ArchiveError`."""
     try:
         yield
@@ -47,49 +59,50 @@ def reading(path: str | Path) -> Iterator[None]:
 
 def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Raise `ArchiveError` unless attributes and arrays describe one run, or one ensemble."""
-    with reading(path):
+    with as_archive_errors(path):
         given = Entry(attributes, "attributes")
-        for name in TEXTS:
+        for name in TEXT_ATTRIBUTES:
             if not isinstance(attributes[name], str):
-                raise given[name].wrong("text")
+                raise given[name].invalid_error("text")
         for name in (STEPS, "steps", "evaluations", "iterations"):
-            given[name].whole()
+            given[name].integer()
         for name in (FINISHED, "between_steps", "watch"):
             given[name].flag()
         if given["seconds"].number() < 0.0:
-            raise given["seconds"].wrong("a number from 0 up")
+            raise given["seconds"].invalid_error("a number from 0 up")
         accounts = [
-            [name.text() for name in pair.entries(2)] for pair in parsed(attributes[ACCOUNTS], ACCOUNTS).entries()
+            [name.text() for name in pair.entries(2)]
+            for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()
         ]
-        for known in parsed(attributes[GIVEN], GIVEN).table().values():
+        for known in parsed(attributes[FUNCTIONS_ATTRIBUTE], FUNCTIONS_ATTRIBUTE).table().values():
             for each in known["named"].entries():
                 each.text()
-        observed = parsed(attributes[OBSERVED], OBSERVED)
+        observed = parsed(attributes[OBSERVED_ATTRIBUTE], OBSERVED_ATTRIBUTE)
         for each in observed["names"].entries():
             each.text()
         observed["stored"].table()
         if "run_failed" in attributes:
             given["run_failed"].flag()
-            given["failed_step"].whole()
+            given["failed_step"].integer()
             for name in ("failed_time", "failed_residual"):
                 if isinstance(attributes[name], bool) or not isinstance(attributes[name], int | float):
-                    raise given[name].wrong("a number")
+                    raise given[name].invalid_error("a number")
             if not isinstance(attributes["failed_reason"], str):
-                raise given["failed_reason"].wrong("text")
+                raise given["failed_reason"].invalid_error("text")
         span = tuple(time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
-        times = times_of(span, given["step"].number(), given["save_every"].whole(1))
+        times = times_of(span, given["step"].number(), given["save_every"].integer(1))
         if times.steps != attributes["steps"] or attributes[STEPS] > times.steps:
-            raise given["steps"].wrong(f"{times.steps}, and {STEPS} no larger")
+            raise given["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
         sizes = _check_arrays(arrays, accounts)
-        if SIZE in attributes:
-            given[SIZE].whole(1)
+        if BLOCK_SIZE_ATTRIBUTE in attributes:
+            given[BLOCK_SIZE_ATTRIBUTE].integer(1)
             if STATUS not in arrays or MEMBER not in sizes or arrays["x0"].dims[0] != MEMBER:
                 raise ValueError("an array over the members is missing")
             if given[FINISHED].flag() and attributes[STEPS] != times.steps and "run_failed" not in attributes:
-                raise given[STEPS].wrong(f"{times.steps}, since the ensemble is finished")
-            expected = times.every_point
+                raise given[STEPS].invalid_error(f"{times.steps}, since the ensemble is finished")
+            expected = times.total_points
         else:
-            given[SAVE_EVERY].whole(1)
+            given[SAVE_EVERY].integer(1)
             expected = _check_states(given, attributes, times, sizes[TIME])
         if not attributes["between_steps"] and sizes[TIME] != expected:
             raise ValueError(f"there are {sizes[TIME]} saved points after {attributes[STEPS]} steps, not {expected}")
@@ -97,20 +110,20 @@ def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Map
 
 def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -> dict[str, int]:
     """Validate the arrays of a run; return the lengths of the dimensions."""
-    missing = {TIME, "x", "x0", "energy", "invariant", "tenth", *SUMMARIES[bool(accounts)]} - arrays.keys()
+    missing = {TIME, "x", "x0", "energy", "invariant", "tenth", *SUMMARY_ARRAYS[bool(accounts)]} - arrays.keys()
     if missing:
         raise ValueError(f"the array {min(missing)} is missing")
     sizes = dict[str, int]()
     for name, array in arrays.items():
-        series = name.startswith(SERIES)
-        if array.kind != ("float64" if series or name in FLOATS else KINDS.get(name, array.kind)):
+        series = name.startswith(SERIES_PREFIXES)
+        if array.kind != ("float64" if series or name in FLOAT_ARRAYS else ARRAY_TYPES.get(name, array.kind)):
             raise ValueError(f"the array {name} is of {array.kind}")
         if series and not isinstance(array.attributes.get("long_name"), str):
             raise ValueError(f"the array {name} has no long_name")
         if (series or name in ("x", "energy", "work", "attitude", TIME)) != array.grows:
             raise ValueError(f"the array {name} is over {', '.join(array.dims)}")
         for dim, size in zip(array.dims, array.shape, strict=True):
-            if dim not in OWN_LENGTH and sizes.setdefault(dim, size) != size:
+            if dim not in VARYING_DIMENSIONS and sizes.setdefault(dim, size) != size:
                 raise ValueError(f"the arrays along {dim} have the lengths {sizes[dim]} and {size}")
     start, over = arrays["x0"].dims, arrays["energy"].dims
     if arrays["x"].dims != (TIME, *start) or over != (TIME, *start[: int(MEMBER in start)]):
@@ -128,11 +141,11 @@ def _check_states(given: Entry, attributes: Mapping[str, Any], times: Times, row
         file, digest, about = kept.entries(3)
         file.text(), digest.text(), about["block"].flag()
         for name in ("number", TIME):
-            about[name].whole()
+            about[name].integer()
     states = states_of(attributes)
     numbers = [kept.about["number"] for kept in states]
     if not states or numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
-        raise given[STATES].wrong("a list of states, of which the last one is that of the last commit")
+        raise given[STATES].invalid_error("a list of states, of which the last one is that of the last commit")
     expected = times.after(attributes[STEPS]).passed
     # A failed run has saved the points before its failure.
     return min(rows, expected) if attributes.get("run_failed") else expected
@@ -145,7 +158,7 @@ def check_reported(stored: Mapping[str, NDArray[Any]], arrays: Mapping[str, Stor
     # The balances of invariants that forces change follow the invariants.
     columns = max(invariants, stored["initial"].shape[-1] if stored["initial"].ndim else 0)
     wanted: dict[str, tuple[int, ...]] = {"initial": (members, columns)}
-    wanted |= dict.fromkeys(("earlier", f"{STATE}worst"), (members, tenths, columns))
+    wanted |= dict.fromkeys(("earlier", f"{STATE_PREFIX}worst"), (members, tenths, columns))
     for name, shape in wanted.items():
         if stored[name].shape != shape or stored[name].dtype != np.float64:
             raise ValueError(f"{name} of the state has the shape {stored[name].shape}; it must be {shape}")

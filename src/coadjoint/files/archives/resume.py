@@ -14,7 +14,7 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archives.archived_run import (
-    ACCOUNTS,
+    ACCOUNTS_ATTRIBUTE,
     FINISHED,
     FIRST_STEP,
     SAVE_EVERY,
@@ -26,13 +26,13 @@ from coadjoint.files.archives.archived_run import (
     states_of,
 )
 from coadjoint.files.archives.archived_solution import ArchivedSolution, open_archive
-from coadjoint.files.archives.extended_runs import lengthen, longer_times
-from coadjoint.files.archives.metadata_checks import reading
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, path_of, read_kept, unwritable
+from coadjoint.files.archives.extended_runs import extend_run, extended_times
+from coadjoint.files.archives.metadata_checks import as_archive_errors
+from coadjoint.files.archives.store import ArchiveError, ArchiveStore, read_archive_path, read_state, unwritable_error
 from coadjoint.files.datasets.export import attributes_of
-from coadjoint.files.datasets.variables import NOTHING, About, accounts_of
-from coadjoint.files.output.atomic_output import Unfinished, remove_leftovers
-from coadjoint.files.records.required_functions import asked_again, said_of_functions
+from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata, accounts_of
+from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
+from coadjoint.files.records.required_functions import function_attributes, resume_arguments
 from coadjoint.optional_packages import need
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
@@ -54,7 +54,7 @@ def archive_run(
     progress: bool = False,
     events: Any = None,
     until: int | None = None,
-    about: About = NOTHING,
+    about: ExtraMetadata = NO_METADATA,
 ) -> ArchivedSolution:
     """Run into a new archive; parameters as for `coadjoint.integrate`.
 
@@ -67,36 +67,38 @@ def archive_run(
     target = check_new(archive)
     times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
     try:
-        with Unfinished(target) as unfinished:
-            store = begun(ready, times, start, unfinished.place, int(save_every), about)
+        with PendingOutput(target) as unfinished:
+            store = create_archive(ready, times, start, unfinished.place, int(save_every), about)
             store.moved(target)
     except OSError as reason:
-        raise unmade(target, reason) from None
-    return _run_on(store, ready, times, start, None, progress, until)
+        raise creation_error(target, reason) from None
+    return _continue_run(store, ready, times, start, None, progress, until)
 
 
-def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int, about: About) -> ArchiveStore:
+def create_archive(
+    ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int, about: ExtraMetadata
+) -> ArchiveStore:
     """Create an archive from which the run can be resumed, before its first step."""
     run = PiecewiseRun(ready, times, start, 1)
     run.advance(0)
     piece = run.piece()
-    about = about.beside(piece.system)
+    about = about.with_batch_parameters(piece.system)
     arrays, growing, fixed = new_arrays(piece, about.coordinates)
-    store = ArchiveStore.begun(place, arrays)
+    store = ArchiveStore.create_archive(place, arrays)
     try:
         for name, (_, values, _) in (growing | fixed).items():
             store.write(name, values)
-        lengths = {"time": run.held}
-        kept = store.keep(run.stored(), {"number": 0, **lengths, "block": 1})
+        lengths = {"time": run.points_held}
+        kept = store.store_state(run.stored(), {"number": 0, **lengths, "block": 1})
         attributes = {
             **attributes_of(piece),
             **about.attributes,
             **({"coordinates": " ".join(about.coordinates)} if about.coordinates else {}),
-            ACCOUNTS: json.dumps(accounts_of(piece)),
-            **said_of_functions(ready, ()),
+            ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
+            **function_attributes(ready, ()),
             FIRST_STEP: first_step(ready, times, start),
             "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
-            FINISHED: int(run.over),
+            FINISHED: int(run.is_over),
             STEPS: 0,
             STATES: json.dumps([kept]),
             SAVE_EVERY: save_every,
@@ -110,7 +112,7 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_ever
 
 def check_new(archive: str | Path) -> Path:
     """Validate the path of a new archive; ArchiveError if it exists or cannot be created."""
-    target = path_of(archive)
+    target = read_archive_path(archive)
     try:
         if os.path.lexists(target):
             raise ArchiveError(f"{target}: exists; co.resume continues an archive, and a new one needs another name")
@@ -118,11 +120,11 @@ def check_new(archive: str | Path) -> Path:
             raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
         remove_leftovers(target)
     except OSError as reason:
-        raise unmade(target, reason) from None
+        raise creation_error(target, reason) from None
     return target
 
 
-def unmade(target: Path, reason: OSError) -> ArchiveError:
+def creation_error(target: Path, reason: OSError) -> ArchiveError:
     """Return the error for a new archive that cannot be created."""
     return ArchiveError(f"{target}: cannot be made ({reason.strerror}); give another name")
 
@@ -192,24 +194,24 @@ def resume(
     from coadjoint.runs.prepared_run import PreparedRun
 
     need("an archive of a run", "xarray", "zarr")
-    place = path_of(path)
+    place = read_archive_path(path)
     found = open_archive(place, system)
     if isinstance(found, ArchivedEnsemble):
-        from coadjoint.files.archives.run_in_blocks import resume_in_blocks, team_of
+        from coadjoint.files.archives.run_in_blocks import read_worker_pool, resume_in_blocks
 
         if t_end is not None or events is not None or until is not None:
             raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; omit them")
-        return resume_in_blocks(found, system, observe, team_of(client, workers, threads), progress)
+        return resume_in_blocks(found, system, observe, read_worker_pool(client, workers, threads), progress)
     if client is not None or workers is not None:
         raise ValueError(f"{place}: is the archive of one run; client and workers are for ensembles in blocks")
     if found.finished and (t_end is None or found.attributes.get("run_failed")):
-        return _told(found)
-    store = ArchiveStore.opened(place)
+        return _return_or_raise(found)
+    store = ArchiveStore.open_existing(place)
     try:
         found = open_archive(place, system)
         found.check_whole()
-        given = asked_again(place, found, system, observe, events)
-        with reading(place):
+        given = resume_arguments(place, found, system, observe, events)
+        with as_archive_errors(place):
             inputs = found.inputs(given.events)
         ready = PreparedRun(
             inputs["system"],
@@ -229,29 +231,29 @@ def resume(
                 "the same system"
             )
         if t_end is not None:
-            longer = longer_times(store, times, ready, t_end)
+            longer = extended_times(store, times, ready, t_end)
             if longer.steps != times.steps:
                 times = longer
                 try:
-                    with reading(place):
-                        lengthen(store, ready, times, start)
+                    with as_archive_errors(place):
+                        extend_run(store, ready, times, start)
                 except OSError as reason:
-                    raise unwritable(place, reason) from None
+                    raise unwritable_error(place, reason) from None
         if store.attributes[FINISHED]:
             store.close()
             return found
-        stored = read_kept(place, states_of(store.attributes)[-1])
+        stored = read_state(place, states_of(store.attributes)[-1])
     except BaseException:
         store.close()
         raise
-    return _run_on(store, ready, times, start, stored, progress, until)
+    return _continue_run(store, ready, times, start, stored, progress, until)
 
 
-def _run_on(
+def _continue_run(
     store: ArchiveStore, ready: PreparedRun, times: Times, start: Start, stored: Any, progress: bool, until: int | None
 ) -> ArchivedSolution:
     try:
-        with reading(store.path):
+        with as_archive_errors(store.path):
             run = ArchivedRun(store, ready, times, start, stored)
         failure = run.advance(until, progress)
     except KeyboardInterrupt as stopped:
@@ -267,7 +269,7 @@ def _run_on(
     return found
 
 
-def _told(found: ArchivedSolution) -> ArchivedSolution:
+def _return_or_raise(found: ArchivedSolution) -> ArchivedSolution:
     """Return a finished run, or raise the failure that ended it."""
     said = found.attributes
     if not said.get("run_failed"):

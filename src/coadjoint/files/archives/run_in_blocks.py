@@ -17,26 +17,32 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archives.block_run import BUSY, run_block
-from coadjoint.files.archives.ensemble_archive import Ensemble, begun, check_same, finish, left_of
+from coadjoint.files.archives.ensemble_archive import (
+    Ensemble,
+    check_same_run,
+    create_archive,
+    finish_ensemble,
+    unfinished_blocks,
+)
 from coadjoint.files.archives.metadata_checks import check_archive
-from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, path_of, unwritten_archive
-from coadjoint.files.datasets.variables import NOTHING, About
-from coadjoint.files.records.required_functions import asked_again
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, read_archive_path, unwritten_archive
+from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
+from coadjoint.files.records.required_functions import resume_arguments
 from coadjoint.optional_packages import need
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.progress import progress_bar
 from coadjoint.short_repr import short
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from coadjoint.files.archives.blocks import Block
 
 
-WITHOUT_TLS = ("tcp", "ws", "ucx", "ucxx")
+INSECURE_PROTOCOLS = ("tcp", "ws", "ucx", "ucxx")
 """Dask protocols without authentication."""
 
 
-class Team(NamedTuple):
+class WorkerPool(NamedTuple):
     """Workers of an ensemble: those of a Dask `client`, so many processes on this machine, or (both None) this process.
 
     `threads` is the number per block; None is one on workers, and otherwise one for each core.
@@ -47,14 +53,14 @@ class Team(NamedTuple):
     threads: int | None = None
 
     @property
-    def hands(self) -> int:
+    def worker_count(self) -> int:
         """Number of workers."""
         if self.client is not None:
             return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
         return self.workers or 1
 
 
-def team_of(client: Any, workers: Any, threads: Any) -> Team:
+def read_worker_pool(client: Any, workers: Any, threads: Any) -> WorkerPool:
     """Validate client, workers and threads."""
     if client is not None and workers is not None:
         raise TypeError("ensemble was given a client and workers; give only one: workers are processes of this machine")
@@ -64,19 +70,19 @@ def team_of(client: Any, workers: Any, threads: Any) -> Team:
 
         if not isinstance(client, Client):
             raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
-        warn_of_plain_text(client)
+        warn_without_tls(client)
     if workers is not None:
         need("ensemble(workers=)", "distributed", "cryptography")
-        workers = read_whole(workers, "workers", floats=True)
-    return Team(client, workers, None if threads is None else read_whole(threads, "threads", floats=True))
+        workers = read_integer(workers, "workers", floats=True)
+    return WorkerPool(client, workers, None if threads is None else read_integer(threads, "threads", floats=True))
 
 
-def warn_of_plain_text(client: Any) -> None:
+def warn_without_tls(client: Any) -> None:
     """Warn if a client reaches its scheduler over a network without TLS."""
     address = getattr(client.scheduler, "address", "")
     protocol, _, place = address.partition("://")
     host = urlsplit(f"//{place}").hostname
-    if protocol not in WITHOUT_TLS or host is None or is_loopback(host):
+    if protocol not in INSECURE_PROTOCOLS or host is None or is_loopback(host):
         return
     warnings.warn(
         f"the client is connected to {address} without TLS; anyone who reaches it can run code on the workers "
@@ -100,11 +106,11 @@ def run_in_blocks(
     t_span: tuple[float, float],
     save_every: int,
     archive: str | Path | None,
-    team: Team,
+    pool: WorkerPool,
     *,
     size: int | None = None,
     progress: bool = False,
-    about: About = NOTHING,
+    about: ExtraMetadata = NO_METADATA,
 ) -> ArchivedEnsemble:
     """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
 
@@ -115,11 +121,11 @@ def run_in_blocks(
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
     whole = Ensemble(ready, times, start)
     if archive is not None:
-        return _run(whole, path_of(archive).absolute(), team, size, progress, about)
+        return _run_unfinished(whole, read_archive_path(archive).absolute(), pool, size, progress, about)
     folder = tempfile.mkdtemp(prefix="coadjoint-")
     kept: Any = None
     try:
-        kept = _run(whole, Path(folder, "ensemble.zarr"), team, size, progress, about)
+        kept = _run_unfinished(whole, Path(folder, "ensemble.zarr"), pool, size, progress, about)
     except (IntegrationError, KeyboardInterrupt) as stopped:
         kept = getattr(stopped, "partial", None)
         raise
@@ -132,32 +138,34 @@ def run_in_blocks(
     return found
 
 
-def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bool, about: About) -> ArchivedEnsemble:
+def _run_unfinished(
+    whole: Ensemble, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
+) -> ArchivedEnsemble:
     """Begin or continue the archive, and run its unfinished blocks."""
     ready = whole.ready
     if path.exists():
-        store = ArchiveStore.opened(path)
+        store = ArchiveStore.open_existing(path)
         try:
             check_archive(path, store.arrays, store.attributes)
-            check_same(whole, store)
+            check_same_run(whole, store)
         except BaseException:
             store.close()
             raise
     else:
-        store = begun(whole, path, size, team.hands, about)
+        store = create_archive(whole, path, size, pool.worker_count, about)
     try:
-        left = left_of(store)
-        if team.client is None and team.workers is None:
-            _here(store, left, ready, progress)
+        remaining = unfinished_blocks(store)
+        if pool.client is None and pool.workers is None:
+            _run_serially(store, remaining, ready, progress)
         else:
             from coadjoint.files.archives.dask_blocks import on_client, on_processes
 
-            if team.client is not None:
-                on_client(team.client, store, left, ready, team.threads, progress)
+            if pool.client is not None:
+                on_client(pool.client, store, remaining, ready, pool.threads, progress)
             else:
-                on_processes(team.hands, store, left, ready, team.threads, progress)
+                on_processes(pool.worker_count, store, remaining, ready, pool.threads, progress)
         try:
-            said = finish(store)
+            said = finish_ensemble(store)
         except OSError as reason:
             raise _unwritten(store, reason) from reason
     except KeyboardInterrupt as stopped:
@@ -177,12 +185,12 @@ def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bo
     return found
 
 
-def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: bool) -> None:
+def _run_serially(store: ArchiveStore, remaining: list[Block], ready: PreparedRun, progress: bool) -> None:
     """Run blocks in this process, one after the other."""
-    with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
-        for block in left:
+    with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
+        for block in remaining:
             try:
-                store.check_place()
+                store.check_not_replaced()
             except OSError as reason:
                 raise _unwritten(store, reason) from reason
             if run_block(str(store.path), block, ready, True, None) == BUSY:
@@ -197,10 +205,10 @@ def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
 
 
 def resume_in_blocks(
-    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, team: Team, progress: bool
+    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, pool: WorkerPool, progress: bool
 ) -> ArchivedEnsemble:
     """Compute the missing members of an ensemble, as `coadjoint.resume` does."""
-    given, inputs = asked_again(found.path, found, system, observe, None), found.inputs()
+    given, inputs = resume_arguments(found.path, found, system, observe, None), found.inputs()
     ready = PreparedRun(
         inputs["system"],
         inputs["method"],
@@ -208,8 +216,8 @@ def resume_in_blocks(
         attitude=inputs["attitude"],
         watch=inputs["watch"],
         observe=given.observe,
-        threads=team.threads,
+        threads=pool.threads,
     )
     return run_in_blocks(
-        ready, inputs["x0"], inputs["t_span"], inputs["save_every"], found.path, team, progress=progress
+        ready, inputs["x0"], inputs["t_span"], inputs["save_every"], found.path, pool, progress=progress
     )

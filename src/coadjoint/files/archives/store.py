@@ -6,7 +6,7 @@ Content of the folder::
     x/c.0.0, energy/c.0    chunks of arrays; those over ``time`` and ``crossing`` grow
     x/zarr.json            the array alone, for readers without consolidated metadata
     .coadjoint/lock        locked while a process writes
-    .coadjoint/state-...   numbers and arrays from which the run resumes, `ArchiveStore.keep`
+    .coadjoint/state-...   numbers and arrays from which the run resumes, `ArchiveStore.store_state`
 
 **Replacing the root is the commit**: chunks are written first, then the state, then the root. The root holds the number
 of rows of every array, and the state that belongs to them. Anything else in the folder is ignored: uncommitted rows are
@@ -35,22 +35,22 @@ from numpy.typing import NDArray
 from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.stored_arrays import StoredArray
-from coadjoint.files.archives.stored_numbers import numbers_from, numbers_to
-from coadjoint.files.output.atomic_output import LOCK
-from coadjoint.memory import check_room
+from coadjoint.files.archives.stored_numbers import deserialize_numbers, serialize_numbers
+from coadjoint.files.output.atomic_output import LOCK_FILE
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 FORMAT = 1
 """Version of the format; later versions of the library read earlier ones."""
-ROOT = "zarr.json"
-HIDDEN = ".coadjoint"
-VERSION = "archive_format"
-STATE = "state-"
-LONGEST_NAME = 255
-GROUP = {"zarr_format": 3, "node_type": "group"}
-BYTES_OF_JSON = 32
+ROOT_FILE = "zarr.json"
+HIDDEN_FOLDER = ".coadjoint"
+VERSION_ATTRIBUTE = "archive_format"
+STATE_PREFIX = "state-"
+MAX_NAME_LENGTH = 255
+GROUP_METADATA = {"zarr_format": 3, "node_type": "group"}
+JSON_MEMORY_FACTOR = 32
 """Memory needed to parse JSON, per byte."""
-MOST_ARRAYS = 10**5
+MAX_ARRAYS = 10**5
 
 
 class ArchiveError(OneLineError):
@@ -85,12 +85,12 @@ def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str,
     return ArchiveUnwritten(f"{path}: the archive could not be written ({said}); {ending}")
 
 
-def path_of(given: Any) -> Path:
+def read_archive_path(given: Any) -> Path:
     """Validate the path of an archive.
 
     Examples
     --------
-    >>> path_of(3)
+    >>> read_archive_path(3)
     Traceback (most recent call last):
     TypeError: archive is 3; it must be the path of a folder, such as 'run.zarr'
     """
@@ -99,12 +99,12 @@ def path_of(given: Any) -> Path:
     path = os.fspath(given)
     if not isinstance(path, str) or not path or "\0" in path:
         raise ValueError(f"archive is {short(given)}; it must be the path of a folder, such as 'run.zarr'")
-    if max(map(len, Path(path).parts), default=0) > LONGEST_NAME:
+    if max(map(len, Path(path).parts), default=0) > MAX_NAME_LENGTH:
         raise ValueError(f"archive is {short(given)}; its name is too long")
     return Path(path)
 
 
-class Kept(NamedTuple):
+class StoredState(NamedTuple):
     """Entry of a stored state: its file in the hidden folder, the SHA-256 of the file, and further plain numbers."""
 
     file: str
@@ -113,7 +113,9 @@ class Kept(NamedTuple):
 
 
 class ArchiveStore:
-    """An archive open for writing, from `begun` or `opened`; `arrays` and `attributes` are those of the last commit."""
+    """An archive open for writing, from `create_archive` or `open_existing`; `arrays` and `attributes` are those of the
+    last commit.
+    """
 
     def __init__(
         self,
@@ -121,7 +123,7 @@ class ArchiveStore:
         arrays: Mapping[str, StoredArray],
         attributes: Mapping[str, Any],
         lock: int | None,
-        lock_file: str = LOCK,
+        lock_file: str = LOCK_FILE,
         folder: ArchiveFolder | None = None,
     ) -> None:
         self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
@@ -129,15 +131,15 @@ class ArchiveStore:
         self._touched: set[str] = set()
 
     @classmethod
-    def begun(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
+    def create_archive(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
         """Create an archive in a new folder; it is empty until the first `commit`."""
         path.mkdir()
         folder = ArchiveFolder(path)
         try:
-            for name in (HIDDEN, *arrays):
+            for name in (HIDDEN_FOLDER, *arrays):
                 folder.make(name)
-            folder.write(HIDDEN, ROOT, _json({**GROUP, "attributes": {}}))
-            found = cls(path, arrays, {VERSION: FORMAT}, folder.lock(HIDDEN, LOCK), folder=folder)
+            folder.write(HIDDEN_FOLDER, ROOT_FILE, _json({**GROUP_METADATA, "attributes": {}}))
+            found = cls(path, arrays, {VERSION_ATTRIBUTE: FORMAT}, folder.lock(HIDDEN_FOLDER, LOCK_FILE), folder=folder)
             found._write_arrays(arrays)
         except BaseException:
             folder.close()
@@ -145,25 +147,25 @@ class ArchiveStore:
         return found
 
     @classmethod
-    def opened(cls, path: Path) -> ArchiveStore:
+    def open_existing(cls, path: Path) -> ArchiveStore:
         """Open an archive to resume it, and remove what a killed process has left; ArchiveError if it is locked."""
         read_root(path)
         folder, lock = open_folder(path), None
         try:
             try:
-                lock = folder.lock(HIDDEN, LOCK)
+                lock = folder.lock(HIDDEN_FOLDER, LOCK_FILE)
             except OSError as reason:
-                raise unwritable(path, reason) from None
+                raise unwritable_error(path, reason) from None
             if lock is None:
                 raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
             # Read again: it may have changed before it was locked.
             found = cls(path, *read_root_in(path, folder), lock, folder=folder)
             try:
-                for name in ("", HIDDEN, *found.arrays):
+                for name in ("", HIDDEN_FOLDER, *found.arrays):
                     folder.remove_unfinished(name)
                 found._write_arrays(found.arrays)
             except OSError as reason:
-                raise unwritable(path, reason) from None
+                raise unwritable_error(path, reason) from None
         except BaseException:
             if lock is not None:
                 os.close(lock)
@@ -193,18 +195,18 @@ class ArchiveStore:
         if self._lock is None:
             return
         try:
-            there = self.folder.status(HIDDEN, self._lock_file)
+            there = self.folder.status(HIDDEN_FOLDER, self._lock_file)
         except FileNotFoundError:
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
         if not os.path.samestat(os.fstat(self._lock), there):
             raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
 
-    def check_place(self) -> None:
+    def check_not_replaced(self) -> None:
         """Raise ArchiveReplaced if the path of the archive leads to another folder than the one that is written."""
         if self._lock is None:
             return
         try:
-            there = os.stat(self.folder.path / HIDDEN / self._lock_file, follow_symlinks=False)
+            there = os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)
         except OSError:
             there = None
         if there is None or not os.path.samestat(os.fstat(self._lock), there):
@@ -220,7 +222,7 @@ class ArchiveStore:
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
         for place, inside, outside in array.chunks_at(begin, region.shape):
-            key = array_key(place)
+            key = chunk_file(place)
             chunk = array.empty()
             if array.grows and inside[0].start > 0:
                 chunk[: inside[0].start] = self.chunk(name, place)[: inside[0].start]
@@ -232,22 +234,22 @@ class ArchiveStore:
         """Return a chunk; ArchiveError if it is missing or damaged."""
         found = _chunk(self.path, self.folder, name, self.arrays[name], place)
         if found is None:
-            raise missing_chunk(self.path, name, place)
+            raise missing_chunk_error(self.path, name, place)
         return found
 
-    def keep(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> Kept:
+    def store_state(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> StoredState:
         """Write the numbers and arrays from which a run resumes; return the entry for `commit`.
 
         `about` holds plain numbers that can be read without the file.
         """
         self.check_lock()
-        raw, file = numbers_to(numbers), f"{STATE}{secrets.token_hex(6)}.npz"
-        self.folder.write(HIDDEN, file, raw)
-        self._touched.add(HIDDEN)
-        return Kept(file, hashlib.sha256(raw).hexdigest(), dict(about))
+        raw, file = serialize_numbers(numbers), f"{STATE_PREFIX}{secrets.token_hex(6)}.npz"
+        self.folder.write(HIDDEN_FOLDER, file, raw)
+        self._touched.add(HIDDEN_FOLDER)
+        return StoredState(file, hashlib.sha256(raw).hexdigest(), dict(about))
 
     def commit(
-        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], kept: Iterable[Kept | None] = ()
+        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], kept: Iterable[StoredState | None] = ()
     ) -> None:
         """Commit everything written so far, atomically.
 
@@ -262,46 +264,46 @@ class ArchiveStore:
         }
         merged = {**self.attributes, **attributes}
         merged = {name: value for name, value in merged.items() if value is not None}
-        self.folder.settle(self._touched)
+        self.folder.sync_to_disk(self._touched)
         changed = {name: array for name, array in arrays.items() if array != self.arrays[name]}
-        self.folder.write("", ROOT, _json(root_of(arrays, merged)))
+        self.folder.write("", ROOT_FILE, _json(root_content(arrays, merged)))
         self.arrays, self.attributes, self._touched = arrays, merged, set()
-        self.folder.settle([""])
+        self.folder.sync_to_disk([""])
         self._write_arrays(changed)
         stay = {one.file for one in kept if one is not None}
-        for file in self.folder.names(HIDDEN):
-            if file.startswith(STATE) and file not in stay:
-                self.folder.remove(HIDDEN, file)
-        self.check_place()
+        for file in self.folder.names(HIDDEN_FOLDER):
+            if file.startswith(STATE_PREFIX) and file not in stay:
+                self.folder.remove(HIDDEN_FOLDER, file)
+        self.check_not_replaced()
 
     def _write_arrays(self, arrays: Mapping[str, StoredArray]) -> None:
         """Write the metadata of single arrays, for readers without consolidated metadata."""
         for name, array in arrays.items():
-            self.folder.write(name, ROOT, _json(array.metadata()))
+            self.folder.write(name, ROOT_FILE, _json(array.metadata()))
 
 
-def unwritable(path: Path, reason: OSError) -> ArchiveError:
+def unwritable_error(path: Path, reason: OSError) -> ArchiveError:
     """Return the error for an archive that cannot be written, raised before anything runs."""
     return ArchiveError(f"{path}: cannot be written ({reason.strerror or reason}); what it holds stays")
 
 
-def array_key(place: tuple[int, ...]) -> str:
+def chunk_file(place: tuple[int, ...]) -> str:
     """Return the file name of a chunk.
 
     Examples
     --------
-    >>> array_key((3, 0))
+    >>> chunk_file((3, 0))
     'c.3.0'
     """
     return ".".join(("c", *map(str, place)))
 
 
-def root_of(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> dict[str, Any]:
+def root_content(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of the root."""
     metadata = {name: array.metadata() for name, array in arrays.items()}
-    metadata[HIDDEN] = {**GROUP, "attributes": {}}
+    metadata[HIDDEN_FOLDER] = {**GROUP_METADATA, "attributes": {}}
     return {
-        **GROUP,
+        **GROUP_METADATA,
         "attributes": {name: getattr(value, "item", lambda value=value: value)() for name, value in attributes.items()},
         "consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": metadata},
     }
@@ -331,20 +333,20 @@ def read_root(path: Path) -> tuple[dict[str, StoredArray], dict[str, Any]]:
 def read_root_in(path: Path, folder: ArchiveFolder) -> tuple[dict[str, StoredArray], dict[str, Any]]:
     """Like `read_root`, for an open folder."""
     try:
-        content = folder.read("", ROOT)
-        check_room(BYTES_OF_JSON * len(content), ROOT)
-        root = json.loads(content.decode("utf-8"), object_pairs_hook=_without_repetition)
+        content = folder.read("", ROOT_FILE)
+        check_available_memory(JSON_MEMORY_FACTOR * len(content), ROOT_FILE)
+        root = json.loads(content.decode("utf-8"), object_pairs_hook=_reject_duplicates)
         attributes = root["attributes"]
-        version = attributes[VERSION]
+        version = attributes[VERSION_ATTRIBUTE]
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
         raise ArchiveError(f"{path}: there is no archive of a run") from None
     except OSError as reason:
-        raise ArchiveError(f"{path}: {ROOT} cannot be read ({reason.strerror})") from None
+        raise ArchiveError(f"{path}: {ROOT_FILE} cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):
-        raise ArchiveError(f"{path}: is no archive of a run, or its {ROOT} is damaged") from None
+        raise ArchiveError(f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged") from None
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise ArchiveError(f"{path}: {VERSION} is {short(version)}; it must be a whole number from 1 up")
+        raise ArchiveError(f"{path}: {VERSION_ATTRIBUTE} is {short(version)}; it must be a whole number from 1 up")
     if version > FORMAT:
         raise ArchiveError(
             f"{path}: is an archive of format {short(version)}, and this version of coadjoint reads formats up to "
@@ -354,10 +356,10 @@ def read_root_in(path: Path, folder: ArchiveFolder) -> tuple[dict[str, StoredArr
         return _arrays_of(metadata), attributes
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as reason:
         said = f" ({in_one_line(str(reason), 200)})" if isinstance(reason, ValueError) else ""
-        raise ArchiveError(f"{path}: the arrays in {ROOT} are damaged{said}") from None
+        raise ArchiveError(f"{path}: the arrays in {ROOT_FILE} are damaged{said}") from None
 
 
-def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         raise ValueError("a name is given twice")
@@ -366,14 +368,14 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
     """Parse the metadata of all arrays; ValueError unless they are what `StoredArray.metadata` returns."""
-    if len(metadata) > MOST_ARRAYS:
+    if len(metadata) > MAX_ARRAYS:
         raise ValueError(f"{len(metadata)} arrays")
     found, rows = {}, set()
     for name, each in metadata.items():
-        if name == HIDDEN and each["node_type"] == "group":
+        if name == HIDDEN_FOLDER and each["node_type"] == "group":
             continue
         # The name becomes a path: allow only identifiers.
-        if not name.isidentifier() or len(name.encode()) > LONGEST_NAME:
+        if not name.isidentifier() or len(name.encode()) > MAX_NAME_LENGTH:
             raise ValueError(f"an array is called {short(name)}, which is no plain name")
         array = StoredArray.of_metadata(each)
         if array.metadata() != each:
@@ -386,10 +388,10 @@ def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
     return found
 
 
-def missing_chunk(path: Path, name: str, place: tuple[int, ...]) -> ArchiveError:
+def missing_chunk_error(path: Path, name: str, place: tuple[int, ...]) -> ArchiveError:
     """Return the error for a chunk that was committed and is missing."""
     return ArchiveError(
-        f"{path}: {name}/{array_key(place)} is missing, though the archive was committed with it; restore the file"
+        f"{path}: {name}/{chunk_file(place)} is missing, though the archive was committed with it; restore the file"
     )
 
 
@@ -397,9 +399,9 @@ def _chunk(
     path: Path, folder: ArchiveFolder, name: str, array: StoredArray, place: tuple[int, ...]
 ) -> NDArray[Any] | None:
     """Return a chunk, or None if it is missing."""
-    file = array_key(place)
+    file = chunk_file(place)
     try:
-        return array.decoded(folder.read(name, file, array.most_bytes))
+        return array.decoded(folder.read(name, file, array.max_encoded_bytes))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as reason:
@@ -426,19 +428,21 @@ def read_array(
             chunk = _chunk(path, folder, name, array, place)
             if chunk is None:
                 if may_be_missing is None or not may_be_missing(place):
-                    raise missing_chunk(path, name, place)
+                    raise missing_chunk_error(path, name, place)
                 chunk = array.empty()
             found[outside] = chunk[inside]
     return found
 
 
-def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
-    """Return the numbers and arrays of `ArchiveStore.keep`; ArchiveError if the file is missing or was changed."""
-    if not (kept.file.startswith(STATE) and kept.file.replace("-", "_").replace(".", "_").isidentifier()):
+def read_state(path: Path, kept: StoredState) -> dict[str, NDArray[Any]]:
+    """Return the numbers and arrays of `ArchiveStore.store_state`; ArchiveError if the file is missing or was
+    changed.
+    """
+    if not (kept.file.startswith(STATE_PREFIX) and kept.file.replace("-", "_").replace(".", "_").isidentifier()):
         raise ArchiveError(f"{path}: a state is called {short(kept.file)}, which is no plain name")
     try:
         with open_folder(path) as folder:
-            raw = folder.read(HIDDEN, kept.file)
+            raw = folder.read(HIDDEN_FOLDER, kept.file)
     except FileNotFoundError:
         raise ArchiveMoved(f"{path}: the state {kept.file} is missing") from None
     except OSError as reason:
@@ -446,7 +450,7 @@ def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
     if hashlib.sha256(raw).hexdigest() != kept.digest:
         raise ArchiveError(f"{path}: the state {kept.file} is damaged: its check sum does not match")
     try:
-        return numbers_from(raw)
+        return deserialize_numbers(raw)
     except ValueError as reason:
         raise ArchiveError(f"{path}: the state {kept.file} is damaged ({reason})") from None
 

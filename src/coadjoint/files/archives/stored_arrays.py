@@ -17,29 +17,29 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 
-GROWING = ("time", "crossing")
+GROWING_DIMENSIONS = ("time", "crossing")
 """Dimensions along which arrays grow."""
-FEWEST_ROWS, MOST_ROWS = 2**10, 2**16
-BYTES = 2**22
+MIN_CHUNK_ROWS, MAX_CHUNK_ROWS = 2**10, 2**16
+CHUNK_BYTES = 2**22
 """Size of a chunk before compression, unless a single row is longer."""
 TYPES = {"f": "float64", "i": "int64", "b": "bool"}
 FILL: dict[str, Any] = {"float64": "NaN", "int64": 0, "bool": False, "string": ""}
 SEPARATOR = "."
-MOST_AXES = 8
-LONGEST, LARGEST_ROWS = 2**62, 2**16
+MAX_AXES = 8
+MAX_AXIS_LENGTH, MAX_READ_ROWS = 2**62, 2**16
 """Limits on axis lengths, and on the rows of a chunk, when reading."""
-ITEM = 8
+ITEM_BYTES = 8
 """Bytes of a number."""
-OVERHEAD = 16
+BLOSC_HEADER_BYTES = 16
 """Bytes of the Blosc header, by which a compressed chunk may exceed its data."""
-CHECKED = 4
+CHECKSUM_BYTES = 4
 """Bytes of the check sum of a chunk."""
 
 
 class StoredArray(NamedTuple):
     """An array of an archive: dimensions, type, shape, shape of a chunk, and attributes.
 
-    `kind` is "float64", "int64", "bool" or "string"; the array grows if its first dimension is in `GROWING`.
+    `kind` is "float64", "int64", "bool" or "string"; the array grows if its first dimension is in `GROWING_DIMENSIONS`.
     """
 
     dims: tuple[str, ...]
@@ -51,7 +51,7 @@ class StoredArray(NamedTuple):
     @property
     def grows(self) -> bool:
         """Whether the array grows as the run proceeds."""
-        return self.dims[:1] != () and self.dims[0] in GROWING
+        return self.dims[:1] != () and self.dims[0] in GROWING_DIMENSIONS
 
     def metadata(self) -> dict[str, Any]:
         """Return the Zarr metadata."""
@@ -92,17 +92,19 @@ class StoredArray(NamedTuple):
     def check(self) -> None:
         """Raise ValueError for shapes and chunks that the library does not write."""
         axes = len(self.dims)
-        if not all(isinstance(name, str) and name.isidentifier() for name in self.dims) or not 1 <= axes <= MOST_AXES:
+        if not all(isinstance(name, str) and name.isidentifier() for name in self.dims) or not 1 <= axes <= MAX_AXES:
             raise ValueError(f"the dimensions are {short(self.dims)}")
         for what, sizes, least in (("shape", self.shape, 0), ("chunk", self.chunk, 1)):
-            if len(sizes) != axes or any(type(size) is not int or not least <= size <= LONGEST for size in sizes):
+            if len(sizes) != axes or any(
+                type(size) is not int or not least <= size <= MAX_AXIS_LENGTH for size in sizes
+            ):
                 raise ValueError(f"the {what} is {short(sizes)}; it must be {axes} whole numbers from {least} up")
         longest = [max(1, size) for size in self.shape]
         if self.grows:
-            longest[0] = LARGEST_ROWS
-        row = ITEM * prod(longest[int(self.grows) :])
+            longest[0] = MAX_READ_ROWS
+        row = ITEM_BYTES * prod(longest[int(self.grows) :])
         if any(size > most for size, most in zip(self.chunk, longest, strict=True)) or (
-            ITEM * prod(self.chunk) > max(BYTES, row)
+            ITEM_BYTES * prod(self.chunk) > max(CHUNK_BYTES, row)
         ):
             raise ValueError(f"the chunk is {short(self.chunk)}, which is too large for the shape {short(self.shape)}")
 
@@ -112,11 +114,11 @@ class StoredArray(NamedTuple):
         return list(zip(self.shape, self.chunk, strict=True))
 
     @property
-    def most_bytes(self) -> int | None:
+    def max_encoded_bytes(self) -> int | None:
         """Limit on the encoded size of a chunk; None for text."""
         if self.kind == "string":
             return None
-        return np.dtype(self.kind).itemsize * prod(self.chunk) + OVERHEAD + CHECKED
+        return np.dtype(self.kind).itemsize * prod(self.chunk) + BLOSC_HEADER_BYTES + CHECKSUM_BYTES
 
     def chunks_at(self, first: tuple[int, ...], shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
         """Yield the chunks that a region at `first` intersects, as `chunks_in`."""
@@ -156,14 +158,14 @@ class StoredArray(NamedTuple):
 
     def decoded(self, content: bytes) -> NDArray[Any]:
         """Decode a chunk; ValueError if it is damaged."""
-        content, declared = content[:-CHECKED], content[-CHECKED:]
+        content, declared = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
         if _sum_of(content) != declared:
             raise ValueError("a chunk of the archive is damaged: its check sum does not match")
         if self.kind == "string":
-            return np.array(texts_of(content, prod(self.chunk)), dtype=object).reshape(self.chunk)
+            return np.array(decode_texts(content, prod(self.chunk)), dtype=object).reshape(self.chunk)
         kind = np.dtype(self.kind).newbyteorder("<")
         if self.kind != "bool":
-            content = unpacked(content, kind.itemsize * prod(self.chunk))
+            content = decompress(content, kind.itemsize * prod(self.chunk))
         if len(content) != kind.itemsize * prod(self.chunk):
             raise ValueError(f"a chunk of the archive has {len(content)} bytes, which contradicts its shape")
         return np.frombuffer(content, dtype=kind).reshape(self.chunk).copy()
@@ -172,13 +174,13 @@ class StoredArray(NamedTuple):
 BLOSC = {"typesize": 8, "cname": "zstd", "clevel": 3, "shuffle": "shuffle", "blocksize": 0}
 
 
-def unpacked(content: bytes, length: int) -> bytes:
+def decompress(content: bytes, length: int) -> bytes:
     """Decompress Blosc data to a known length; ValueError if it is damaged or of another length."""
     from numcodecs import Blosc
 
     # Header: versions, flags, item size; lengths of the content, of a block, and of the compressed data.
     held, packed = (int.from_bytes(content[at : at + 4], "little") for at in (4, 12))
-    if len(content) < OVERHEAD or held != length or packed != len(content):
+    if len(content) < BLOSC_HEADER_BYTES or held != length or packed != len(content):
         raise ValueError("a chunk of the archive is damaged: its header contradicts its length")
     try:
         return bytes(Blosc().decode(content))
@@ -186,7 +188,7 @@ def unpacked(content: bytes, length: int) -> bytes:
         raise ValueError(f"a chunk of the archive is damaged: {in_one_line(str(reason), 100)}") from None
 
 
-def texts_of(content: bytes, count: int) -> list[str]:
+def decode_texts(content: bytes, count: int) -> list[str]:
     """Decode a known number of vlen-utf8 texts; ValueError if they are damaged."""
     found, at = [], 4
     if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
@@ -216,13 +218,13 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[
     >>> chunk_of(("time", "member", "component"), (1, 10**6, 3), 1)
     (1, 166667, 3)
     """
-    grows = dims[0] in GROWING
+    grows = dims[0] in GROWING_DIMENSIONS
     chunk = list(shape)
     if grows:
         chunk[0] = rows
     for axis in range(int(grows), len(chunk)):
         # Split leading axes first: those of members.
-        over = max(1, -(-8 * prod(chunk) // BYTES))
+        over = max(1, -(-8 * prod(chunk) // CHUNK_BYTES))
         chunk[axis] = max(1, -(-chunk[axis] // over))
     return tuple(max(1, size) for size in chunk)
 
@@ -237,4 +239,4 @@ def rows_of_chunk(numbers: int, most: int) -> int:
     >>> rows_of_chunk(3, 10**9), rows_of_chunk(3, 11), rows_of_chunk(10**6, 100)
     (65536, 1024, 1)
     """
-    return max(1, min(BYTES // (8 * max(1, numbers)), MOST_ROWS, max(FEWEST_ROWS, most)))
+    return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS, max(MIN_CHUNK_ROWS, most)))

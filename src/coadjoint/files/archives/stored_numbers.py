@@ -12,23 +12,24 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-ENDING = ".npy"
-MOST_AXES = 8
+NPY_SUFFIX = ".npy"
+MAX_AXES = 8
 
 
-def numbers_to(numbers: Mapping[str, Any]) -> bytes:
+def serialize_numbers(numbers: Mapping[str, Any]) -> bytes:
     """Serialize numbers and arrays."""
     content = io.BytesIO()
     np.savez(content, **{name: np.asarray(value) for name, value in numbers.items()})  # type: ignore[arg-type]
     return content.getvalue()
 
 
-def numbers_from(raw: bytes) -> dict[str, NDArray[Any]]:
-    """Deserialize the arrays of `numbers_to`; ValueError if they are damaged, compressed, or longer than their bytes.
+def deserialize_numbers(raw: bytes) -> dict[str, NDArray[Any]]:
+    """Deserialize the arrays of `serialize_numbers`; ValueError if they are damaged, compressed, or longer than their
+    bytes.
 
     Examples
     --------
-    >>> numbers_from(numbers_to({"step": 3}))
+    >>> deserialize_numbers(serialize_numbers({"step": 3}))
     {'step': array(3)}
     """
     try:
@@ -38,7 +39,7 @@ def numbers_from(raw: bytes) -> dict[str, NDArray[Any]]:
                 raise ValueError("it is compressed or encrypted")
             if sum(file.file_size for file in files) > len(raw):
                 raise ValueError("its entries are longer than the file")
-            return {file.filename.removesuffix(ENDING): _array_from(archive.read(file)) for file in files}
+            return {file.filename.removesuffix(NPY_SUFFIX): _array_from(archive.read(file)) for file in files}
     except ValueError:
         raise
     except Exception as reason:  # zip and npy readers raise arbitrary errors for damaged bytes
@@ -52,7 +53,7 @@ def _array_from(raw: bytes) -> NDArray[Any]:
         raise ValueError("it holds an array of an unknown version")
     shape, by_columns, dtype = npy.read_array_header_1_0(content)
     count = prod(shape)
-    if dtype.kind not in "biuf" or min(shape, default=0) < 0 or len(shape) > MOST_AXES:
+    if dtype.kind not in "biuf" or min(shape, default=0) < 0 or len(shape) > MAX_AXES:
         raise ValueError("it contains an array that is not of numbers")
     if count * dtype.itemsize != len(raw) - content.tell():
         raise ValueError("it contains an array whose length contradicts its shape")

@@ -11,25 +11,25 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from coadjoint import systems
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.files.configuration.construction import ConfigurationError, method_of_file, section, system_of_file
-from coadjoint.files.configuration.error_collector import SeveralErrors, told_together
+from coadjoint.files.configuration.error_collector import ErrorCollector, join_messages
 from coadjoint.files.configuration.initial_states import initial_state
 from coadjoint.files.configuration.named_states import check_named, state_by_name
-from coadjoint.files.configuration.parsing import tables_of, text_of
-from coadjoint.files.configuration.partial_parsing import Readable, readable
-from coadjoint.files.configuration.polynomials import read_polynomial
+from coadjoint.files.configuration.parsing import parse_toml, read_utf8
+from coadjoint.files.configuration.partial_parsing import ValidTables, valid_tables
+from coadjoint.files.configuration.polynomials import parse_polynomial
 from coadjoint.files.configuration.sweeps import Sweep, read_sweep
 from coadjoint.files.configuration.swept_members import swept_states, swept_system
 from coadjoint.files.datasets.content_checksum import CHECKSUM
-from coadjoint.files.datasets.variables import About, Variables, over_members
+from coadjoint.files.datasets.variables import ExtraMetadata, Variables, over_members
 from coadjoint.files.records.stored_events import event_of_file
-from coadjoint.memory import available, in_words
-from coadjoint.methods.forced import check_direction, check_serves, serving
+from coadjoint.memory import available, format_bytes
+from coadjoint.methods.forced import check_direction, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.optional_packages import need
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for, integrate
-from coadjoint.runs.output_times import moments_of
+from coadjoint.runs.output_times import output_times_of
 from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
@@ -132,7 +132,7 @@ class Configuration:
             The run fails.
         """
         if archive is not None or self.workers is not None:
-            return self._integrate_into(archive, progress)
+            return self._integrate_to_archive(archive, progress)
         self.check_memory()
         # `load` has validated the rest; errors here come from the preparation of the scheme.
         with section(self.path, "method"):
@@ -174,18 +174,18 @@ class Configuration:
                 threads=self.threads,
             )
 
-    def _integrate_into(self, archive: str | Path | None, progress: bool) -> Solution:
+    def _integrate_to_archive(self, archive: str | Path | None, progress: bool) -> Solution:
         from coadjoint.files.archives.resume import archive_run
 
         if archive is not None:
             check_archived(self.path, self.t_eval, self.events)
         ready = self.ready()
-        about = About(self.swept_coordinates(), {CONFIGURATION: self.text})
+        about = ExtraMetadata(self.swept_coordinates(), {CONFIGURATION: self.text})
         if self.workers is not None:
-            from coadjoint.files.archives.run_in_blocks import run_in_blocks, team_of
+            from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
 
-            team = team_of(None, self.workers, self.threads)
-            given = ready, self.x0, self.t_span, self.save_every, archive, team
+            pool = read_worker_pool(None, self.workers, self.threads)
+            given = ready, self.x0, self.t_span, self.save_every, archive, pool
             return with_choice(run_in_blocks(*given, progress=progress, about=about), self.choice)
         assert archive is not None
         run = ready, self.x0, self.t_span, self.save_every, archive
@@ -195,14 +195,14 @@ class Configuration:
         """Raise ConfigurationError if the saved states do not fit in memory."""
         every = times_of(self.t_span, self.step, self.save_every).points
         points = every if self.t_eval is None else 2 * len(self.t_eval)
-        start = start_of(self.system, serving(self.system, self.method), self.x0, self.attitude)
+        start = start_of(self.system, effective_scheme(self.system, self.method), self.x0, self.attitude)
         first = self.system[0] if isinstance(self.system, Batch) else self.system
         numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
         needed, free = 8 * points * len(start.momenta) * numbers, available()
         if needed > free:
             raise ConfigurationError(
-                f"{self.path}: run.save_every: the saved states do not fit into memory: they need {in_words(needed)}, "
-                f"and this machine has {in_words(free)} free; save fewer of the steps"
+                f"{self.path}: run.save_every: the saved states do not fit into memory: they need "
+                f"{format_bytes(needed)}, and this machine has {format_bytes(free)} free; save fewer of the steps"
             )
 
     def dataset(self, solution: Solution) -> xarray.Dataset:
@@ -231,9 +231,9 @@ class Configuration:
 def system_of_text(text: str) -> Any:
     """Return the system of a configuration from the text of its file, as stored with a result."""
     name = "the configuration of this run"
-    wrong = SeveralErrors(name)
-    found, sweep = _read(name, tables_of(name, text), wrong)
-    wrong.tell()
+    wrong = ErrorCollector(name)
+    found, sweep = _parse_tables(name, parse_toml(name, text), wrong)
+    wrong.raise_collected()
     assert found.file is not None
     return _system(name, found.file, sweep)
 
@@ -263,24 +263,24 @@ def load(path: str | Path) -> Configuration:
     coadjoint.files.configuration.construction.ConfigurationError: none.toml: cannot be read (No such file or directory)
     """
     need("reading a configuration file", "pydantic")
-    name, text = str(read_path(path, "path")), text_of(path)
-    wrong = SeveralErrors(name)
-    return _configuration(name, text, *_read(name, tables_of(name, text), wrong), wrong)
+    name, text = str(read_path(path, "path")), read_utf8(path)
+    wrong = ErrorCollector(name)
+    return _configuration(name, text, *_parse_tables(name, parse_toml(name, text), wrong), wrong)
 
 
-def _read(name: str, raw: Mapping[str, Any], wrong: SeveralErrors) -> tuple[Readable, Sweep | None]:
+def _parse_tables(name: str, raw: Mapping[str, Any], wrong: ErrorCollector) -> tuple[ValidTables, Sweep | None]:
     """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
-    from coadjoint.files.configuration.models import OfSweep
+    from coadjoint.files.configuration.models import SweepOnly
 
     sweep: Sweep | None = None
     if "sweep" in raw:
         given, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
-        with wrong.caught():
-            made = read_sweep(name, given, _checked(name, OfSweep, given).sweep)
-            sweep, raw = made, made.raw_of(0)
-    found = readable(raw)
-    for said in (*found.said, *([] if found.has("system") else _unknown_system(raw))):
-        wrong.add(said)
+        with wrong.collect():
+            made = read_sweep(name, given, _checked(name, SweepOnly, given).sweep)
+            sweep, raw = made, made.member_tables(0)
+    found = valid_tables(raw)
+    for messages in (*found.messages, *([] if found.has("system") else _unknown_system(raw))):
+        wrong.add(messages)
     return found, sweep
 
 
@@ -299,7 +299,7 @@ def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
     try:
         return model.model_validate(raw)
     except ValidationError as error:
-        raise ConfigurationError(f"{name}: {told_together(all_errors(error))}") from None
+        raise ConfigurationError(f"{name}: {join_messages(all_errors(error))}") from None
 
 
 def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
@@ -325,7 +325,7 @@ def _check_times(name: str, file: File, system: Any, step: float) -> None:
     with section(name, "run"):
         times = times_of(file.run.t_span, step, file.run.save_every)
         if file.run.t_eval is not None:
-            moments_of(file.run.t_eval, times, file.run.save_every)
+            output_times_of(file.run.t_eval, times, file.run.save_every)
         check_direction(system, times.h)
 
 
@@ -343,40 +343,44 @@ def check_archived(name: str, t_eval: Any, events: Any) -> None:
     """Reject settings that an archive does not support; ConfigurationError with the key."""
     for key, given in (("run.t_eval", t_eval), ("events", events or None)):
         if given is not None:
-            said = "an archive keeps every save_every-th step, and looks for no events; leave it out, or the archive"
-            raise ConfigurationError(f"{name}: {key}: {said}")
+            messages = (
+                "an archive keeps every save_every-th step, and looks for no events; leave it out, or the archive"
+            )
+            raise ConfigurationError(f"{name}: {key}: {messages}")
 
 
-def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, wrong: SeveralErrors) -> Configuration:
+def _configuration(
+    name: str, text: str, found: ValidTables, sweep: Sweep | None, wrong: ErrorCollector
+) -> Configuration:
     from coadjoint.files.configuration.models import File as Tables
 
     file = found.file
     if file is None:
-        wrong.tell()
+        wrong.raise_collected()
     assert file is not None
     system: Any = None
     method: Any = None
     x0: Any = None
     step, choice, checked = file.run.step, None, partial(_checked, name, Tables)
     if found.has_system:
-        with wrong.caught():
+        with wrong.collect():
             if found.has("initial"):
                 check_named(name, file)
             system = _system(name, file, sweep)
     if file.output.archive is not None:
-        with wrong.caught():
+        with wrong.collect():
             check_archived(name, file.run.t_eval, file.events)
     # Checks that need a system are skipped without one; scheme and times are independent.
-    with wrong.caught():
+    with wrong.collect():
         method = _method(name, file, system)
         if system is not None:
             with section(name, "method"):
-                check_serves(system[0] if isinstance(system, Batch) else system, method)
+                check_supports(system[0] if isinstance(system, Batch) else system, method)
     if step is not None and found.has("run"):
-        with wrong.caught():
+        with wrong.collect():
             _check_times(name, file, system, step)
     if system is not None and found.has("initial"):
-        with wrong.caught():
+        with wrong.collect():
             x0 = (
                 state_by_name(name, file.initial, system)
                 if sweep is None
@@ -387,18 +391,18 @@ def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, w
                 momenta_of(system, x0)
     observe, events = {}, []
     for key, written in file.observe.items() if system is not None else ():
-        with wrong.caught(), section(name, f"observe.{key}"):
+        with wrong.collect(), section(name, f"observe.{key}"):
             if isinstance(unforced(system), MatrixSystem):
                 raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
-            observe[key] = read_polynomial(written, system.dim)
+            observe[key] = parse_polynomial(written, system.dim)
     for key, table in file.events.items() if system is not None else ():
-        with wrong.caught(), section(name, f"events.{key}"):
+        with wrong.collect(), section(name, f"events.{key}"):
             events.append(event_of_file(key, table.model_dump(), system))
-    wrong.tell()
+    wrong.raise_collected()
     with section(name, "initial.x"):
-        start_of(system, serving(system, method), x0, False)
+        start_of(system, effective_scheme(system, method), x0, False)
     with section(name, "initial.attitude"):
-        start_of(system, serving(system, method), x0, file.initial.attitude)
+        start_of(system, effective_scheme(system, method), x0, file.initial.attitude)
     if file.run.accuracy is not None:
         with section(name, "run.accuracy"):
             wanted = None if file.method is None else method

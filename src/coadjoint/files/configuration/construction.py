@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.bracket_parser import read_brackets
+from coadjoint.algebra.bracket_parser import parse_brackets
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.configuration.polynomials import read_polynomial
-from coadjoint.memory import check_room
+from coadjoint.files.configuration.polynomials import parse_polynomial
+from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
@@ -27,7 +27,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_choice
 
-LONGEST = 300
+MAX_LENGTH = 300
 BYTES_PER_COORDINATE = 400
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 class ConfigurationError(OneLineError):
     """A configuration file is invalid; the message has the file, the key, and the correction."""
 
-    mistakes: tuple[str, ...] = ()
+    error_lines: tuple[str, ...] = ()
     """One line for each error, if there are several."""
 
 
@@ -69,7 +69,7 @@ def section(name: str, key: str) -> Iterator[None]:
         said, cause = "lists or tables are nested too deeply; nest less", reason
     except MemoryError as reason:
         said, cause = "does not fit into memory; take something smaller", reason
-    raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(said, LONGEST)}") from cause
+    raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(said, MAX_LENGTH)}") from cause
 
 
 def system_of_file(name: str, file: File) -> System | ForcedSystem:
@@ -86,15 +86,15 @@ def _hamiltonian_part(name: str, file: File) -> System:
     if (file.system is None) == (file.algebra is None):
         raise ConfigurationError(f"{name}: give either [system], a ready-made one, or [algebra] with [hamiltonian]")
     if file.system is not None:
-        from coadjoint.files.configuration.error_collector import SeveralErrors
+        from coadjoint.files.configuration.error_collector import ErrorCollector
 
-        wrong = SeveralErrors(name)
+        wrong = ErrorCollector(name)
         for key in ("name", "sign", "hamiltonian", "casimirs"):
             if getattr(file, key) is not None:
                 wrong.add(f"{key}: belongs to [algebra]; the system {file.system.name!r} has its own")
-        with wrong.caught():
+        with wrong.collect():
             made = _ready_made(name, file.system.name, file.system.parameters)
-        wrong.tell()
+        wrong.raise_collected()
         return made
     if file.hamiltonian is None:
         raise ConfigurationError(f"{name}: hamiltonian: is missing; give it with [algebra]")
@@ -107,7 +107,7 @@ def _hamiltonian_part(name: str, file: File) -> System:
     for key, written in (file.casimirs or {}).items():
         assert casimirs is not None
         with section(name, f"casimirs.{key}"):
-            casimirs[key] = read_polynomial(written, algebra.dim)
+            casimirs[key] = parse_polynomial(written, algebra.dim)
     with section(name, "casimirs"):
         LiePoissonSystem(algebra, 0 * Polynomial.variable(0, algebra.dim), casimirs=casimirs)
     with section(name, "hamiltonian"):
@@ -148,7 +148,7 @@ def _check_dimension(name: str, table: AlgebraTable, states: Any) -> None:
     if table.dim is None or isinstance(states, str):
         return
     with section(name, "algebra.dim"):
-        check_room(BYTES_PER_COORDINATE * table.dim, f"an algebra of dimension {short(table.dim)}")
+        check_available_memory(BYTES_PER_COORDINATE * table.dim, f"an algebra of dimension {short(table.dim)}")
     shape = np.shape(states)
     if shape[-1] != table.dim and table.basis is None:
         raise ConfigurationError(
@@ -186,7 +186,7 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
     if len(basis) != dim:
         raise ConfigurationError(f"{name}: algebra.basis: has {len(basis)} names; dim is {dim}")
     with section(name, "algebra.brackets"):
-        return LieAlgebra.from_brackets(dim, read_brackets(table.brackets or [], basis), basis=basis)
+        return LieAlgebra.from_brackets(dim, parse_brackets(table.brackets or [], basis), basis=basis)
 
 
 def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any:
@@ -195,7 +195,7 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
             if getattr(table, key) is not None:
                 raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with polynomial; include it there")
         with section(name, "hamiltonian.polynomial"):
-            return read_polynomial(table.polynomial, algebra.dim)
+            return parse_polynomial(table.polynomial, algebra.dim)
     if table.M is None and table.linear is None:
         raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
     with section(name, "hamiltonian"):

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.errors import IntegrationError, in_one_line
 from coadjoint.kernels.arrays import Layout
-from coadjoint.memory import available, in_words
-from coadjoint.methods.forced import serving
-from coadjoint.methods.protocol.method import declared_by
+from coadjoint.memory import available, format_bytes
+from coadjoint.methods.forced import effective_scheme
+from coadjoint.methods.protocol.method import declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import read_events
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
     from coadjoint.runs.solution import Solution
 
-TRIAL = 0.2
+TRIAL_SECONDS = 0.2
 """Approximate duration of the last trial run, in seconds."""
-POINTS = 2, 12
+TRIAL_POINTS = 2, 12
 """Saved points of two short runs, from which the size of the whole dataset is extrapolated."""
-WIDE = 14
+LABEL_WIDTH = 14
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Plan:
     failed: str = ""
 
     def __str__(self) -> str:
-        return "\n".join(f"{name:{WIDE}}{said}" for name, said in self._lines())
+        return "\n".join(f"{name:{LABEL_WIDTH}}{said}" for name, said in self._lines())
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         run = self.configuration
@@ -85,17 +85,17 @@ class Plan:
             yield "swept", in_one_line(", ".join(run.swept), 200)
         chosen = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
         yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {run.method.order}{chosen}"
-        yield "keeps", kept(self.properties)
+        yield "keeps", conserved_quantities(self.properties)
         start, end = run.t_span
         size = abs(end - start) / self.steps if self.steps else run.step
         yield "steps", f"{self.steps} of {size:g}, from t = {start:g} to {end:g}"
         yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
-        yield "memory", f"{in_bytes(self.memory)}, {in_words(available())} are free"
+        yield "memory", f"{format_size(self.memory)}, {format_bytes(available())} are free"
         if self.written is None:
             without = "xarray is not installed, so that nothing can be written"
             yield "output", "not known: the trial failed" if self.failed else without
         else:
-            yield "output", f"{in_bytes(self.written)} before compression{self._places()}"
+            yield "output", f"{format_size(self.written)} before compression{self._output_lines()}"
         if self.seconds is None:
             yield "time", f"not known: the trial failed ({in_one_line(self.failed, 200)})"
         else:
@@ -104,23 +104,23 @@ class Plan:
             yield (
                 "time",
                 (
-                    f"about {in_time(self.ready + self.seconds)}{shared}; estimated from a trial of {tried} steps, "
-                    f"{in_time(self.ready)} of it to make it ready"
+                    f"about {format_duration(self.ready + self.seconds)}{shared}; estimated from a trial of {tried} "
+                    f"steps, {format_duration(self.ready)} of it to make it ready"
                 ),
             )
 
-    def _places(self) -> str:
+    def _output_lines(self) -> str:
         run = self.configuration
         places = [place for place in (run.archive, run.output, run.figure, run.movie) if place is not None]
         return f"; to {', '.join(places)}" if places else "; the file names no place for it"
 
 
-def kept(properties: Properties) -> str:
+def conserved_quantities(properties: Properties) -> str:
     """Describe the conservation properties of a scheme, to round-off.
 
     Examples
     --------
-    >>> kept(Properties(poisson=True, energy=False, casimirs="all", attitude="none"))
+    >>> conserved_quantities(Properties(poisson=True, energy=False, casimirs="all", attitude="none"))
     'Poisson bracket, all Casimirs; not the energy'
     """
     found = ["Poisson bracket"] if properties.poisson else []
@@ -134,25 +134,25 @@ def kept(properties: Properties) -> str:
     return "; ".join(part for part in (", ".join(found), missing, broken) if part)
 
 
-def in_bytes(count: int) -> str:
+def format_size(count: int) -> str:
     """Format a number of bytes.
 
     Examples
     --------
-    >>> in_bytes(800), in_bytes(59_300), in_bytes(3 * 10**9)
+    >>> format_size(800), format_size(59_300), format_size(3 * 10**9)
     ('800 bytes', '59 kB', '3.0 GB')
     """
     if count < 1000:
         return f"{count} bytes"
-    return f"{count / 1000:.0f} kB" if count < 1e6 else in_words(count)
+    return f"{count / 1000:.0f} kB" if count < 1e6 else format_bytes(count)
 
 
-def in_time(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Format a duration.
 
     Examples
     --------
-    >>> in_time(0.0123), in_time(90.0), in_time(7200.0), in_time(1e6)
+    >>> format_duration(0.0123), format_duration(90.0), format_duration(7200.0), format_duration(1e6)
     ('0.012 s', '1.5 minutes', '2 hours', '12 days')
     """
     for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
@@ -191,7 +191,7 @@ def plan(configuration: Configuration) -> Plan:
     start = ready.start(configuration.x0)
     loops: Any = ready.loops(times.h)
     made = time.perf_counter() - begun
-    marked = times if moments is None else times.marking(moments.marks)
+    marked = times if moments is None else times.with_saved_steps(moments.marks)
     layout = loops.plan(len(start.momenta), marked.points, start.groups.shape[1] ** 2, 1).layout
     memory, points = bytes_of_run(layout, marked), marked.points
     if moments is not None:
@@ -209,7 +209,7 @@ def plan(configuration: Configuration) -> Plan:
         configuration,
         start.momenta.shape[1],
         len(start.momenta),
-        declared_by(serving(one, configuration.method), one),
+        declared_properties(effective_scheme(one, configuration.method), one),
         times.steps,
         points,
         memory,
@@ -221,7 +221,7 @@ def plan(configuration: Configuration) -> Plan:
     )
 
 
-def _short(configuration: Configuration, ready: PreparedRun, times: Times, steps: int, every: int) -> Solution:
+def _trial_run(configuration: Configuration, ready: PreparedRun, times: Times, steps: int, every: int) -> Solution:
     """Run the first steps."""
     # Not `run`, whose step is the prepared one: output times may shorten that of a scheme with its own steps.
     first = times._replace(steps=steps, save_every=min(every, max(1, steps)))
@@ -235,20 +235,20 @@ def _seconds(configuration: Configuration, ready: PreparedRun, times: Times) -> 
         count = min(count, times.steps)
         begun = time.perf_counter()
         if count:
-            _short(configuration, ready, times, count, configuration.save_every)
+            _trial_run(configuration, ready, times, count, configuration.save_every)
         spent = time.perf_counter() - begun
-        if count == times.steps or spent >= TRIAL:
+        if count == times.steps or spent >= TRIAL_SECONDS:
             return spent * times.steps / max(count, 1), count
         # Overhead per call dominates the first trials.
-        count *= 2 if spent < TRIAL / 64 else max(2, min(64, int(TRIAL / spent)))
+        count *= 2 if spent < TRIAL_SECONDS / 64 else max(2, min(64, int(TRIAL_SECONDS / spent)))
 
 
 def _written(configuration: Configuration, ready: PreparedRun, times: Times) -> int | None:
     """Estimate the size of the dataset in bytes by linear extrapolation from two short runs."""
     if not installed("xarray"):
         return None
-    points = times.every_point if configuration.t_eval is None else len(configuration.t_eval)
-    counts = [min(count, times.steps + 1) for count in POINTS]
-    found = [configuration.dataset(_short(configuration, ready, times, n - 1, 1)).nbytes for n in counts]
+    points = times.total_points if configuration.t_eval is None else len(configuration.t_eval)
+    counts = [min(count, times.steps + 1) for count in TRIAL_POINTS]
+    found = [configuration.dataset(_trial_run(configuration, ready, times, n - 1, 1)).nbytes for n in counts]
     each = (found[1] - found[0]) / max(1, counts[1] - counts[0])
     return round(found[0] + each * (points - counts[0]))

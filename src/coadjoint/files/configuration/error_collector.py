@@ -8,25 +8,26 @@ from contextlib import contextmanager
 from coadjoint.errors import in_one_line
 from coadjoint.files.configuration.construction import ConfigurationError
 
-MOST_TOLD = 4
-MOST_LINES = 20
-LETTERS = 360  # of one line, without file name and separators
+MAX_REPORTED = 4
+MAX_LINES = 20
+MAX_LINE_LENGTH = 360  # of one line, without file name and separators
 
 
-class SeveralErrors:
+class ErrorCollector:
     """Collector of errors in the sections of the file `name`.
 
     Examples
     --------
-    >>> wrong = SeveralErrors("run.toml")
-    >>> with wrong.caught():
+    >>> wrong = ErrorCollector("run.toml")
+    >>> with wrong.collect():
     ...     raise ConfigurationError("run.toml: run.step: step is 0")
-    >>> with wrong.caught():
+    >>> with wrong.collect():
     ...     raise ConfigurationError("run.toml: initial.x: has 2 components")
-    >>> wrong.tell()
+    >>> wrong.raise_collected()
     Traceback (most recent call last):
     ...
-    coadjoint.files.configuration.construction.ConfigurationError: run.toml: run.step: step is 0; and initial.x: has 2 ...
+    coadjoint.files.configuration.construction.ConfigurationError: run.toml: run.step: step is 0; and initial.x: has 2
+    ...
     """
 
     def __init__(self, name: str) -> None:
@@ -34,7 +35,7 @@ class SeveralErrors:
         self._found: list[ConfigurationError] = []
 
     @contextmanager
-    def caught(self) -> Iterator[None]:
+    def collect(self) -> Iterator[None]:
         """Collect an error raised inside, and continue."""
         try:
             yield
@@ -50,31 +51,33 @@ class SeveralErrors:
         """Whether there are no errors."""
         return not self._found
 
-    def tell(self) -> None:
-        """Raise the collected errors: a single one unchanged, several in one line; `mistakes` has one line for each."""
+    def raise_collected(self) -> None:
+        """Raise the collected errors: a single one unchanged, several in one line; `error_lines` has one line for
+        each.
+        """
         if not self._found:
             return
-        said = list(dict.fromkeys(one for error in self._found for one in error.mistakes or (str(error),)))
+        said = list(dict.fromkeys(one for error in self._found for one in error.error_lines or (str(error),)))
         if len(said) == 1:
             raise self._found[0]
-        together = told_together([one.removeprefix(f"{self._name}: ") for one in said])
+        together = join_messages([one.removeprefix(f"{self._name}: ") for one in said])
         error = ConfigurationError(f"{self._name}: {together}")
-        rest = len(said) - MOST_LINES
-        error.mistakes = (*said[:MOST_LINES], *([f"{self._name}: {rest} more"] if rest > 0 else []))
+        rest = len(said) - MAX_LINES
+        error.error_lines = (*said[:MAX_LINES], *([f"{self._name}: {rest} more"] if rest > 0 else []))
         raise error from self._found[0].__cause__
 
 
-def told_together(said: Sequence[str]) -> str:
+def join_messages(said: Sequence[str]) -> str:
     """Join messages in one line, each truncated; beyond four, only their number.
 
     Examples
     --------
-    >>> told_together(["run.step: is missing; give it", "initial.x[1]: must be a number, not 'a'"])
+    >>> join_messages(["run.step: is missing; give it", "initial.x[1]: must be a number, not 'a'"])
     "run.step: is missing; give it; and initial.x[1]: must be a number, not 'a'"
     """
     told = list(dict.fromkeys(said))
     if len(told) == 1:
         return told[0]
-    shown, rest = told[:MOST_TOLD], len(told) - MOST_TOLD
-    lines = [in_one_line(one, LETTERS // len(shown)) for one in shown]
+    shown, rest = told[:MAX_REPORTED], len(told) - MAX_REPORTED
+    lines = [in_one_line(one, MAX_LINE_LENGTH // len(shown)) for one in shown]
     return "; and ".join([*lines, *([f"{rest} more"] if rest > 0 else [])])

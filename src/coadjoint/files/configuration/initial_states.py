@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
 
-SUFFIX = ".npy"
+NPY_SUFFIX = ".npy"
 
 
 def initial_state(system: Any, given: Any, folder: Path) -> Any:
@@ -39,13 +39,13 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
 
 def array_of_file(path: Path, named: str) -> NDArray[Any]:
     """Return the array of numbers in a file ``.npy``, without unpickling; errors refer to the file as `named`."""
-    if path.suffix != SUFFIX:
-        raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {SUFFIX}")
+    if path.suffix != NPY_SUFFIX:
+        raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {NPY_SUFFIX}")
     try:
         size = path.stat().st_size
     except OSError as reason:
         raise ValueError(f"{short(named)} cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
-    check_room(2 * size, f"the states in {short(named)}")
+    check_available_memory(2 * size, f"the states in {short(named)}")
     try:
         found = np.load(path, allow_pickle=False)
     except (OSError, EOFError, ValueError, MemoryError):  # a header may declare more than the file has

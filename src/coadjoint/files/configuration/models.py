@@ -12,18 +12,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.files.configuration.sweep_models import SweepTable
 from coadjoint.files.configuration.values import (
-    SHOWN,
+    MAX_SHOWN_LENGTH,
     Attitude,
     Matrix,
     Name,
     Number,
+    PolynomialValue,
     Sign,
     Span,
     States,
     Vector,
-    Whole,
-    Written,
-    ending,
+    WholeNumber,
+    file_name_schema,
 )
 from coadjoint.short_repr import short
 
@@ -50,7 +50,7 @@ class AlgebraTable(Table):
     """An algebra of the catalogue, such as "so(4)" or "A3,7"."""
     parameters: dict[str, Any] = {}
     """Its parameters: numbers without unit."""
-    dim: Whole | None = None
+    dim: WholeNumber | None = None
     """The dimension of an algebra of your own; the basis is then e1, e2, ..."""
     basis: list[Name] | None = None
     """The names of its basis elements, in the order of the coordinates."""
@@ -67,7 +67,7 @@ class HamiltonianTable(Table):
     """The linear term (energy per momentum)."""
     constant: Number | None = None
     """A constant that is added to H (an energy)."""
-    polynomial: Written | None = None
+    polynomial: PolynomialValue | None = None
     """All of H: text such as "0.5*x1^2 + x2*x3", or a list of [coefficient, [exponents]] (an energy)."""
 
 
@@ -85,14 +85,14 @@ class InitialTable(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _further_keys(cls, given: Any) -> Any:
+    def _check_state_keys(cls, given: Any) -> Any:
         if not isinstance(given, dict) or "kind" not in given:
             return given
         own = {key: given[key] for key in ("kind", "attitude") if key in given}
         return {**own, "parameters": {key: value for key, value in given.items() if key not in own}}
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> InitialTable:
+    def _exactly_one(self) -> InitialTable:
         if self.kind is None and self.x is None:
             raise ValueError("x is missing; give it, or the kind of an initial state")
         if self.kind is None and self.parameters:
@@ -112,15 +112,15 @@ class RunTable(Table):
     accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
     """Instead of `step`: the wanted error of the momentum at the end, relative to the largest momentum during the run
     (no unit). The step is chosen, and without `method` also the scheme."""
-    save_every: Whole = 1
+    save_every: WholeNumber = 1
     """Number of steps from one saved state to the next."""
     t_eval: Vector | None = None
     """Times at which states are saved, instead of `save_every` (time)."""
     watch: bool = True
     """Whether the invariants are computed after every step, or only at the saved states."""
-    threads: Whole | None = None
+    threads: WholeNumber | None = None
     """Number of threads for the members of an ensemble; by default all cores. Results do not depend on it."""
-    workers: Whole | None = None
+    workers: WholeNumber | None = None
     """Number of processes of this machine that run the members in blocks; by default this process only."""
 
     @model_validator(mode="after")
@@ -135,11 +135,11 @@ class RunTable(Table):
 class EventTable(Table):
     """An event: a function of the state passes through zero."""
 
-    g: int | Written
+    g: int | PolynomialValue
     """The function: the number of a coordinate, from 0, its name, or a polynomial."""
     direction: Annotated[int, Field(json_schema_extra={"enum": [-1, 0, 1]})] = 0
     """1 where g rises, -1 where it falls, 0 for both."""
-    count: Whole | None = None
+    count: WholeNumber | None = None
     """Number of crossings recorded for each member; by default all."""
     terminal: bool = False
     """Whether the run ends at the last recorded crossing."""
@@ -148,13 +148,13 @@ class EventTable(Table):
 class OutputTable(Table):
     """Paths of the results, relative to the current directory."""
 
-    file: Annotated[str, ending(".nc", ".zarr")] | None = None
+    file: Annotated[str, file_name_schema(".nc", ".zarr")] | None = None
     """The solution as a dataset, .nc or .zarr."""
     archive: str | None = None
     """A new folder, such as run.zarr, to which the run is written while it runs; `coadjoint resume` continues it."""
-    figure: Annotated[str, ending(".png", ".pdf", ".svg")] | None = None
+    figure: Annotated[str, file_name_schema(".png", ".pdf", ".svg")] | None = None
     """A figure of the run, .png, .pdf or .svg."""
-    movie: Annotated[str, ending(".mp4", ".gif")] | None = None
+    movie: Annotated[str, file_name_schema(".mp4", ".gif")] | None = None
     """A movie of the run, .mp4 or .gif."""
 
 
@@ -168,7 +168,7 @@ class File(Table):
     system: SystemTable | None = None
     algebra: AlgebraTable | None = None
     hamiltonian: HamiltonianTable | None = None
-    casimirs: dict[Name, Written] | None = None
+    casimirs: dict[Name, PolynomialValue] | None = None
     """Polynomials by name, checked to be Casimirs and recorded during the run."""
     forces: list[dict[str, Any]] = []
     """Forces in addition to H, one table for each: its name and its parameters."""
@@ -177,14 +177,14 @@ class File(Table):
     method: dict[str, Any] | None = None
     """The scheme: its name and its parameters. `coadjoint methods` lists them."""
     run: RunTable
-    observe: dict[Name, Written] = {}
+    observe: dict[Name, PolynomialValue] = {}
     """Polynomials by name, evaluated at the saved states."""
     events: dict[Name, EventTable] = {}
     """Events by name."""
     output: OutputTable = OutputTable()
 
 
-class OfSweep(BaseModel):
+class SweepOnly(BaseModel):
     """The table of a sweep alone; it generates the rest of the file."""
 
     sweep: SweepTable
@@ -235,7 +235,9 @@ def all_errors(error: ValidationError) -> list[str]:
     for entry in found:
         # pydantic appends "[key]" for an invalid key of a table.
         place = [key for key in entry["loc"] if key != "[key]"]
-        path = "".join(f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, SHOWN)}" for key in place)
+        path = "".join(
+            f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in place
+        )
         path = path.lstrip(".")
         reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), place)
         misspelled = entry["type"] == "missing" and any(f"did you mean {place[-1]!r}?" in one for one in said.values())
@@ -267,9 +269,9 @@ def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], pla
         "finite_number": "finite",
     }.get(kind)
     return (
-        f"must be {wanted}, not {short(given, SHOWN)}"
+        f"must be {wanted}, not {short(given, MAX_SHOWN_LENGTH)}"
         if wanted
-        else f"{message[:1].lower()}{message[1:]}, not {short(given, SHOWN)}"
+        else f"{message[:1].lower()}{message[1:]}, not {short(given, MAX_SHOWN_LENGTH)}"
     )
 
 

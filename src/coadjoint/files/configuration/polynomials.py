@@ -7,24 +7,24 @@ from typing import Any
 from coadjoint.algebra.exact.numbers import TOO_LARGE, fits
 from coadjoint.algebra.polynomials import formulas
 from coadjoint.algebra.polynomials.formula_parser import Monomials, too_high
-from coadjoint.algebra.polynomials.polynomial import MOST_DEGREE, Polynomial
+from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.short_repr import short
 
 
-def read_polynomial(given: Any, dim: int) -> Polynomial:
+def parse_polynomial(given: Any, dim: int) -> Polynomial:
     """Parse a polynomial in `dim` coordinates, as text or as a list of terms ``[coefficient, [exponent of x1, ...]]``.
 
     The degree is at most 1024, and coefficients must fit in float64.
 
     Examples
     --------
-    >>> read_polynomial("0.5*x1^2 - x2*x3", 3)
+    >>> parse_polynomial("0.5*x1^2 - x2*x3", 3)
     0.5*x1^2 - x2*x3
-    >>> read_polynomial([[0.5, [2, 0, 0]], [-1, [0, 1, 1]]], 3)
+    >>> parse_polynomial([[0.5, [2, 0, 0]], [-1, [0, 1, 1]]], 3)
     0.5*x1^2 - x2*x3
     """
     if isinstance(given, str):
-        return formulas.read_polynomial(given, dim)
+        return formulas.parse_polynomial(given, dim)
     if not isinstance(given, list):
         raise TypeError(f"a polynomial is text such as '0.5*x1^2 + x2*x3' or a list of terms, not {short(given)}")
     total = Monomials(dim)
@@ -38,7 +38,7 @@ def read_polynomial(given: Any, dim: int) -> Polynomial:
             if type(exponent) is not int:
                 raise TypeError(f"the term {short(term)} has the exponent {short(exponent)}; give whole numbers")
         degree = sum(exponents)
-        if degree > MOST_DEGREE:
+        if degree > MAX_DEGREE:
             raise too_high(f"the term {short(term)}", degree)
         if type(coefficient) is int and not fits(coefficient):
             raise ValueError(f"a coefficient {TOO_LARGE}")

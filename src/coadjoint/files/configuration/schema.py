@@ -13,15 +13,15 @@ from coadjoint.algebra.catalogue import families
 from coadjoint.algebra.families.low_dimensional import entries, parameters_of
 from coadjoint.methods import registry
 from coadjoint.optional_packages import need
-from coadjoint.systems.description import summary_of, told_parameters
+from coadjoint.systems.description import documented_parameters, summary_of
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.registry import ready_made_systems
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-PLACE = "https://raw.githubusercontent.com/coadjoint/coadjoint/main/docs/configuration.schema.json"
-NONE = {"type": "object", "description": "None: there are none here.", "maxProperties": 0}
-NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"$ref": "#/$defs/Numbers"}}]}
-TYPES: dict[str, dict[str, Any]] = {
+SCHEMA_URL = "https://raw.githubusercontent.com/coadjoint/coadjoint/main/docs/configuration.schema.json"
+EMPTY_TABLE = {"type": "object", "description": "None: there are none here.", "maxProperties": 0}
+NESTED_NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"$ref": "#/$defs/Numbers"}}]}
+JSON_TYPES: dict[str, dict[str, Any]] = {
     "bool": {"type": "boolean"},
     "float": {"type": "number"},
     "int": {"type": "integer"},
@@ -59,12 +59,12 @@ def schema() -> Schema:
     need("the schema of configuration files", "pydantic")
     from coadjoint.files.configuration.models import File
 
-    found = _tidied(File.model_json_schema())
+    found = _strip_schema(File.model_json_schema())
     tables = found["$defs"]
     tables["SystemTable"] = _one_of(tables["SystemTable"], _systems())
     tables["AlgebraTable"] = _one_of(tables["AlgebraTable"], _algebras(tables["AlgebraTable"]["properties"]))
     tables["InitialTable"] = _one_of(tables["InitialTable"], _states(tables["InitialTable"]["properties"]))
-    tables["Numbers"] = NUMBERS
+    tables["Numbers"] = NESTED_NUMBERS
     listed = {"type": "array", "description": "The values themselves.", "minItems": 1}
     tables["SettingsTable"] = {"anyOf": [listed, tables["SettingsTable"]]}
     tables["MethodTable"] = {"type": "object", "anyOf": list(_schemes())}
@@ -75,23 +75,23 @@ def schema() -> Schema:
     ready_made = {"required": ["system"], "properties": dict.fromkeys(own, False)}
     return {
         "$schema": DIALECT,
-        "$id": PLACE,
+        "$id": SCHEMA_URL,
         "title": "A run of coadjoint",
         **found,
         "oneOf": [ready_made, {"required": ["algebra", "hamiltonian"], "properties": {"system": False}}],
     }
 
 
-def _tidied(value: Any, *, names: bool = False) -> Any:
+def _strip_schema(value: Any, *, names: bool = False) -> Any:
     """Remove parts of a schema that do not apply to TOML: titles derived from keys, and null."""
     if isinstance(value, list):
-        return [_tidied(entry) for entry in value]
+        return [_strip_schema(entry) for entry in value]
     if not isinstance(value, dict):
         return value
     if names:  # keys are names
-        return {key: _tidied(entry) for key, entry in value.items()}
+        return {key: _strip_schema(entry) for key, entry in value.items()}
     kept = {
-        key: _tidied(entry, names=key in ("properties", "$defs"))
+        key: _strip_schema(entry, names=key in ("properties", "$defs"))
         for key, entry in value.items()
         if key != "title" and not (key == "default" and entry in (None, {}, []))
     }
@@ -105,7 +105,9 @@ def _one_of(table: Schema, options: Iterator[Schema]) -> Schema:
     return {"type": "object", "description": table["description"], "anyOf": list(options)}
 
 
-def _named(name: str | Schema, said: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()) -> Schema:
+def _named_table(
+    name: str | Schema, said: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()
+) -> Schema:
     """Return the schema of a table with a name and no other keys than these."""
     called = {"const": name} if isinstance(name, str) else name
     return {
@@ -119,21 +121,21 @@ def _named(name: str | Schema, said: str, properties: Mapping[str, Schema], requ
 
 def _parameters(made: Callable[..., Any]) -> tuple[dict[str, Schema], list[str]]:
     """Return the schemas of the parameters of a callable, and the names of those without default."""
-    told = told_parameters(made)
+    told = documented_parameters(made)
     known = {key: given for key, given in inspect.signature(made).parameters.items() if key != "system"}
     found = {}
     for key, given in known.items():
         kind, meaning = (told.get(key, {}).get(part, "") for part in ("kind", "meaning"))
         annotation = given.annotation if isinstance(given.annotation, str) else formatannotation(given.annotation)
         of_type = _type(annotation, kind)
-        shape = "" if kind.partition(",")[0] in ("", *TYPES) or kind.startswith("{") else f"{kind}: "
+        shape = "" if kind.partition(",")[0] in ("", *JSON_TYPES) or kind.startswith("{") else f"{kind}: "
         found[key] = {**of_type, "description": shape + meaning}
         if isinstance(given.default, bool | int | float | str):
             found[key]["default"] = given.default
     return found, [key for key, given in known.items() if given.default is inspect.Parameter.empty]
 
 
-def _said(made: Callable[..., Any]) -> str:
+def _summary(made: Callable[..., Any]) -> str:
     said = summary_of(made).removeprefix("Return ")
     return said[:1].upper() + said[1:]
 
@@ -142,13 +144,13 @@ def _type(annotation: str, kind: str) -> Schema:
     """Return the schema implied by an annotation and the kind in the docstring; often empty."""
     if kind.startswith("{"):
         return {"enum": list(ast.literal_eval(f"[{kind[1 : kind.index('}')]}]"))}
-    return dict(TYPES.get(annotation.removesuffix(" | None"), {}))
+    return dict(JSON_TYPES.get(annotation.removesuffix(" | None"), {}))
 
 
 def _systems() -> Iterator[Schema]:
     for name, builder in sorted(ready_made_systems().items()):
         properties, required = _parameters(builder)
-        yield _named(name, _said(builder), {"parameters": _table(properties, required)})
+        yield _named_table(name, _summary(builder), {"parameters": _table(properties, required)})
 
 
 def _table(properties: Mapping[str, Schema], required: list[str]) -> Schema:
@@ -162,32 +164,32 @@ def _table(properties: Mapping[str, Schema], required: list[str]) -> Schema:
     }
 
 
-def _described(name: str, made: Callable[..., Any]) -> Schema:
+def _table_of_callable(name: str, made: Callable[..., Any]) -> Schema:
     """Return the schema of a table with a name and parameters, which may also be in a subtable."""
     properties, required = _parameters(made)
     inside = _table(properties, [])
     beside = {key: value for key, value in properties.items() if key != "name"}
-    found = _named(name, _said(made), {**beside, "parameters": inside})
+    found = _named_table(name, _summary(made), {**beside, "parameters": inside})
     return {**found, "anyOf": [{"required": required}, {"required": ["parameters"]}]} if required else found
 
 
 def _schemes() -> Iterator[Schema]:
     for name in registry.names():
-        yield _described(name, registry.scheme(name))
+        yield _table_of_callable(name, registry.scheme(name))
 
 
 def _forces() -> Iterator[Schema]:
     for name in described.names():
         parameters = inspect.signature(described.KINDS[name]).parameters.values()
         if not any(str(given.annotation).startswith("Callable") for given in parameters):
-            yield _described(name, described.KINDS[name])
+            yield _table_of_callable(name, described.KINDS[name])
 
 
 def _states(keys: Mapping[str, Schema]) -> Iterator[Schema]:
     yield {
         "type": "object",
         "description": "The initial state, or states, as numbers.",
-        "properties": {key: keys[key] for key in ("x", "attitude")} | {"parameters": NONE},
+        "properties": {key: keys[key] for key in ("x", "attitude")} | {"parameters": EMPTY_TABLE},
         "required": ["x"],
         "additionalProperties": False,
     }
@@ -200,8 +202,8 @@ def _states(keys: Mapping[str, Schema]) -> Iterator[Schema]:
                 continue
             seen.add(make)
             found, required = _parameters(make)
-            table = _table({"kind": {"const": kind, "description": _said(make)}, **found}, ["kind", *required])
-            yield {**table, "description": _said(make), "properties": table["properties"] | _attitude(keys)}
+            table = _table({"kind": {"const": kind, "description": _summary(make)}, **found}, ["kind", *required])
+            yield {**table, "description": _summary(make), "properties": table["properties"] | _attitude(keys)}
 
 
 def _attitude(keys: Mapping[str, Schema]) -> dict[str, Schema]:
@@ -213,7 +215,7 @@ def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
     yield {
         "type": "object",
         "description": "An algebra of your own, by its brackets.",
-        "properties": {**{key: keys[key] for key in own}, "parameters": NONE},
+        "properties": {**{key: keys[key] for key in own}, "parameters": EMPTY_TABLE},
         "required": ["brackets"],
         "anyOf": [{"required": ["dim"]}, {"required": ["basis"]}],
         "additionalProperties": False,
@@ -222,21 +224,23 @@ def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
     for name in entries():
         by_parameters.setdefault(parameters_of(name), []).extend((name, name.replace("_", ",")))
     for parameters, names in by_parameters.items():
-        yield _algebra({"enum": names}, f"A real algebra of dimension 2 to 5 {_with(parameters)}.", parameters)
+        yield _algebra(
+            {"enum": names}, f"A real algebra of dimension 2 to 5 {_extend_parameters(parameters)}.", parameters
+        )
     for pattern, numbers in families().items():
-        yield _algebra({"const": pattern}, f"The family {pattern} {_with(numbers)}.", numbers, "integer")
+        yield _algebra({"const": pattern}, f"The family {pattern} {_extend_parameters(numbers)}.", numbers, "integer")
     yield _algebra({"const": "heisenberg"}, "The Heisenberg algebra of n = 1.", ())
     letters = "|".join(sorted({pattern.partition("(")[0] for pattern in families()}))
     written = rf"^({letters})\([0-9]{{1,4000}}(,[0-9]{{1,4000}})?\)$"
     yield _algebra({"type": "string", "pattern": written}, 'A member of a family, such as "so(4)" or "so(3,1)".', ())
     said = "Any of these names with spaces, which are ignored."
-    yield _named({"type": "string", "pattern": r"\s"}, said, {"parameters": keys["parameters"]})
+    yield _named_table({"type": "string", "pattern": r"\s"}, said, {"parameters": keys["parameters"]})
 
 
 def _algebra(name: Schema, said: str, parameters: tuple[str, ...], kind: str = "number") -> Schema:
     inside = _table({key: {"type": kind, "description": "A number without unit."} for key in parameters}, [*parameters])
-    return _named(name, said, {"parameters": inside}, ("parameters",) if parameters else ())
+    return _named_table(name, said, {"parameters": inside}, ("parameters",) if parameters else ())
 
 
-def _with(parameters: tuple[str, ...]) -> str:
+def _extend_parameters(parameters: tuple[str, ...]) -> str:
     return f"with the parameters {', '.join(parameters)}" if parameters else "without parameters"

@@ -11,9 +11,9 @@ from coadjoint.short_repr import short
 from coadjoint.validation import is_real
 
 GRIDS = ("linear", "logarithmic")
-DRAWN = ("uniform", "normal", "sphere", "orbit")
-KINDS = ("values", *GRIDS, *DRAWN, "file")
-LARGEST_SEED = 2**63 - 1
+DISTRIBUTIONS = ("uniform", "normal", "sphere", "orbit")
+SETTING_KINDS = ("values", *GRIDS, *DISTRIBUTIONS, "file")
+MAX_SEED = 2**63 - 1
 
 
 def _two(value: Any) -> Any:
@@ -64,11 +64,11 @@ class SettingsTable(BaseModel):
         return {"values": given} if isinstance(given, list) else given
 
     @model_validator(mode="after")
-    def _one_kind(self) -> SettingsTable:
-        kinds = [kind for kind in KINDS if getattr(self, kind) is not None]
+    def _exactly_one_kind(self) -> SettingsTable:
+        kinds = [kind for kind in SETTING_KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
             said = f"has {' and '.join(kinds)}; give one" if kinds else "has none"
-            raise ValueError(f"{said} of {', '.join(KINDS)}")
+            raise ValueError(f"{said} of {', '.join(SETTING_KINDS)}")
         if (self.count is None) == (kinds[0] in GRIDS):
             raise ValueError(f"count belongs to a grid, {' or '.join(GRIDS)}, and is its number of values")
         if self.column is not None and self.file is None:
@@ -79,8 +79,8 @@ class SettingsTable(BaseModel):
 
     @property
     def kind(self) -> str:
-        """The kind of settings, one of `KINDS`."""
-        return next(kind for kind in KINDS if getattr(self, kind) is not None)
+        """The kind of settings, one of `SETTING_KINDS`."""
+        return next(kind for kind in SETTING_KINDS if getattr(self, kind) is not None)
 
 
 class SweepTable(BaseModel):
@@ -90,18 +90,18 @@ class SweepTable(BaseModel):
 
     samples: Annotated[int, Field(ge=1)] | None = None
     """Number of random members."""
-    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)] | None = None
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] | None = None
     """The seed of the random numbers."""
     over: dict[str, SettingsTable]
     """Keys of the file, such as "initial.x[0]", and the values of each. Every combination is a member."""
 
     @model_validator(mode="after")
-    def _drawn(self) -> SweepTable:
-        drawn = [place for place, settings in self.over.items() if settings.kind in DRAWN]
+    def _check_samples(self) -> SweepTable:
+        drawn = [place for place, settings in self.over.items() if settings.kind in DISTRIBUTIONS]
         if not self.over:
             raise ValueError("over is empty; give at least one key of the file, such as 'initial.x[0]'")
         if drawn and (self.samples is None or self.seed is None):
             raise ValueError(f"over {short(drawn[0])} is random; give samples (their number) and seed")
         if not drawn and (self.samples is not None or self.seed is not None):
-            raise ValueError(f"samples and seed belong to random settings, {', '.join(DRAWN)}; there are none")
+            raise ValueError(f"samples and seed belong to random settings, {', '.join(DISTRIBUTIONS)}; there are none")
         return self

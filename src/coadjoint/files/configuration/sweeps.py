@@ -16,21 +16,21 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.files.configuration.construction import ConfigurationError, section
-from coadjoint.files.configuration.error_collector import SeveralErrors
+from coadjoint.files.configuration.error_collector import ErrorCollector
 from coadjoint.files.configuration.initial_states import array_of_file
-from coadjoint.files.configuration.swept_settings import SAMPLES, settings_of, together_with
-from coadjoint.memory import check_room
+from coadjoint.files.configuration.swept_settings import SAMPLES, settings_group, settings_of
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.sweep_models import SweepTable
 
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
-BYTES_OF_A_MEMBER = 200
-STATE: Place = ("initial", "x")
+BYTES_PER_MEMBER = 200
+STATE_KEY: KeyPath = ("initial", "x")
 _PART = re.compile(r"([A-Za-z_][\w-]*)((?:\[\d{1,9}\])*)")
-ROOTS = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "initial")
+SWEPT_TABLES = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "initial")
 
 
 @dataclass(frozen=True)
@@ -75,14 +75,14 @@ class Sweep:
                 found[place] = [plain[k] for k in numbers]
         return found
 
-    def axes_of(self, chosen: Callable[[Place], bool]) -> list[int]:
+    def axes_of(self, chosen: Callable[[KeyPath], bool]) -> list[int]:
         """Return the numbers of the axes with a key that satisfies `chosen`."""
-        return [k for k, axis in enumerate(self.axes) if any(chosen(place_of(place)) for place in axis.settings)]
+        return [k for k, axis in enumerate(self.axes) if any(chosen(parse_key(place)) for place in axis.settings)]
 
-    def raw_of(self, member: int) -> dict[str, Any]:
+    def member_tables(self, member: int) -> dict[str, Any]:
         """Return the tables of one member; a state swept over an orbit stays as written."""
         changed = {place: values[member] for place, values in self.values.items() if place not in self.orbits}
-        return with_values(self.raw, changed, self.name)
+        return replace_values(self.raw, changed, self.name)
 
     def each(self, axes: list[int], make: Callable[[int], Any]) -> list[Any]:
         """Return `make(member)` for every member, evaluated once for equal settings of the given axes."""
@@ -106,37 +106,37 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
     swept, invalid settings, arrays of unequal lengths, or too many members.
     """
     axes: dict[str, dict[str, Any]] = {}
-    wrong = SeveralErrors(name)
+    wrong = ErrorCollector(name)
     _check_places(name, sweep.over, wrong)
-    wrong.tell()
+    wrong.raise_collected()
     for place, table in sweep.over.items():
-        with wrong.caught(), section(name, f"sweep.over.{place}"):
-            written = _written(raw, place_of(place))
-            random = together_with(place, table) == SAMPLES
+        with wrong.collect(), section(name, f"sweep.over.{place}"):
+            written = _file_value(raw, parse_key(place))
+            random = settings_group(place, table) == SAMPLES
             if isinstance(written, str):
-                state = place_of(place) == STATE and random
+                state = parse_key(place) == STATE_KEY and random
                 written = array_of_file(Path(name).parent / written, written) if state else None
-            if written is None and place_of(place) == STATE and random:
+            if written is None and parse_key(place) == STATE_KEY and random:
                 raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
-            if table.kind == "orbit" and place_of(place) != STATE:
+            if table.kind == "orbit" and parse_key(place) != STATE_KEY:
                 raise ValueError("orbit applies to states only; give it for 'initial.x'")
             settings = settings_of(place, table, sweep, written, Path(name).parent)
-            axes.setdefault(together_with(place, table), {})[place] = settings
-    wrong.tell()
+            axes.setdefault(settings_group(place, table), {})[place] = settings
+    wrong.raise_collected()
     found = tuple(Axis(settings, len(next(iter(settings.values())))) for settings in axes.values())
     members = math.prod(axis.length for axis in found)
     with section(name, "sweep.over"):
-        check_room(BYTES_OF_A_MEMBER * len(sweep.over) * members, f"a sweep of {short(members)} members")
+        check_available_memory(BYTES_PER_MEMBER * len(sweep.over) * members, f"a sweep of {short(members)} members")
     orbits = frozenset(place for place, table in sweep.over.items() if table.kind == "orbit")
     return Sweep(name, raw, found, orbits)
 
 
-def place_of(written: str) -> Place:
+def parse_key(written: str) -> KeyPath:
     """Parse a key into names and indices.
 
     Examples
     --------
-    >>> place_of("system.parameters.inertia[2]")
+    >>> parse_key("system.parameters.inertia[2]")
     ('system', 'parameters', 'inertia', 2)
     """
     found: list[str | int] = []
@@ -151,13 +151,13 @@ def place_of(written: str) -> Place:
     return tuple(found)
 
 
-def _check_places(name: str, over: Iterable[str], wrong: SeveralErrors) -> None:
-    places: dict[str, Place] = {}
+def _check_places(name: str, over: Iterable[str], wrong: ErrorCollector) -> None:
+    places: dict[str, KeyPath] = {}
     for place in over:
-        with wrong.caught(), section(name, f"sweep.over.{in_one_line(place, 60)}"):
-            keys = place_of(place)
-            if not any(place.startswith((f"{root}.", f"{root}[")) for root in ROOTS):
-                raise ValueError(f"only keys within {', '.join(ROOTS)} can be swept")
+        with wrong.collect(), section(name, f"sweep.over.{in_one_line(place, 60)}"):
+            keys = parse_key(place)
+            if not any(place.startswith((f"{root}.", f"{root}[")) for root in SWEPT_TABLES):
+                raise ValueError(f"only keys within {', '.join(SWEPT_TABLES)} can be swept")
             if keys[:2] == ("initial", "attitude") or keys == ("initial", "kind"):
                 raise ValueError(f"initial.{keys[1]} is the same for all members")
             for other, known in places.items():
@@ -166,7 +166,7 @@ def _check_places(name: str, over: Iterable[str], wrong: SeveralErrors) -> None:
             places[place] = keys
 
 
-def _written(raw: Any, place: Place) -> Any:
+def _file_value(raw: Any, place: KeyPath) -> Any:
     """Return the value of the file at a key, or None."""
     found: Any = raw
     for key in place:
@@ -177,27 +177,27 @@ def _written(raw: Any, place: Place) -> Any:
     return found
 
 
-def with_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
+def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Return a copy of the tables of a file with other values at some keys; list entries must exist.
 
     Examples
     --------
-    >>> with_values({"initial": {"x": [1.0, 2.0]}}, {"initial.x[1]": 5.0}, "run.toml")
+    >>> replace_values({"initial": {"x": [1.0, 2.0]}}, {"initial.x[1]": 5.0}, "run.toml")
     {'initial': {'x': [1.0, 5.0]}}
     """
     found = {key: deepcopy(table) if key != "sweep" else table for key, table in raw.items()}
     for written, value in values.items():
-        *outer, last = place_of(written)
+        *outer, last = parse_key(written)
         with section(name, f"sweep.over.{written}"):
             table: Any = found
             for key in outer:
-                table = _inside(table, key)
+                table = _subtable(table, key)
             _check_there(table, last)
             table[last] = value
     return found
 
 
-def _inside(table: Any, key: str | int) -> Any:
+def _subtable(table: Any, key: str | int) -> Any:
     """Return a subtable, created if missing, or an entry of a list."""
     _check_there(table, key)
     return table.setdefault(key, {}) if isinstance(key, str) else table[key]

@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.configuration.initial_states import array_of_file
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.forces.normal_deviates import normal_deviates, words_of
+from coadjoint.systems.forces.normal_deviates import normal_deviates, random_words
 from coadjoint.validation import is_real, read_finite, read_number
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.sweep_models import SettingsTable, SweepTable
 
-BYTES_OF_A_SETTING = 64
+BYTES_PER_SETTING = 64
 SAMPLES = "samples"
-MOST_TERMS = 400
+MAX_TERMS = 400
 """Limit on the terms of the series of a group element; each factor converges long before."""
 
 
-def together_with(place: str, settings: SettingsTable) -> str:
+def settings_group(place: str, settings: SettingsTable) -> str:
     """Return the group of a key: all random keys, all columns of a file, or the key alone."""
     if settings.file is not None:
         return f"file {settings.file}"
@@ -46,12 +46,12 @@ def settings_of(place: str, settings: SettingsTable, sweep: SweepTable, written:
         return _rows(settings.file, settings.column, folder)
     if kind in ("linear", "logarithmic"):
         assert settings.count is not None
-        check_room(BYTES_OF_A_SETTING * settings.count, f"a grid of {short(settings.count)} values")
+        check_available_memory(BYTES_PER_SETTING * settings.count, f"a grid of {short(settings.count)} values")
         return _grid(kind, getattr(settings, kind), settings.count)
     assert sweep.samples is not None and sweep.seed is not None
     shape = np.shape(read_finite(written, "what the file has here")) if written is not None else ()
-    check_room(BYTES_OF_A_SETTING * sweep.samples * math.prod(shape), f"{short(sweep.samples)} samples")
-    return drawn(kind, getattr(settings, kind), place, sweep.seed, sweep.samples, shape)
+    check_available_memory(BYTES_PER_SETTING * sweep.samples * math.prod(shape), f"{short(sweep.samples)} samples")
+    return random_settings(kind, getattr(settings, kind), place, sweep.seed, sweep.samples, shape)
 
 
 def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
@@ -79,7 +79,9 @@ def _rows(named: str, column: int | None, folder: Path) -> NDArray[Any]:
     return np.ascontiguousarray(found[:, column])
 
 
-def drawn(kind: str, spread: Any, place: str, seed: int, samples: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def random_settings(
+    kind: str, spread: Any, place: str, seed: int, samples: int, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
     """Return random settings, (samples, ...), each a function of the seed, the key and the sample number alone.
 
     `spread` holds both ends (uniform), mean and standard deviation (normal), the radius (sphere), or the standard
@@ -87,20 +89,20 @@ def drawn(kind: str, spread: Any, place: str, seed: int, samples: int, shape: tu
 
     Examples
     --------
-    >>> few = drawn("uniform", [2.0, 3.0], "initial.x", 7, 2, (3,))
-    >>> bool((few == drawn("uniform", [2.0, 3.0], "initial.x", 7, 5, (3,))[:2]).all())
+    >>> few = random_settings("uniform", [2.0, 3.0], "initial.x", 7, 2, (3,))
+    >>> bool((few == random_settings("uniform", [2.0, 3.0], "initial.x", 7, 5, (3,))[:2]).all())
     True
     """
     count, stream = math.prod(shape), int.from_bytes(sha256(place.encode()).digest()[:7], "little")
     if kind == "uniform":
-        words = np.stack([words_of(seed, stream, float(s), 0, count) for s in range(samples)])
-        first, last = _both(spread, "an end", shape)
+        words = np.stack([random_words(seed, stream, float(s), 0, count) for s in range(samples)])
+        first, last = _number_pair(spread, "an end", shape)
         parts = (words >> np.uint64(11)).astype(np.float64).reshape(samples, *shape) * 2.0**-53
         return np.asarray(first + (last - first) * parts)
     found = np.stack([normal_deviates(seed, stream, float(s), 0, count) for s in range(samples)])
     found = found.reshape(samples, *shape)
     if kind == "normal":
-        mean, deviation = _both(spread, "mean or deviation", shape)
+        mean, deviation = _number_pair(spread, "mean or deviation", shape)
         return np.asarray(mean + deviation * found)
     if len(shape) != 1:
         raise ValueError(f"{kind} applies to states that are vectors; the value in the file has the shape {shape}")
@@ -110,7 +112,7 @@ def drawn(kind: str, spread: Any, place: str, seed: int, samples: int, shape: tu
     return np.asarray(spread * (found / lengths[:, None]))
 
 
-def _both(given: list[Any], what: str, shape: tuple[int, ...]) -> tuple[Any, Any]:
+def _number_pair(given: list[Any], what: str, shape: tuple[int, ...]) -> tuple[Any, Any]:
     """Return two numbers, or two arrays of the shape of a setting."""
     found = []
     for value in given:
@@ -121,7 +123,7 @@ def _both(given: list[Any], what: str, shape: tuple[int, ...]) -> tuple[Any, Any
     return found[0], found[1]
 
 
-def moved_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
+def move_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return exp(K) x on the same coadjoint orbit, K y = J(y) u: the motion of H = u.y for the time 1.
 
     The series is summed in index order, in pieces of the exponent short enough to converge quickly.
@@ -129,7 +131,7 @@ def moved_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64])
     Examples
     --------
     >>> import coadjoint as co
-    >>> turned = moved_on_orbit(co.algebras.so(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, np.pi / 2]))
+    >>> turned = move_on_orbit(co.algebras.so(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, np.pi / 2]))
     >>> bool(np.allclose(abs(turned), [0.0, 1.0, 0.0]))
     True
     """
@@ -142,11 +144,11 @@ def moved_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64])
 
     size = float(np.bincount(i, abs(c * u[j]), n).max(initial=0.0) + np.bincount(j, abs(c * u[i]), n).max(initial=0.0))
     pieces = max(1, math.ceil(size))
-    if pieces > MOST_TERMS:
-        raise ValueError(f"orbit moves a state by exponents of size {size:.3g}; give less than {MOST_TERMS}")
+    if pieces > MAX_TERMS:
+        raise ValueError(f"orbit moves a state by exponents of size {size:.3g}; give less than {MAX_TERMS}")
     for _ in range(pieces):
         term, order = y, 1
-        while order < MOST_TERMS and np.any(term):
+        while order < MAX_TERMS and np.any(term):
             term = action(term) / (order * pieces)
             if np.all(y + term == y):
                 break

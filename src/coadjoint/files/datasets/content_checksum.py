@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 CHECKSUM = "content_sha256"
 """Attribute with the check sum."""
-LEFT_OUT = (CHECKSUM, "coordinates", "_FillValue")
+EXCLUDED_ATTRIBUTES = (CHECKSUM, "coordinates", "_FillValue")
 """Attributes that are not content: readers consume them."""
-PIECE = 2**20
+BUFFER_BYTES = 2**20
 
 
 def with_checksum(dataset: xarray.Dataset) -> xarray.Dataset:
@@ -46,8 +46,8 @@ def checksum_of(dataset: xarray.Dataset) -> str:
         head = [name, list(map(str, variable.dims)), list(values.shape), "text" if text else kind]
         digest.update(json.dumps(head).encode() + _attributes(variable.attrs))
         flat = values.reshape(-1)
-        for first in range(0, flat.size, PIECE):
-            piece = flat[first : first + PIECE]
+        for first in range(0, flat.size, BUFFER_BYTES):
+            piece = flat[first : first + BUFFER_BYTES]
             if text:
                 digest.update(json.dumps(list(map(_text, piece.tolist()))).encode())
             else:
@@ -56,11 +56,11 @@ def checksum_of(dataset: xarray.Dataset) -> str:
 
 
 def _attributes(given: Mapping[Any, Any]) -> bytes:
-    kept = {str(name): _plain(value) for name, value in given.items() if name not in LEFT_OUT}
+    kept = {str(name): _to_json(value) for name, value in given.items() if name not in EXCLUDED_ATTRIBUTES}
     return json.dumps(kept, sort_keys=True).encode()
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     """Convert an attribute to JSON; arrays of one number become scalars, since files do not distinguish them."""
     if isinstance(value, str | bytes):
         return _text(value)

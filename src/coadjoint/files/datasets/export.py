@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.files.datasets.content_checksum import with_checksum
-from coadjoint.files.datasets.state_arrays import DIMENSIONS, state_of
+from coadjoint.files.datasets.state_arrays import STATE_DIMENSIONS, state_of
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     coordinates_of,
-    over_time,
     parameters_of,
-    starts_of,
-    summaries_of,
+    start_variables,
+    summary_variables,
+    time_variables,
 )
-from coadjoint.files.records.entries import Entry, made_of, parsed
+from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.records import record_of, system_of
-from coadjoint.files.records.stored_events import events_of, not_stored, variables_of, written_events
+from coadjoint.files.records.stored_events import event_record, events_of, not_stored, variables_of
 from coadjoint.methods import registry
 from coadjoint.optional_packages import need
 from coadjoint.runs.events import Event
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
     from coadjoint.runs.solution import Solution
 
-NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
+REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
-ENDED = "ended_after"
+ENDED_ATTRIBUTE = "ended_after"
 """Attribute with the number of steps after which an event ended the run."""
 
 
@@ -76,7 +76,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     need("a dataset of a solution", "xarray")
     import xarray
 
-    variables = {**over_time(solution), **summaries_of(solution), **starts_of(solution)}
+    variables = {**time_variables(solution), **summary_variables(solution), **start_variables(solution)}
     if solution.events is not None:
         variables |= variables_of(solution.events)
     coordinates = {**parameters_of(solution.system), **coordinates_of(solution)}
@@ -108,9 +108,9 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         "seconds": solution.stats.seconds,
     }
     if solution.t_span != solution.asked_span:
-        attributes[ENDED] = solution.stats.steps
+        attributes[ENDED_ATTRIBUTE] = solution.stats.steps
     if solution.events is not None:
-        attributes["events"], functions = written_events(solution.events.asked, solution.events.names)
+        attributes["events"], functions = event_record(solution.events.asked, solution.events.names)
         missing += [f"event: {name}" for name in functions]
         if any(event.terminal for event in solution.events.asked) and functions:
             attributes["events_not_stored"] = ", ".join(functions)
@@ -142,10 +142,10 @@ def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Data
     >>> mark_failed(xarray.Dataset(), error).attrs["failed_step"]
     3
     """
-    return with_checksum(dataset.assign_attrs(**said_of(error)))
+    return with_checksum(dataset.assign_attrs(**failure_attributes(error)))
 
 
-def said_of(error: IntegrationError) -> dict[str, Any]:
+def failure_attributes(error: IntegrationError) -> dict[str, Any]:
     """Return the attributes that describe the failure of a run."""
     return {
         "run_failed": 1,
@@ -191,7 +191,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     return inputs
 
 
-def asked_events(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]:
+def events_of_dataset(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]:
     """Return the events of a stored run, with `not_stored` for functions."""
     return events_of(Entry(dataset.attrs["events"], "events"), system) if "events" in dataset.attrs else ()
 
@@ -201,25 +201,25 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     attributes = getattr(dataset, "attrs", None)
     if not isinstance(attributes, Mapping):
         raise TypeError(f"{short(dataset)} is no dataset; give one that xarray has read")
-    absent = [key for key in NEEDED if key not in attributes]
+    absent = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
     if absent:
         raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")
-    given = {key: Entry(attributes[key], key) for key in NEEDED}
-    x0 = state_of(dataset, "x0", DIMENSIONS)
+    given = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
+    x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
     described = parsed(attributes["method"], "method")
     description = {key: entry.plain() for key, entry in described.table().items()}
-    with made_of(described):
+    with as_value_errors(described):
         method = registry.from_description(description)
     start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
-    step, save_every = given["step"].number(), given["save_every"].whole(1)
-    with made_of(given["step"]):
+    step, save_every = given["step"].number(), given["save_every"].integer(1)
+    with as_value_errors(given["step"]):
         times = times_of((start, end), step, save_every)
-    if times.steps != given["steps"].whole():
-        raise given["steps"].wrong(f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}")
+    if times.steps != given["steps"].integer():
+        raise given["steps"].invalid_error(f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}")
     carried = given["attitude_carried"].text()
     initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
     if carried not in (*initial, "representation"):
-        raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
+        raise given["attitude_carried"].invalid_error("'none', 'coadjoint' or 'representation'")
     between = Entry(attributes.get("between_steps", 0), "between_steps").flag()
     if "events_not_stored" in attributes and events is None:
         raise ValueError(
@@ -229,7 +229,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     if system is None:
         system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
     if events is None:
-        events = tuple(event for event in asked_events(dataset, system) if event.g is not not_stored)
+        events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {
         "system": system,
         "x0": x0,
@@ -239,7 +239,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         "save_every": save_every,
         "t_eval": state_of(dataset, "time", (("time",),)) if between else None,
         "watch": given["watch"].flag(),
-        "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", DIMENSIONS[1:2]),
+        "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2]),
         "events": events,
     }
 
@@ -287,7 +287,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
 
     inputs = stored_inputs(dataset)
     element = _coadjoint_start(dataset)
-    with made_of(Entry(None, "the run of this dataset")):
+    with as_value_errors(Entry(None, "the run of this dataset")):
         if element is None:
             return integrate(**inputs)
         prepared = {name: inputs.pop(name) for name in ("system", "method", "step", "attitude", "watch")}
@@ -298,5 +298,5 @@ def _coadjoint_start(dataset: xarray.Dataset) -> NDArray[np.float64] | None:
     """Return the initial coadjoint matrix, which `integrate` does not take; None for a unit matrix or none at all."""
     if dataset.attrs["attitude_carried"] != "coadjoint":
         return None
-    element = state_of(dataset, "attitude0", DIMENSIONS[1:2])
+    element = state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2])
     return None if np.array_equal(element, np.broadcast_to(np.eye(element.shape[-1]), element.shape)) else element

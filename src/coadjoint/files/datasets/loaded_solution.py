@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.archived_solution import open_archive
-from coadjoint.files.archives.store import HIDDEN
+from coadjoint.files.archives.store import HIDDEN_FOLDER
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
-from coadjoint.files.datasets.export import ENDED, NEEDED, asked_events, stored_inputs
+from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
 from coadjoint.files.datasets.read_solution import ReadSolution
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import need
-from coadjoint.runs.events import Ending, Events
+from coadjoint.runs.events import Events, TerminalEvent
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
@@ -32,7 +32,7 @@ from coadjoint.validation import read_path
 if TYPE_CHECKING:
     import xarray
 
-KINDS = {b"\x89HDF": ("h5netcdf", ("xarray", "h5netcdf", "h5py")), b"CDF": ("scipy", ("xarray", "scipy"))}
+FILE_SIGNATURES = {b"\x89HDF": ("h5netcdf", ("xarray", "h5netcdf", "h5py")), b"CDF": ("scipy", ("xarray", "scipy"))}
 """File signatures, with the xarray engine and the packages it needs."""
 
 
@@ -71,7 +71,7 @@ class LoadedSolution(ReadSolution):
             _given=system,
             _arrays=arrays,
             attributes=dict(dataset.attrs),
-            _accounts=tuple(_account(label, names) for label in accounts),
+            _accounts=tuple(_split_account(label, names) for label in accounts),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -80,7 +80,7 @@ class LoadedSolution(ReadSolution):
     def inputs(self, events: Any = ()) -> dict[str, Any]:
         return stored_inputs(self.dataset, self._given, events)
 
-    def _whole(self, name: str) -> NDArray[Any]:
+    def _read_entire(self, name: str) -> NDArray[Any]:
         return np.asarray(self.dataset[name].values)
 
     @cached_property
@@ -96,31 +96,33 @@ class LoadedSolution(ReadSolution):
         return {name: np.array([found[name] for found in each]) for name in self._names}
 
     @cached_property
-    def _ending(self) -> Ending | None:  # type: ignore[override]
+    def _ending(self) -> TerminalEvent | None:  # type: ignore[override]
         """The event that ended the run, or None."""
-        if ENDED not in self.attributes:
+        if ENDED_ATTRIBUTE not in self.attributes:
             return None
         values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
         attitude = None if self.attitude is None else self.attitude[-1]
-        return Ending(len(self.t), int(self.attributes[ENDED]), float(self.t[-1]), self.x[-1], values, attitude)
+        return TerminalEvent(
+            len(self.t), int(self.attributes[ENDED_ATTRIBUTE]), float(self.t[-1]), self.x[-1], values, attitude
+        )
 
     @cached_property
     def stats(self) -> Statistics:
         said = self.attributes
-        steps = int(said[ENDED if ENDED in said else "steps"])
+        steps = int(said[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in said else "steps"])
         return Statistics(steps, int(said["evaluations"]), int(said["iterations"]), float(said["seconds"]))
 
     @cached_property
     def _worst(self) -> NDArray[np.float64]:
         names = ("change", "balance") if "change" in self._arrays else ("drift",)
-        return np.concatenate([np.moveaxis(self._whole(name), -2, -1) for name in names], axis=-1)
+        return np.concatenate([np.moveaxis(self._read_entire(name), -2, -1) for name in names], axis=-1)
 
     @cached_property
     def events(self) -> Events | None:  # type: ignore[override]
         """Crossings found in the run, or None if it had no events."""
         if "event_time" not in self._arrays:
             return None
-        asked = asked_events(self.dataset, self._system)
+        asked = events_of_dataset(self.dataset, self._system)
         moved: Any = unforced(self._system)
         named = () if isinstance(moved, MatrixSystem) else tuple(coordinate_names(moved, moved.dim))
         t, x, which, member, direction = (
@@ -134,12 +136,12 @@ class LoadedSolution(ReadSolution):
         return self.dataset.copy()
 
 
-def _account(text: str, invariants: list[str]) -> tuple[str, str]:
+def _split_account(text: str, invariants: list[str]) -> tuple[str, str]:
     """Split the label of an account into force and invariant; both names may contain the separator.
 
     Examples
     --------
-    >>> _account("drag: on x: C: 2", ["energy", "2", "C: 2"])
+    >>> _split_account("drag: on x: C: 2", ["energy", "2", "C: 2"])
     ('drag: on x', 'C: 2')
     """
     ending = text.rpartition(": ")[2]
@@ -200,7 +202,7 @@ def load(path: str | Path, system: Any = None) -> Solution:
     place = read_path(path, "path")
     shown = in_one_line(str(place), 200)
     try:
-        if (place / HIDDEN).is_dir():
+        if (place / HIDDEN_FOLDER).is_dir():
             return open_archive(place, system)
         engine, packages = _reader(place)
     except (OSError, ValueError) as reason:
@@ -216,10 +218,12 @@ def load(path: str | Path, system: Any = None) -> Solution:
         elif engine == "zarr":
             check_zarr(place)
         with xarray.open_dataset(place, engine=engine) as opened:
-            absent = [key for key in (*NEEDED, "evaluations", "iterations", "seconds") if key not in opened.attrs]
+            absent = [
+                key for key in (*REQUIRED_ATTRIBUTES, "evaluations", "iterations", "seconds") if key not in opened.attrs
+            ]
             if absent or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
                 raise LoadError(f"{shown}: holds no run: it was not written by this library")
-            check_room(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
+            check_available_memory(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()
         stated = dataset.attrs.get(CHECKSUM)
         if stated is not None and stated != checksum_of(dataset):
@@ -245,13 +249,13 @@ def _reader(place: Path) -> tuple[str, tuple[str, ...]]:
         return "zarr", ("xarray", "zarr")
     if place.exists() and not place.is_file():
         raise LoadError(f"{shown}: is no file and no folder")
-    with open(place, "rb", opener=_not_waiting) as file:
+    with open(place, "rb", opener=_open_nonblocking) as file:
         begin = file.read(4)
-    for head, found in KINDS.items():
+    for head, found in FILE_SIGNATURES.items():
         if begin.startswith(head):
             return found
     raise LoadError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
 
 
-def _not_waiting(path: str, flags: int) -> int:
+def _open_nonblocking(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import xarray
 
-PAGE = 2**16
-LARGEST_KEPT = 2**20
+PAGE_BYTES = 2**16
+MAX_CACHED_BYTES = 2**20
 
 
-class SteadfastFile:
+class DeferredErrorFile:
     """A file object whose writes never fail: the first failure is stored, and raised by `close`.
 
     HDF5 cannot close a file after a failed write, and crashes when the interpreter exits. Data written after a failure
@@ -28,7 +28,7 @@ class SteadfastFile:
     --------
     >>> import tempfile
     >>> from contextlib import nullcontext
-    >>> with tempfile.TemporaryDirectory() as folder, SteadfastFile(Path(folder, "a"), nullcontext) as file:
+    >>> with tempfile.TemporaryDirectory() as folder, DeferredErrorFile(Path(folder, "a"), nullcontext) as file:
     ...     _ = file.write(b"momentum"), file.seek(0)
     ...     file.read(3)
     b'mom'
@@ -40,7 +40,7 @@ class SteadfastFile:
         self._failure: BaseException | None = None
         self._pages: dict[int, bytearray] = {}
 
-    def __enter__(self) -> SteadfastFile:
+    def __enter__(self) -> DeferredErrorFile:
         return self
 
     def __exit__(
@@ -68,8 +68,8 @@ class SteadfastFile:
     def write(self, piece: Any) -> int:
         """Write bytes at the position, and advance it."""
         view = memoryview(piece).cast("B")
-        if not self._attempt(lambda: self._written(view)):
-            self._keep(view)
+        if not self._attempt(lambda: self._write_all(view)):
+            self._cache_pages(view)
         self._at += len(view)
         self._size = max(self._size, self._at)
         return len(view)
@@ -87,12 +87,12 @@ class SteadfastFile:
     def readinto(self, piece: Any) -> int:
         """Fill a buffer from the position, with zeros beyond the end, and return its length."""
         view = memoryview(piece).cast("B")
-        view[:] = self._stored(self._at, len(view))
-        for number in range(self._at // PAGE, (self._at + len(view)) // PAGE + 1):
+        view[:] = self._read_disk(self._at, len(view))
+        for number in range(self._at // PAGE_BYTES, (self._at + len(view)) // PAGE_BYTES + 1):
             if number in self._pages:
-                first, last = max(self._at, number * PAGE), min(self._at + len(view), (number + 1) * PAGE)
+                first, last = max(self._at, number * PAGE_BYTES), min(self._at + len(view), (number + 1) * PAGE_BYTES)
                 if first < last:
-                    within = self._pages[number][first - number * PAGE : last - number * PAGE]
+                    within = self._pages[number][first - number * PAGE_BYTES : last - number * PAGE_BYTES]
                     view[first - self._at : last - self._at] = within
         self._at += len(view)
         return len(view)
@@ -115,12 +115,12 @@ class SteadfastFile:
                 self._failure = error
         return False
 
-    def _written(self, view: memoryview) -> None:
+    def _write_all(self, view: memoryview) -> None:
         done = 0
         while done < len(view):
             done += os.pwrite(self._descriptor, view[done:], self._at + done)
 
-    def _stored(self, at: int, length: int) -> bytes:
+    def _read_disk(self, at: int, length: int) -> bytes:
         found = bytearray()
         while len(found) < length:
             try:
@@ -133,22 +133,24 @@ class SteadfastFile:
             found += piece
         return bytes(found.ljust(length, b"\0"))
 
-    def _keep(self, view: memoryview) -> None:
-        if len(view) > LARGEST_KEPT:
+    def _cache_pages(self, view: memoryview) -> None:
+        if len(view) > MAX_CACHED_BYTES:
             return
-        for number in range(self._at // PAGE, (self._at + len(view)) // PAGE + 1):
+        for number in range(self._at // PAGE_BYTES, (self._at + len(view)) // PAGE_BYTES + 1):
             page = self._pages.get(number)
             if page is None:
-                page = self._pages[number] = bytearray(self._stored(number * PAGE, PAGE))
-            first, last = max(self._at, number * PAGE), min(self._at + len(view), (number + 1) * PAGE)
+                page = self._pages[number] = bytearray(self._read_disk(number * PAGE_BYTES, PAGE_BYTES))
+            first, last = max(self._at, number * PAGE_BYTES), min(self._at + len(view), (number + 1) * PAGE_BYTES)
             if first < last:
-                page[first - number * PAGE : last - number * PAGE] = view[first - self._at : last - self._at]
+                page[first - number * PAGE_BYTES : last - number * PAGE_BYTES] = view[
+                    first - self._at : last - self._at
+                ]
 
 
 def write_netcdf(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
-    """Write a dataset to a new NetCDF 4 file; `writing` as for `SteadfastFile`."""
+    """Write a dataset to a new NetCDF 4 file; `writing` as for `DeferredErrorFile`."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
-    with SteadfastFile(path, writing) as image, h5netcdf.File(image, "w") as file:
+    with DeferredErrorFile(path, writing) as image, h5netcdf.File(image, "w") as file:
         dataset.dump_to_store(H5NetCDFStore(file))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.forced import serving
+from coadjoint.methods.forced import effective_scheme
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, times_of
@@ -30,7 +30,7 @@ class ReadSolution(Solution):
         """Return the arguments of `integrate` that repeat the run."""
 
     @abstractmethod
-    def _whole(self, name: str) -> NDArray[Any]:
+    def _read_entire(self, name: str) -> NDArray[Any]:
         """Read an entire array."""
 
     @cached_property
@@ -39,7 +39,7 @@ class ReadSolution(Solution):
 
     def _read(self, name: str) -> NDArray[Any]:
         """Read an entire array; combine real and imaginary parts."""
-        values = self._whole(name)
+        values = self._read_entire(name)
         return values[..., 0] + 1j * values[..., 1] if self._arrays[name].dims[-1] == "part" else values
 
     @cached_property
@@ -64,7 +64,7 @@ class ReadSolution(Solution):
     def _start(self) -> Start:  # type: ignore[override]
         inputs = self._inputs
         system, method = inputs["system"], inputs["method"]
-        return start_of(system, serving(system, method), inputs["x0"], inputs["attitude"])
+        return start_of(system, effective_scheme(system, method), inputs["x0"], inputs["attitude"])
 
     @cached_property
     def _system(self) -> System | Batch:  # type: ignore[override]
@@ -96,7 +96,7 @@ class ReadSolution(Solution):
 
     @cached_property
     def _names(self) -> list[str]:  # type: ignore[override]
-        return [str(name) for name in self._whole("invariant")]
+        return [str(name) for name in self._read_entire("invariant")]
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:
@@ -107,7 +107,7 @@ class ReadSolution(Solution):
         found = self._series("casimir_")
         # Zarr lists arrays alphabetically; restore the order of the invariants.
         ordered = {name: found.labels[name] for name in self._names[1:] if name in found.labels}
-        return Read({**ordered, **found.labels}, self._read)
+        return LazyArrays({**ordered, **found.labels}, self._read)
 
     @cached_property
     def observed(self) -> Mapping[str, NDArray[np.float64]]:  # type: ignore[override]
@@ -117,7 +117,7 @@ class ReadSolution(Solution):
         labels = {
             str(array.attributes["long_name"]): label for label, array in self._arrays.items() if label.startswith(kind)
         }
-        return Read(labels, self._read)
+        return LazyArrays(labels, self._read)
 
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
@@ -136,7 +136,7 @@ class ReadSolution(Solution):
         return None if said == "none" else said
 
 
-class Read(Mapping[str, NDArray[Any]]):
+class LazyArrays(Mapping[str, NDArray[Any]]):
     """Arrays by name, read lazily and cached."""
 
     def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import xarray
 
-PARTS = ("real", "imaginary")
+COMPLEX_PARTS = ("real", "imaginary")
 """Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
-DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
+STATE_DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
 """Dimensions of a state: a vector, a matrix, or matrices in layers."""
 
 
@@ -24,11 +24,11 @@ def state_dimensions(states: NDArray[Any], before: int) -> tuple[str, ...]:
     >>> state_dimensions(np.zeros((5, 3)), 1), state_dimensions(np.zeros((5, 2, 2), dtype=complex), 1)
     (('component',), ('row', 'column', 'part'))
     """
-    found = DIMENSIONS[states.ndim - before - 1]
+    found = STATE_DIMENSIONS[states.ndim - before - 1]
     return (*found, "part") if np.iscomplexobj(states) else found
 
 
-def in_parts(states: NDArray[Any]) -> NDArray[np.float64]:
+def split_complex(states: NDArray[Any]) -> NDArray[np.float64]:
     """Convert complex states to real and imaginary parts along a last axis; return real states unchanged."""
     return np.stack([states.real, states.imag], axis=-1) if np.iscomplexobj(states) else states
 
@@ -51,6 +51,6 @@ def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...],
     values = np.asarray(variable.values, dtype=np.float64)
     if not parts:
         return values
-    if values.shape[-1] != len(PARTS):
-        raise ValueError(f"{name} has {values.shape[-1]} parts; complex numbers have {len(PARTS)}")
+    if values.shape[-1] != len(COMPLEX_PARTS):
+        raise ValueError(f"{name} has {values.shape[-1]} parts; complex numbers have {len(COMPLEX_PARTS)}")
     return np.asarray(values[..., 0] + 1j * values[..., 1])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.configuration.swept_settings import as_coordinates
-from coadjoint.files.datasets.state_arrays import PARTS, in_parts, state_dimensions
+from coadjoint.files.datasets.state_arrays import COMPLEX_PARTS, split_complex, state_dimensions
 from coadjoint.files.records.records import safe_name
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import unforced
@@ -20,68 +20,68 @@ if TYPE_CHECKING:
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
-class About(NamedTuple):
+class ExtraMetadata(NamedTuple):
     """Additional coordinates and attributes written with a solution."""
 
     coordinates: Variables
     attributes: Mapping[str, Any]
 
-    def beside(self, system: Any) -> About:
+    def with_batch_parameters(self, system: Any) -> ExtraMetadata:
         """Add the numbers in which the systems of a batch differ."""
         return self._replace(coordinates={**parameters_of(system), **self.coordinates})
 
 
-NOTHING = About({}, {})
+NO_METADATA = ExtraMetadata({}, {})
 CONVENTIONS = "CF-1.11"
 TIME = "time"
 
 
-def named(long_name: str) -> dict[str, Any]:
+def cf_attributes(long_name: str) -> dict[str, Any]:
     """Return CF attributes of a quantity, in the units of the system.
 
     Examples
     --------
-    >>> named("energy")
+    >>> cf_attributes("energy")
     {'long_name': 'energy', 'units': '1'}
     """
     return {"long_name": long_name, "units": "1"}
 
 
-def times_of_points(times: NDArray[np.float64]) -> Variables:
+def time_coordinate(times: NDArray[np.float64]) -> Variables:
     """Return the time coordinate of the saved points."""
-    return {TIME: ((TIME,), times, named("time"))}
+    return {TIME: ((TIME,), times, cf_attributes("time"))}
 
 
-def over_time(solution: Solution) -> Variables:
+def time_variables(solution: Solution) -> Variables:
     """Return the variables at the saved points, except the times."""
     over, x = ("time", *_member(solution)), solution.x
     found: Variables = {
-        "x": ((*over, *state_dimensions(x, len(over))), in_parts(x), named("momentum")),
-        "energy": (over, solution.energy, named("energy")),
+        "x": ((*over, *state_dimensions(x, len(over))), split_complex(x), cf_attributes("momentum")),
+        "energy": (over, solution.energy, cf_attributes("energy")),
     }
     series_of = [("casimir", solution.casimirs), ("observed", solution.observed)]
     for kind, series in series_of:
         for label, (name, values) in _labels(kind, series):
-            found[label] = (over, values, named(name))
+            found[label] = (over, values, cf_attributes(name))
     if solution.work:
         done = [values for of_force in solution.work.values() for values in of_force.values()]
         about = "what a force has changed of an invariant since the start"
-        found["work"] = ((*over, "account"), np.stack(done, axis=-1), named(about))
+        found["work"] = ((*over, "account"), np.stack(done, axis=-1), cf_attributes(about))
     if solution.attitude is not None:
-        found["attitude"] = ((*over, "row", "column"), solution.attitude, named("group element"))
+        found["attitude"] = ((*over, "row", "column"), solution.attitude, cf_attributes("group element"))
     return found
 
 
-def summaries_of(solution: Solution) -> Variables:
+def summary_variables(solution: Solution) -> Variables:
     """Return the variables of the whole run: deviations of invariants, and failures of members."""
     member = _member(solution)
     over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
     changes, about = solution.change(), f"largest absolute deviation from the start {over}"
     dims = (*member, "invariant", "tenth")
-    found: Variables = {"change" if solution.work else "drift": (dims, _tenths(changes), named(about))}
+    found: Variables = {"change" if solution.work else "drift": (dims, _tenth_array(changes), cf_attributes(about))}
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        found["balance"] = (dims, _balanced(solution.balance(), changes), named(about))
+        found["balance"] = (dims, _balance_array(solution.balance(), changes), cf_attributes(about))
     if solution.failed is not None:
         found["failed"] = (
             member,
@@ -91,20 +91,20 @@ def summaries_of(solution: Solution) -> Variables:
     return found
 
 
-def starts_of(solution: Solution) -> Variables:
+def start_variables(solution: Solution) -> Variables:
     """Return the initial states and group elements."""
     member, x0 = _member(solution), solution.x0
     of_state = state_dimensions(x0, len(member))
-    found: Variables = {"x0": ((*member, *of_state), in_parts(x0), named("initial momentum"))}
+    found: Variables = {"x0": ((*member, *of_state), split_complex(x0), cf_attributes("initial momentum"))}
     if solution.attitude0 is not None:
-        found["attitude0"] = ((*member, "row", "column"), solution.attitude0, named("initial group element"))
+        found["attitude0"] = ((*member, "row", "column"), solution.attitude0, cf_attributes("initial group element"))
     return found
 
 
 def coordinates_of(solution: Solution) -> Variables:
     """Return the times, and the labels of the other dimensions."""
     system, of_state = solution.system, state_dimensions(solution.x0, len(_member(solution)))
-    found = times_of_points(solution.t)
+    found = time_coordinate(solution.t)
 
     def put(name: str, values: Any, about: str) -> None:
         found[name] = ((name,), np.asarray(values), {"long_name": about})
@@ -114,7 +114,7 @@ def coordinates_of(solution: Solution) -> Variables:
         names = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
         put("component", names, "element of the basis")
     elif of_state[-1] == "part":
-        put("part", list(PARTS), "part of a complex number")
+        put("part", list(COMPLEX_PARTS), "part of a complex number")
     changes = solution.change()
     put("invariant", list(changes), "what the motion keeps")
     tenths = next(iter(changes.values())).tenths.shape[-1]
@@ -172,13 +172,13 @@ def _member(solution: Solution) -> tuple[str, ...]:
     return () if solution.failed is None else ("member",)
 
 
-def _balanced(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -> NDArray[np.float64]:
+def _balance_array(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -> NDArray[np.float64]:
     """Return the balance of every invariant; NaN for those without account."""
     unknown = np.full_like(next(iter(changes.values())).tenths, np.nan)
     return np.stack([balance[name].tenths if name in balance else unknown for name in changes], axis=-2)
 
 
-def _tenths(found: Mapping[str, Drift]) -> NDArray[np.float64]:
+def _tenth_array(found: Mapping[str, Drift]) -> NDArray[np.float64]:
     return np.stack([drift.tenths for drift in found.values()], axis=-2)
 
 

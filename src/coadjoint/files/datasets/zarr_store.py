@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from zarr.core.buffer import Buffer
     from zarr.storage import LocalStore
 
-INDEX = ".zmetadata"
-LISTED = "coadjoint_files"
+INDEX_FILE = ".zmetadata"
+FILE_LIST = "coadjoint_files"
 
 
 def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
@@ -25,12 +25,12 @@ def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], Abstra
     """
     # Format 3 has no standard encoding of text, which component names need.
     dataset.to_zarr(_store(path, writing), mode="w", zarr_format=2, consolidated=True)
-    index = json.loads((path / INDEX).read_text(encoding="utf-8"))
+    index = json.loads((path / INDEX_FILE).read_text(encoding="utf-8"))
     with writing():
-        (path / INDEX).write_text(json.dumps({**index, LISTED: sorted(_files(path))}), encoding="utf-8")
+        (path / INDEX_FILE).write_text(json.dumps({**index, FILE_LIST: sorted(_files(path))}), encoding="utf-8")
 
 
-def written_by_coadjoint(path: Path) -> str:
+def foreign_file(path: Path) -> str:
     """Return the name of a file that `write_zarr` did not write (or of the missing index); empty if there is none.
 
     Examples
@@ -38,15 +38,15 @@ def written_by_coadjoint(path: Path) -> str:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = Path(folder, "zarr.json").write_text("{}")
-    ...     written_by_coadjoint(Path(folder))
+    ...     foreign_file(Path(folder))
     'zarr.json'
     """
     try:
-        listed = json.loads((path / INDEX).read_text(encoding="utf-8"))[LISTED]
+        listed = json.loads((path / INDEX_FILE).read_text(encoding="utf-8"))[FILE_LIST]
         known = set(listed) if isinstance(listed, list) else set()
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         known = set()
-    return min((name for name in _files(path) if name not in known), default="" if known else INDEX)
+    return min((name for name in _files(path) if name not in known), default="" if known else INDEX_FILE)
 
 
 def _files(path: Path) -> Iterator[str]:

@@ -7,13 +7,13 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-UNHEARD = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
+SYNC_UNSUPPORTED = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
 """Error numbers of file systems that cannot sync folders."""
-WRITING = ".writing"
+TEMPORARY_SUFFIX = ".writing"
 """Suffix of incomplete files; those of killed processes are ignored."""
 
 
-def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
+def write_atomically(path: Path, content: bytes, folder: int | None = None) -> None:
     """Write a temporary file, sync it to disk, and rename it to `path`, without following symbolic links.
 
     A missing folder is not created. `folder` is the descriptor that `path` is relative to. OSError: the disk is full,
@@ -23,11 +23,11 @@ def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_whole(Path(folder, "answer.txt"), b"42")
+    ...     write_atomically(Path(folder, "answer.txt"), b"42")
     ...     os.listdir(folder)
     ['answer.txt']
     """
-    beside = path.with_name(f".{path.name}{WRITING}")
+    beside = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
 
     def opened(name: str, flags: int) -> int:
         try:
@@ -48,10 +48,10 @@ def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
         raise
 
 
-def settle(folder: int) -> None:
+def sync_to_disk(folder: int) -> None:
     """Sync the directory entries of an open folder to disk, where supported."""
     try:
         os.fsync(folder)
     except OSError as reason:
-        if reason.errno not in UNHEARD:
+        if reason.errno not in SYNC_UNSUPPORTED:
             raise

@@ -21,15 +21,15 @@ try:
 except ImportError:  # Windows: leftovers stay, since live writers cannot be detected
     fcntl = None  # type: ignore[assignment]
 
-LOCK = "lock"
-REPLACED = "replaced"
+LOCK_FILE = "lock"
+REPLACED_FOLDER = "replaced"
 
 
-class Stopped(Exception):
+class OutputAbandoned(Exception):
     """A write was attempted after the output was abandoned."""
 
 
-class Unfinished:
+class PendingOutput:
     """A result being written: to `place` in a hidden folder, until `finish` renames it to its target.
 
     The folder is removed at the end of the ``with`` block in any case. It is locked while its process lives, so that
@@ -39,7 +39,7 @@ class Unfinished:
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with Unfinished(Path(folder, "answer.txt")) as unfinished:
+    ...     with PendingOutput(Path(folder, "answer.txt")) as unfinished:
     ...         _ = unfinished.place.write_text("42")
     ...         unfinished.finish()
     ...     os.listdir(folder)
@@ -47,30 +47,30 @@ class Unfinished:
     """
 
     def __init__(self, target: Path) -> None:
-        self._target, self._gate, self._stopped = target, threading.RLock(), False
+        self._target, self._mutex, self._stopped = target, threading.RLock(), False
         self._lock: int | None = None
 
-    def __enter__(self) -> Unfinished:
+    def __enter__(self) -> PendingOutput:
         # Register the cleanup before the folder exists.
-        interruption.begin(self.give_up)
+        interruption.register_cleanup(self.abandon)
         try:
             while self._lock is None:
                 self._folder = self._target.parent / f"{_prefix(self._target)}{secrets.token_hex(4)}"
                 self._folder.mkdir(mode=0o700)
-                self._lock = locked(self._folder / LOCK, os.O_CREAT)
+                self._lock = open_locked(self._folder / LOCK_FILE, os.O_CREAT)
         except BaseException:
-            self._leave()
+            self._cleanup()
             raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._leave()
+        self._cleanup()
 
-    def _leave(self) -> None:
-        self.give_up()
-        interruption.end(self.give_up)
+    def _cleanup(self) -> None:
+        self.abandon()
+        interruption.unregister_cleanup(self.abandon)
         if self._lock is not None:
             os.close(self._lock)
 
@@ -81,24 +81,24 @@ class Unfinished:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Context for one write, which is not interrupted by `give_up`; raise `Stopped` after it."""
-        with self._gate:
+        """Context for one write, which is not interrupted by `abandon`; raise `OutputAbandoned` after it."""
+        with self._mutex:
             if self._stopped:
-                raise Stopped
+                raise OutputAbandoned
             yield
 
     def finish(self) -> None:
         """Rename the result to its target."""
         if self._target.is_dir() and not self._target.is_symlink():
             # A folder cannot replace a non-empty one: move the old one into the hidden folder, to be deleted with it.
-            os.replace(self._target, self._folder / REPLACED)
+            os.replace(self._target, self._folder / REPLACED_FOLDER)
         os.replace(self.place, self._target)
 
-    def give_up(self) -> None:
+    def abandon(self) -> None:
         """Stop writing and remove the hidden folder; a result already renamed is unaffected."""
-        with self._gate:
+        with self._mutex:
             self._stopped = True
-        _settle(self._folder, self._target)
+        _restore_target(self._folder, self._target)
 
 
 def remove_leftovers(target: Path) -> None:
@@ -110,7 +110,7 @@ def remove_leftovers(target: Path) -> None:
         # Of another user, or already gone: ignore.
         with suppress(OSError):
             if _is_own(entry):
-                _remove_if_left(Path(entry.path), target)
+                _remove_if_unlocked(Path(entry.path), target)
 
 
 def _is_own(entry: os.DirEntry[str]) -> bool:
@@ -120,14 +120,14 @@ def _is_own(entry: os.DirEntry[str]) -> bool:
     return not hasattr(os, "geteuid") or entry.stat(follow_symlinks=False).st_uid == os.geteuid()
 
 
-def _remove_if_left(folder: Path, target: Path) -> None:
+def _remove_if_unlocked(folder: Path, target: Path) -> None:
     try:
-        lock = locked(folder / LOCK)
+        lock = open_locked(folder / LOCK_FILE)
     except FileNotFoundError:
         folder.rmdir()  # Its run was killed before locking it, or is about to lock it, and then makes another.
         return
     if lock is not None:
-        _settle(folder, target)
+        _restore_target(folder, target)
         os.close(lock)
 
 
@@ -136,7 +136,7 @@ def _prefix(target: Path) -> str:
     return f".{target.name[:24]}-{sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
 
 
-def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None:
+def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int | None:
     """Open and lock a file; return its descriptor, or None if another process has locked or removed it.
 
     Symbolic links are not followed. `folder` is the descriptor that `path` is relative to.
@@ -171,17 +171,17 @@ def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None
     return descriptor
 
 
-def _settle(folder: Path, target: Path) -> None:
+def _restore_target(folder: Path, target: Path) -> None:
     """Restore a replaced folder if the result was not completed, and remove the rest; nothing if it stays replaced."""
     with suppress(OSError):
-        if (folder / REPLACED).is_dir() and not os.path.lexists(target):
-            os.replace(folder / REPLACED, target)
+        if (folder / REPLACED_FOLDER).is_dir() and not os.path.lexists(target):
+            os.replace(folder / REPLACED_FOLDER, target)
         _remove(folder)
 
 
 def _remove(folder: Path) -> None:
     """Remove a hidden folder, its lock last, so that a partial removal remains recognizable."""
-    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK):
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK_FILE):
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)
             if entry.exists():

@@ -18,18 +18,18 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.files.archives.stored_arrays import texts_of
-from coadjoint.memory import SMALL, check_room
+from coadjoint.files.archives.stored_arrays import decode_texts
+from coadjoint.memory import UNCHECKED_BYTES, check_available_memory
 from coadjoint.short_repr import short
 
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3
 """Built-in filters of HDF5, as opposed to plugins."""
-SUM = 4
+CHECKSUM_BYTES = 4
 """Bytes that a check sum adds to a chunk."""
-MOST_FILES = 10**6
-METADATA = (".zgroup", ".zattrs", ".zarray", ".zmetadata", "zarr.json")
-PLAIN_TYPE = re.compile(r"[<>|]?(?:[fiu][1248]|b1|U\d{1,6}|S\d{1,6})|float(?:32|64)|u?int(?:8|16|32|64)|bool")
-PACKERS, PLAIN = ("blosc", "zstd"), ("bytes", "crc32c", "vlen-utf8")
+MAX_FILES = 10**6
+METADATA_FILES = (".zgroup", ".zattrs", ".zarray", ".zmetadata", "zarr.json")
+NUMERIC_TYPE = re.compile(r"[<>|]?(?:[fiu][1248]|b1|U\d{1,6}|S\d{1,6})|float(?:32|64)|u?int(?:8|16|32|64)|bool")
+COMPRESSORS, UNCOMPRESSED_CODECS = ("blosc", "zstd"), ("bytes", "crc32c", "vlen-utf8")
 
 
 def check_hdf5(path: Path) -> None:
@@ -46,12 +46,12 @@ def check_hdf5(path: Path) -> None:
             if not isinstance(variable, h5py.Dataset):
                 raise ValueError(f"{short(name)} is no variable")
             total += _check_variable(variable, name, size)
-            check_room(2 * total, "the content")
+            check_available_memory(2 * total, "the content")
         for item in (file, *file.values()):
             for name in item.attrs:
                 known = item.attrs.get_id(name)
                 if known.dtype.kind == "O":
-                    check_room(size * prod(known.shape), f"the attribute {short(name)}")
+                    check_available_memory(size * prod(known.shape), f"the attribute {short(name)}")
 
 
 def _check_variable(variable: Any, name: str, size: int) -> int:
@@ -71,9 +71,9 @@ def _check_variable(variable: Any, name: str, size: int) -> int:
         _check_deflated(variable, name, filters)
     if variable.dtype.kind == "O":
         # Many texts may share the same bytes of the file.
-        check_room(100 * count, short(name))
+        check_available_memory(100 * count, short(name))
         length = 0
-        for first in range(0, count, step := max(1, SMALL // max(1, size))) if variable.ndim == 1 else ():
+        for first in range(0, count, step := max(1, UNCHECKED_BYTES // max(1, size))) if variable.ndim == 1 else ():
             length += sum(map(len, variable[first : first + step]))
             if length > size:
                 raise ValueError(f"{short(name)} has more text than the file is long")
@@ -85,17 +85,19 @@ def _check_variable(variable: Any, name: str, size: int) -> int:
 def _check_deflated(variable: Any, name: str, filters: list[int]) -> None:
     """Reject chunks that do not decompress to the chunk size."""
     length = prod(variable.chunks) * variable.dtype.itemsize
-    check_room(2 * length, f"a chunk of {short(name)}")
+    check_available_memory(2 * length, f"a chunk of {short(name)}")
     for k in range(variable.id.get_num_chunks()):
         found = variable.id.get_chunk_info(k)
-        check_room(2 * found.size, f"a chunk of {short(name)}")
+        check_available_memory(2 * found.size, f"a chunk of {short(name)}")
         skipped, packed = variable.id.read_direct_chunk(found.chunk_offset)
         if skipped:
             raise ValueError(f"{short(name)} has a chunk without all of its filters")
         # A check sum applied before the compression is part of the compressed data.
         after = FLETCHER in filters and filters.index(FLETCHER) > filters.index(DEFLATE)
-        unpacked = zlib.decompressobj().decompress(packed[:-SUM] if after else packed, length + SUM + 1)
-        if len(unpacked) != length + (SUM if FLETCHER in filters and not after else 0):
+        unpacked = zlib.decompressobj().decompress(
+            packed[:-CHECKSUM_BYTES] if after else packed, length + CHECKSUM_BYTES + 1
+        )
+        if len(unpacked) != length + (CHECKSUM_BYTES if FLETCHER in filters and not after else 0):
             raise ValueError(f"{short(name)} has a chunk of another length than declared")
 
 
@@ -104,10 +106,10 @@ def check_zarr(folder: Path) -> None:
     arrays = dict[str, dict[str, Any]]()
     files = []
     for count, name in enumerate(_files(folder)):
-        if count > MOST_FILES:
-            raise ValueError(f"there are more than {MOST_FILES} files")
+        if count > MAX_FILES:
+            raise ValueError(f"there are more than {MAX_FILES} files")
         place, _, last = name.rpartition("/")
-        if last not in METADATA:
+        if last not in METADATA_FILES:
             files.append(name)
             continue
         found = json.loads((folder / name).read_bytes().decode("utf-8"))
@@ -115,8 +117,8 @@ def check_zarr(folder: Path) -> None:
         if last == "zarr.json":
             consolidated = (found.get("consolidated_metadata") or {}).get("metadata")
         for key, each in (consolidated or {}).items():
-            _take(arrays, key.removesuffix("/.zarray"), each)
-        _take(arrays, place, found)
+            _register_array(arrays, key.removesuffix("/.zarray"), each)
+        _register_array(arrays, place, found)
     for name in files:
         owner = name.partition("/")[0]
         if owner in arrays:
@@ -136,7 +138,7 @@ def _files(folder: Path, before: str = "") -> Iterator[str]:
                 raise ValueError(f"{short(before + entry.name)} is a link, or no file")
 
 
-def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]) -> None:
+def _register_array(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]) -> None:
     """Register an array of a Zarr store (format 2 or 3) from its metadata; reject what plain xarray does not write."""
     if "shape" not in found:
         return
@@ -148,7 +150,7 @@ def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]
         if isinstance(kind, dict) and kind["name"] in ("fixed_length_utf32", "null_terminated_bytes"):
             item = kind["configuration"]["length_bytes"]
         else:
-            item = 0 if kind == "string" else _item(kind)
+            item = 0 if kind == "string" else _item_size(kind)
         other = found.get("storage_transformers")
     else:
         codecs = [each["id"] for each in (found["filters"] or [])]
@@ -158,18 +160,20 @@ def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]
                 f"the array {short(name)} is stored by pickle, which can run code; store it by another codec"
             )
         kind, chunk, other = found["dtype"], found["chunks"], None
-        item = 0 if codecs[:1] == ["vlen-utf8"] else _item(kind)
-    packers = [codec for codec in codecs if codec in PACKERS]
-    if other or len(packers) > 1 or not {*PACKERS, *PLAIN}.issuperset(codecs):
-        raise ValueError(f"the codecs of {short(name)} are {short(codecs)}; those of a run are {', '.join(PACKERS)}")
+        item = 0 if codecs[:1] == ["vlen-utf8"] else _item_size(kind)
+    packers = [codec for codec in codecs if codec in COMPRESSORS]
+    if other or len(packers) > 1 or not {*COMPRESSORS, *UNCOMPRESSED_CODECS}.issuperset(codecs):
+        raise ValueError(
+            f"the codecs of {short(name)} are {short(codecs)}; those of a run are {', '.join(COMPRESSORS)}"
+        )
     if any(type(size) is not int or size < 0 for size in (*found["shape"], *chunk, item)):
         raise ValueError(f"the shape of {short(name)} is {short(found['shape'])}, in chunks of {short(chunk)}")
     length = prod(chunk) * max(item, 1)
-    if length > max(SMALL, prod(found["shape"]) * item):
+    if length > max(UNCHECKED_BYTES, prod(found["shape"]) * item):
         raise ValueError(f"the chunks of {short(name)} are larger than the array")
-    check_room(2 * length, f"a chunk of {short(name)}")
+    check_available_memory(2 * length, f"a chunk of {short(name)}")
     packed = codecs.index(packers[0]) if packers else len(codecs)
-    inside, outside = (SUM * part.count("crc32c") for part in (codecs[:packed], codecs[packed:]))
+    inside, outside = (CHECKSUM_BYTES * part.count("crc32c") for part in (codecs[:packed], codecs[packed:]))
     about = {
         "packer": packers[0] if packers else "",
         "text": item == 0,
@@ -180,8 +184,8 @@ def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]
         raise ValueError(f"the metadata of {short(name)} contradict each other")
 
 
-def _item(kind: Any) -> int:
-    if not isinstance(kind, str) or not PLAIN_TYPE.fullmatch(kind):
+def _item_size(kind: Any) -> int:
+    if not isinstance(kind, str) or not NUMERIC_TYPE.fullmatch(kind):
         raise ValueError(f"an array holds {short(kind)}, which is neither numbers nor text")
     return int(np.dtype(kind).itemsize)
 
@@ -189,24 +193,24 @@ def _item(kind: Any) -> int:
 def _check_chunk(file: Path, name: str, array: Mapping[str, Any]) -> None:
     """Reject a chunk that decompresses to more than the chunk size."""
     with open(file, "rb") as content:
-        held = _length(content.read(32), array["packer"])
+        held = _decompressed_length(content.read(32), array["packer"])
         if array["text"]:
             if held is not None:
-                check_room(2 * held, name)
-            if held is None or 0 <= held <= SMALL:
+                check_available_memory(2 * held, name)
+            if held is None or 0 <= held <= UNCHECKED_BYTES:
                 content.seek(0)
-                texts_of(_unpacked(content.read(), array["packer"], *array["sums"]), array["length"])
+                decode_texts(_decompress(content.read(), array["packer"], *array["sums"]), array["length"])
                 return
         elif held is None or held == array["length"] + array["sums"][0]:
             return
     raise ValueError(f"the chunk {short(name)} has another length than its array declares")
 
 
-def _length(head: bytes, packer: str) -> int | None:
+def _decompressed_length(head: bytes, compressor: str) -> int | None:
     """Return the decompressed length from the header of a chunk; None if it is not compressed, -1 if not declared."""
-    if not packer:
+    if not compressor:
         return None
-    if packer == "blosc":
+    if compressor == "blosc":
         return int.from_bytes(head[4:8], "little")
     flags = head[4] if head[:4] == b"\x28\xb5\x2f\xfd" and len(head) > 4 else 0
     single = flags >> 5 & 1
@@ -215,10 +219,10 @@ def _length(head: bytes, packer: str) -> int | None:
     return int.from_bytes(head[first : first + size], "little") + (256 if size == 2 else 0) if size else -1
 
 
-def _unpacked(content: bytes, packer: str, inside: int, outside: int) -> bytes:
+def _decompress(content: bytes, compressor: str, inside: int, outside: int) -> bytes:
     """Decompress a chunk; omit its check sums, of so many bytes inside and outside of the compression."""
-    if packer:
+    if compressor:
         import numcodecs
 
-        content = bytes(numcodecs.get_codec({"id": packer}).decode(content[: len(content) - outside]))
+        content = bytes(numcodecs.get_codec({"id": compressor}).decode(content[: len(content) - outside]))
     return content[: len(content) - inside]

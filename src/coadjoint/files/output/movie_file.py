@@ -11,14 +11,14 @@ from typing import Protocol
 
 import numpy as np
 
-from coadjoint.files.output.atomic_output import Unfinished
+from coadjoint.files.output.atomic_output import PendingOutput
 from coadjoint.files.output.output_files import MOVIES, OutputError, check_target
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.validation import read_positive
 
-NEARLY_WHITE = 248
+GIF_WHITE_THRESHOLD = 248
 """In a GIF, shades from here on become white."""
-FASTEST_GIF = 50
+MAX_GIF_FPS = 50
 """Frames per second; viewers slow down faster GIFs."""
 
 
@@ -49,14 +49,14 @@ def check_speed(fps: float, target: Path) -> float:
     24.0
     """
     rate = read_positive(fps, "fps")
-    if target.suffix == ".gif" and rate > FASTEST_GIF:
-        raise ValueError(f"fps is {rate:g}; a GIF shows at most {FASTEST_GIF} frames per second")
+    if target.suffix == ".gif" and rate > MAX_GIF_FPS:
+        raise ValueError(f"fps is {rate:g}; a GIF shows at most {MAX_GIF_FPS} frames per second")
     return rate
 
 
 def write_movie(frames: Frames, target: Path, fps: float) -> None:
     """Write a movie atomically, to a target of `check_movie` and at a rate of `check_speed`."""
-    with Unfinished(target) as unfinished:
+    with PendingOutput(target) as unfinished:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.place, fps)
         unfinished.finish()
 
@@ -72,7 +72,9 @@ def _write_gif(frames: Frames, place: Path, fps: float) -> None:
     from PIL import Image
 
     width, height = frames.size
-    check_room(2 * frames.count * width * height, "a GIF of so many frames", "take fewer, or a smaller size")
+    check_available_memory(
+        2 * frames.count * width * height, "a GIF of so many frames", "take fewer, or a smaller size"
+    )
 
     def images() -> Iterator[Image.Image]:
         palette = None
@@ -80,7 +82,7 @@ def _write_gif(frames: Frames, place: Path, fps: float) -> None:
             image = Image.fromarray(np.ascontiguousarray(np.asarray(frame)[..., :3]))
             if palette is None:
                 shades = np.unique(np.asarray(image).reshape(-1, 3), axis=0)
-                shades = shades[(shades < NEARLY_WHITE).any(axis=1)]
+                shades = shades[(shades < GIF_WHITE_THRESHOLD).any(axis=1)]
                 found = Image.fromarray(shades[None]).quantize(255).getpalette() or []
                 palette = Image.new("P", (1, 1))
                 palette.putpalette([*found[: 3 * 255], *3 * [255]])

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from coadjoint.errors import OneLineError
 from coadjoint.files.datasets.content_checksum import with_checksum
 from coadjoint.files.datasets.netcdf_file import write_netcdf
-from coadjoint.files.datasets.zarr_store import INDEX, write_zarr, written_by_coadjoint
-from coadjoint.files.output.atomic_output import Unfinished, remove_leftovers
+from coadjoint.files.datasets.zarr_store import INDEX_FILE, foreign_file, write_zarr
+from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.optional_packages import need
 from coadjoint.validation import read_path
 
@@ -32,7 +32,7 @@ FIGURES = (".png", ".pdf", ".svg")
 MOVIES = (".mp4", ".gif")
 TEXTS = (".json",)
 PAGES = (".html",)
-PACKAGES = {
+REQUIRED_PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
     **dict.fromkeys((*FIGURES, ".mp4"), ("matplotlib",)),
@@ -40,7 +40,7 @@ PACKAGES = {
     ".json": (),
     ".html": (),
 }
-NAMED = {
+FORMAT_NAMES = {
     ".nc": "NetCDF",
     ".zarr": "Zarr",
     ".json": "JSON",
@@ -67,13 +67,13 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     if target.suffix not in allowed:
         listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
         raise OutputError(f"{path}: the suffix sets the format; it must be {listed}")
-    need(f"{path}: {NAMED[target.suffix]}", *PACKAGES[target.suffix])
+    need(f"{path}: {FORMAT_NAMES[target.suffix]}", *REQUIRED_PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():
             raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")
         remove_leftovers(target)
-        _check_replaced(target)
-        _rehearse(target)
+        _check_replaceable(target)
+        _try_target(target)
     except (OSError, ValueError) as reason:
         if isinstance(reason, OutputError):
             raise
@@ -83,7 +83,7 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     return target
 
 
-def _check_replaced(target: Path) -> None:
+def _check_replaceable(target: Path) -> None:
     """Refuse to replace anything that is not a result."""
     if target.suffix != ".zarr":
         if target.is_dir():
@@ -91,19 +91,19 @@ def _check_replaced(target: Path) -> None:
     elif os.path.lexists(target):
         if not any((target / name).exists() for name in (".zgroup", "zarr.json")):
             raise OutputError(f"{target}: exists and is not a Zarr store, so it is not replaced; give another name")
-        other = written_by_coadjoint(target)
+        other = foreign_file(target)
         if other:
             raise OutputError(
                 f"{target}: holds {other}, which coadjoint did not write, so it is not replaced; give another name"
             )
 
 
-def _rehearse(target: Path) -> None:
+def _try_target(target: Path) -> None:
     """Create and remove the output once: the name may be too long, the disk full, or the folder not writable."""
-    with Unfinished(target) as trial:
+    with PendingOutput(target) as trial:
         if target.suffix == ".zarr":
             trial.place.mkdir()
-            (trial.place / INDEX).touch()
+            (trial.place / INDEX_FILE).touch()
         else:
             trial.place.touch()
 
@@ -139,19 +139,19 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     target = check_target(path)
     dataset = with_checksum(dataset)
     write = write_netcdf if target.suffix == ".nc" else write_zarr
-    with Unfinished(target) as unfinished:
-        _in_a_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.give_up)
+    with PendingOutput(target) as unfinished:
+        _run_in_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.abandon)
         unfinished.finish()
 
 
-def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
+def _run_in_thread(work: Callable[[], None], abandon: Callable[[], None]) -> None:
     """Run uninterruptibly, since HDF5 does not survive interrupts; only the main thread receives them."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         try:
             done.result()
         except BaseException:
-            give_up()
+            abandon()
             raise
 
 
@@ -180,7 +180,7 @@ def write_figure(figure: Figure, path: str | Path) -> None:
     target = check_target(path, FIGURES)
     drawn = io.BytesIO()
     figure.savefig(drawn, format=target.suffix[1:])
-    with Unfinished(target) as unfinished:
+    with PendingOutput(target) as unfinished:
         unfinished.place.write_bytes(drawn.getbuffer())
         unfinished.finish()
 
@@ -230,6 +230,6 @@ def write_page(text: str, path: str | Path) -> None:
 
 
 def _write(text: str, target: Path) -> None:
-    with Unfinished(target) as unfinished:
+    with PendingOutput(target) as unfinished:
         unfinished.place.write_text(text, encoding="utf-8")
         unfinished.finish()

@@ -19,9 +19,9 @@ from coadjoint.short_repr import short
 # Prefixes of missing functions without which a run can be repeated, since they do not affect the motion.
 CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
 STREAM, ENERGY = "stream: ", "energy: "
-DEEPEST = 32
-MOST_LETTERS = 2000
-LARGEST_WHOLE = 2**62
+MAX_DEPTH = 32
+MAX_CHARACTERS = 2000
+MAX_INTEGER = 2**62
 _QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
 
 
@@ -31,7 +31,7 @@ class Entry:
     Examples
     --------
     >>> record = Entry({"dim": 3, "basis": ["e1", 2]}, "algebra")
-    >>> record["dim"].whole(1)
+    >>> record["dim"].integer(1)
     3
     >>> [name.text() for name in record["basis"].entries()]
     Traceback (most recent call last):
@@ -40,17 +40,17 @@ class Entry:
 
     def __init__(self, value: Any, place: str, depth: int = 0) -> None:
         self.value, self.place, self._depth = value, place, depth
-        if depth > DEEPEST:
-            raise ValueError(f"{place} is nested deeper than {DEEPEST} lists and tables")
+        if depth > MAX_DEPTH:
+            raise ValueError(f"{place} is nested deeper than {MAX_DEPTH} lists and tables")
 
-    def wrong(self, wanted: str) -> ValueError:
+    def invalid_error(self, wanted: str) -> ValueError:
         """Return the error that the value must be `wanted`."""
         return ValueError(f"{self.place} is {short(self.value, 60)}; it must be {wanted}")
 
     def table(self) -> dict[str, Entry]:
         """Return a table of entries."""
         if not isinstance(self.value, dict):
-            raise self.wrong("a table")
+            raise self.invalid_error("a table")
         return {
             key: Entry(value, f"{self.place}.{in_one_line(key, 40)}", self._depth + 1)
             for key, value in self.value.items()
@@ -65,7 +65,7 @@ class Entry:
             raise ValueError(f"{self.place} has no {key!r}")
         return found[key]
 
-    def only(self, *known: str) -> Entry:
+    def reject_unknown(self, *known: str) -> Entry:
         """Reject unknown keys, whose meaning would be lost; return the entry itself."""
         for key, entry in self.table().items():
             if key not in known:
@@ -75,15 +75,17 @@ class Entry:
     def entries(self, length: int | None = None) -> list[Entry]:
         """Return a list of entries, of the given length if any."""
         if not isinstance(self.value, list) or (length is not None and len(self.value) != length):
-            raise self.wrong("a list" if length is None else f"a list of {length} entries")
+            raise self.invalid_error("a list" if length is None else f"a list of {length} entries")
         return [Entry(value, f"{self.place}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
 
-    def wholes(self, most: int, length: int | None = None) -> list[int]:
+    def integers(self, most: int, length: int | None = None) -> list[int]:
         """Return a list of integers from 0 to `most`, of the given length if any."""
         value = self.value
         listed = isinstance(value, list) and set(map(type, value)) <= {int} and (length is None or len(value) == length)
         if not listed or (value and not 0 <= min(value) <= max(value) <= most):
-            raise self.wrong(f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {most}")
+            raise self.invalid_error(
+                f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {most}"
+            )
         return list(value)
 
     def numbers(self, length: int) -> NDArray[np.float64]:
@@ -98,39 +100,41 @@ class Entry:
         found = self._array(wanted, None, len(bounds) + 1)
         for column, bound in zip(found.T, bounds, strict=False):
             if not ((column >= 0) & (column < bound) & (column == np.floor(column))).all():
-                raise self.wrong(wanted)
+                raise self.invalid_error(wanted)
         return found
 
     def _array(self, wanted: str, *shape: int | None) -> NDArray[np.float64]:
         try:
             found = np.array(self.value)
         except (ValueError, TypeError, OverflowError, RecursionError):
-            raise self.wrong(wanted) from None
+            raise self.invalid_error(wanted) from None
         fits_shape = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
         if not isinstance(self.value, list) or found.dtype.kind not in "if" or not fits_shape:
-            raise self.wrong(wanted)
+            raise self.invalid_error(wanted)
         if not np.isfinite(found).all():
-            raise self.wrong(wanted)
+            raise self.invalid_error(wanted)
         return found.astype(np.float64)
 
     def text(self) -> str:
         """Return the value as text."""
-        if not isinstance(self.value, str) or len(self.value) > MOST_LETTERS:
-            raise self.wrong("text" if not isinstance(self.value, str) else f"text of at most {MOST_LETTERS} letters")
+        if not isinstance(self.value, str) or len(self.value) > MAX_CHARACTERS:
+            raise self.invalid_error(
+                "text" if not isinstance(self.value, str) else f"text of at most {MAX_CHARACTERS} letters"
+            )
         return self.value
 
-    def whole(self, least: int = 0, most: int = LARGEST_WHOLE) -> int:
+    def integer(self, least: int = 0, most: int = MAX_INTEGER) -> int:
         """Return the value as an integer between bounds."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self.wrong(f"a whole number from {least} " + ("up" if most == LARGEST_WHOLE else f"to {most}"))
+            raise self.invalid_error(f"a whole number from {least} " + ("up" if most == MAX_INTEGER else f"to {most}"))
         return value
 
     def number(self) -> float:
         """Return the value as a finite float."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
         if isinstance(value, bool) or not isinstance(value, int | float) or not fits(value):
-            raise self.wrong("a finite number")
+            raise self.invalid_error("a finite number")
         return float(value)
 
     def exact(self) -> int | float | Fraction:
@@ -138,10 +142,10 @@ class Entry:
         if isinstance(self.value, str):
             found = _QUOTIENT.fullmatch(self.value)
             if found is None or not int(found[2]):
-                raise self.wrong("a number, or a quotient such as '1/3'")
+                raise self.invalid_error("a number, or a quotient such as '1/3'")
             quotient = Fraction(int(found[1]), int(found[2]))
             if not fits(quotient):
-                raise self.wrong("a quotient that float64 holds")
+                raise self.invalid_error("a quotient that float64 holds")
             return quotient
         self.number()
         return self.value
@@ -150,7 +154,7 @@ class Entry:
         """Return the value as a bool, which a file may hold as 1 or 0."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
         if not isinstance(value, bool | int) or value not in (0, 1):
-            raise self.wrong("0 or 1")
+            raise self.invalid_error("0 or 1")
         return bool(value)
 
     def plain(self) -> Any:
@@ -164,7 +168,7 @@ class Entry:
         if isinstance(self.value, str):
             return self.text()
         if isinstance(self.value, int):
-            return self.whole(-LARGEST_WHOLE)
+            return self.integer(-MAX_INTEGER)
         self.number()
         return self.value
 
@@ -192,12 +196,12 @@ def parsed(value: Any, place: str) -> Entry:
 
 
 @contextmanager
-def made_of(entry: Entry) -> Iterator[None]:
+def as_value_errors(entry: Entry) -> Iterator[None]:
     """Convert errors of the library inside the context to ValueError with the place of the entry.
 
     Examples
     --------
-    >>> with made_of(Entry({}, "system.algebra")):
+    >>> with as_value_errors(Entry({}, "system.algebra")):
     ...     raise TypeError("constants are missing")
     Traceback (most recent call last):
     ValueError: system.algebra: constants are missing

@@ -23,7 +23,7 @@ from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
-PLAIN = (type(None), bool, int, float, complex, str, bytes, Fraction, range)
+PLAIN_TYPES = (type(None), bool, int, float, complex, str, bytes, Fraction, range)
 
 
 class Fingerprint:
@@ -42,29 +42,29 @@ class Fingerprint:
         """Return the digest of all added values."""
         return self._digest.hexdigest()
 
-    def _say(self, *words: Any) -> None:
+    def _feed(self, *words: Any) -> None:
         self._digest.update("".join(f"{len(str(word))}:{word};" for word in words).encode())
 
     def add(self, value: Any) -> None:
         """Add a value."""
-        if isinstance(value, PLAIN):
-            return self._say(type(value).__name__, repr(value))
+        if isinstance(value, PLAIN_TYPES):
+            return self._feed(type(value).__name__, repr(value))
         if id(value) in self._seen:
-            return self._say("again", self._seen[id(value)])
+            return self._feed("again", self._seen[id(value)])
         self._seen[id(value)] = len(self._seen)
         self._kept.append(value)
         if isinstance(value, np.ndarray | np.generic):
-            self._say("array", np.asarray(value).dtype.str, np.shape(value))
+            self._feed("array", np.asarray(value).dtype.str, np.shape(value))
             self._digest.update(np.ascontiguousarray(value).tobytes())
         elif isinstance(value, Mapping):
-            self._say("mapping", len(value))
+            self._feed("mapping", len(value))
             for key in sorted(value, key=repr):
                 self.add(key)
                 self.add(value[key])
         elif isinstance(value, set | frozenset):
-            self._say("set", sorted(map(repr, value)))
+            self._feed("set", sorted(map(repr, value)))
         elif isinstance(value, Sequence):
-            self._say("sequence", len(value))
+            self._feed("sequence", len(value))
             for entry in value:
                 self.add(entry)
         elif isinstance(value, Polynomial):
@@ -84,22 +84,22 @@ class Fingerprint:
         elif isinstance(value, types.CodeType):
             self._add_code(value)
         elif isinstance(value, types.ModuleType | type | types.BuiltinFunctionType | np.ufunc):
-            self._say("named", getattr(value, "__module__", ""), getattr(value, "__qualname__", value.__name__))
+            self._feed("named", getattr(value, "__module__", ""), getattr(value, "__qualname__", value.__name__))
         elif is_dataclass(value):
-            self._say("object", type(value).__qualname__)
+            self._feed("object", type(value).__qualname__)
             self.add({field.name: getattr(value, field.name) for field in fields(value)})
         else:
             kind = type(value)
             kept = {name: own for name, own in getattr(value, "__dict__", {}).items() if not _is_cache(kind, name)}
             functions = {name: own for name, own in vars(kind).items() if isinstance(own, types.FunctionType)}
-            self._say("object", kind.__qualname__)
+            self._feed("object", kind.__qualname__)
             self.add([kept, functions if _package(kind) != "coadjoint" else {}])
 
     def _add_function(self, function: types.FunctionType) -> None:
-        self._say("function", function.__name__)
+        self._feed("function", function.__name__)
         if self._written:
             try:
-                self._say(inspect.getsource(function))
+                self._feed(inspect.getsource(function))
             except (OSError, TypeError):
                 self.unknown = True
         else:
@@ -109,13 +109,13 @@ class Fingerprint:
         own = _package(function)
         for name in sorted(_names(function.__code__)):
             found = function.__globals__.get(name, self)
-            if isinstance(found, (*PLAIN, np.ndarray, np.generic, tuple)) or (
+            if isinstance(found, (*PLAIN_TYPES, np.ndarray, np.generic, tuple)) or (
                 isinstance(found, types.FunctionType) and _package(found) == own
             ):
                 self.add([name, found])
 
     def _add_code(self, code: types.CodeType) -> None:
-        self._say("code", code.co_argcount, code.co_kwonlyargcount, code.co_names, code.co_varnames)
+        self._feed("code", code.co_argcount, code.co_kwonlyargcount, code.co_names, code.co_varnames)
         self._digest.update(code.co_code)
         self.add(list(code.co_consts))
 
@@ -187,13 +187,13 @@ def functions_in(system: Any) -> list[str]:
     return [name for name in missing if not name.startswith((EXACT, INTEGRAL))]
 
 
-def made_of_system(system: Any) -> Any:
+def system_contents(system: Any) -> Any:
     """Return everything that defines a system, for `fingerprint_of`."""
     if isinstance(system, Batch):
-        return [made_of_system(member) for member in system]
+        return [system_contents(member) for member in system]
     if isinstance(system, ForcedSystem):
         forces = [[type(force).__name__, force, dict(force.parameters())] for force in system.forces]
-        return [made_of_system(system.system), forces]
+        return [system_contents(system.system), forces]
     if getattr(system, "parameters", None) is not None:
         return [system.name, dict(system.parameters)]
     if isinstance(system, MatrixSystem):

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.families.matrix_algebra import LARGEST, SUM, MatrixAlgebra
-from coadjoint.files.records.entries import ENERGY, EXACT, STREAM, Entry, made_of
-from coadjoint.memory import check_room
-from coadjoint.systems.matrices.matrix_system import MOST_POWERS, MatrixSystem
+from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, SUM, MatrixAlgebra
+from coadjoint.files.records.entries import ENERGY, EXACT, STREAM, Entry, as_value_errors
+from coadjoint.memory import check_available_memory
+from coadjoint.systems.matrices.matrix_system import MAX_POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
-KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "energy_sign", "powers", "not_stored")
+RECORD_KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "energy_sign", "powers", "not_stored")
 
 
 def matrix_record(system: MatrixSystem) -> dict[str, Any]:
@@ -60,18 +60,18 @@ def matrix_record(system: MatrixSystem) -> dict[str, Any]:
 
 def matrix_system_of(record: Entry) -> MatrixSystem:
     """Rebuild the matrix system of a record; ValueError if the record is damaged."""
-    algebra = _algebra_of(record.only(*KEYS)["matrices"])
-    with made_of(record):
-        check_room(300 * algebra.N**2, f"matrices of {algebra}")
+    algebra = _algebra_of(record.reject_unknown(*RECORD_KEYS)["matrices"])
+    with as_value_errors(record):
+        check_available_memory(300 * algebra.N**2, f"matrices of {algebra}")
     stream = _stream_of(record["stream"], algebra.N)
     linear = _matrix_of(record["linear"], algebra) if "linear" in record else None
-    sign, powers, name = record["energy_sign"].whole(-1, 1), record["powers"].whole(0, MOST_POWERS), record["name"]
+    sign, powers, name = record["energy_sign"].integer(-1, 1), record["powers"].integer(0, MAX_POWERS), record["name"]
     if "layers" in record:
-        record["layers"].whole(2, 2)
+        record["layers"].integer(2, 2)
         second = _stream_of(record["second_stream"], algebra.N) if "second_stream" in record else None
-        with made_of(record):
+        with as_value_errors(record):
             return TwoLayerSystem(algebra, stream, second, energy_sign=sign, name=name.text(), powers=powers)
-    with made_of(record):
+    with as_value_errors(record):
         return MatrixSystem(algebra, stream, linear, energy_sign=sign, name=name.text(), powers=powers)
 
 
@@ -83,12 +83,12 @@ def _algebra_record(algebra: MatrixAlgebra) -> dict[str, Any]:
 
 def _algebra_of(record: Entry) -> MatrixAlgebra:
     if "blocks" in record:
-        blocks = [_algebra_of(block) for block in record.only("blocks")["blocks"].entries()]
-        with made_of(record):
+        blocks = [_algebra_of(block) for block in record.reject_unknown("blocks")["blocks"].entries()]
+        with as_value_errors(record):
             return MatrixAlgebra.sum(*blocks)
-    record.only("kind", "N", "q")
-    kind, N, q = record["kind"].text(), record["N"].whole(2, LARGEST), record["q"].whole(0, LARGEST)
-    with made_of(record):
+    record.reject_unknown("kind", "N", "q")
+    kind, N, q = record["kind"].text(), record["N"].integer(2, MAX_MATRIX_SIZE), record["q"].integer(0, MAX_MATRIX_SIZE)
+    with as_value_errors(record):
         if kind == SUM:
             raise ValueError("a sum has blocks")
         return MatrixAlgebra(kind, N, q)
@@ -109,22 +109,22 @@ def _stream_record(stream: Any) -> dict[str, Any] | None:
 def _stream_of(record: Entry, N: int) -> Any:
     table = record.table()
     if "weights" in table:
-        weights = _square(record.only("weights")["weights"], N)
-        with made_of(record):
+        weights = _square(record.reject_unknown("weights")["weights"], N)
+        with as_value_errors(record):
             return Weights(weights)
     if "spectrum" in table:
-        spectrum = _square(record.only("spectrum")["spectrum"], N)
-        with made_of(record):
+        spectrum = _square(record.reject_unknown("spectrum")["spectrum"], N)
+        with as_value_errors(record):
             return Circulants(spectrum)
     if "inverse of" in table:
-        of = _stream_of(record.only("inverse of")["inverse of"], N)
-        with made_of(record):
+        of = _stream_of(record.reject_unknown("inverse of")["inverse of"], N)
+        with as_value_errors(record):
             if not isinstance(of, DiagonalSolve):
                 raise ValueError("the inverse is that of a stream with main and beside")
             return Inverse(of)
-    record.only("main", "beside", "factor")
+    record.reject_unknown("main", "beside", "factor")
     main, beside, factor = _square(record["main"], N), _square(record["beside"], N), record["factor"].number()
-    with made_of(record):
+    with as_value_errors(record):
         return DiagonalSolve(main, beside, factor)
 
 

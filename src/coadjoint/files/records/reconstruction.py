@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.polynomial import MOST_DEGREE, Polynomial
-from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, made_of
+from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
+from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors
 from coadjoint.files.records.matrix_records import matrix_system_of
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -44,33 +44,33 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     given = record if isinstance(record, Entry) else Entry(dict(record), "system")
     if "members" not in given:
         return _one_of(given, dim)
-    given.only("name", "members", "not_stored")
+    given.reject_unknown("name", "members", "not_stored")
     members = [_one_of(member, dim) for member in given["members"].entries()]
-    with made_of(given["members"]):
+    with as_value_errors(given["members"]):
         return Batch(members)
 
 
 def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
     if "forces" not in record:
         return _member_of(record, dim)
-    record.only("name", "forces", "system", "not_stored")
+    record.reject_unknown("name", "forces", "system", "not_stored")
     _check_stored(record, record["name"].text())
     forces = []
     for force in record["forces"].entries():
         parameters = {key: entry.plain() for key, entry in force.table().items()}
-        with made_of(force):
+        with as_value_errors(force):
             forces.append(described.from_description(parameters))
     system = _member_of(record["system"], dim)
-    with made_of(record["forces"]):
+    with as_value_errors(record["forces"]):
         return ForcedSystem(system, forces)
 
 
 def _member_of(record: Entry, dim: int | None) -> Any:
     name = record["name"].text()
     if "parameters" in record:
-        record.only("name", "parameters")
+        record.reject_unknown("name", "parameters")
         parameters = {key: entry.plain() for key, entry in record["parameters"].table().items()}
-        with made_of(record["parameters"]):
+        with as_value_errors(record["parameters"]):
             system = importlib.import_module("coadjoint.systems").get(name, **parameters)
         _check_dimension(record, system.dim, dim)
         return system
@@ -79,7 +79,7 @@ def _member_of(record: Entry, dim: int | None) -> Any:
         matrices = matrix_system_of(record)
         _check_dimension(record, matrices.dim, dim)
         return matrices
-    record.only(
+    record.reject_unknown(
         "name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "layout", "not_stored"
     )
     algebra = _algebra_of(record["algebra"], dim)
@@ -88,8 +88,8 @@ def _member_of(record: Entry, dim: int | None) -> Any:
     integrals = invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
     representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
     layout = {key: entry.plain() for key, entry in record["layout"].table().items()} if "layout" in record else None
-    sign = record["sign"].whole(-1, 1)
-    with made_of(record):
+    sign = record["sign"].integer(-1, 1)
+    with as_value_errors(record):
         return LiePoissonSystem(
             algebra,
             hamiltonian,
@@ -119,17 +119,17 @@ def _check_dimension(record: Entry, found: int, wanted: int | None) -> None:
 
 
 def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
-    record.only("name", "dim", "basis", "constants", "representation", "casimirs")
-    dim = record["dim"].whole(1)
+    record.reject_unknown("name", "dim", "basis", "constants", "representation", "casimirs")
+    dim = record["dim"].integer(1)
     _check_dimension(record, dim, wanted)
-    with made_of(record):
-        check_room(BYTES_PER_COORDINATE * dim, "an algebra")
+    with as_value_errors(record):
+        check_available_memory(BYTES_PER_COORDINATE * dim, "an algebra")
     basis = [name.text() for name in record["basis"].entries(dim)]
     constants = record["constants"].rows(dim, dim, dim)
     name = None if record["name"].value is None else record["name"].text()
     representation = _matrices_of(record["representation"], dim) if "representation" in record else None
     casimirs = invariants_of(record["casimirs"], dim) if "casimirs" in record else None
-    with made_of(record):
+    with as_value_errors(record):
         return LieAlgebra(
             constants,
             dim=dim,
@@ -141,9 +141,9 @@ def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
 
 
 def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
-    size = record.only("size", "entries")["size"].whole(1)
-    with made_of(record):
-        check_room(8 * dim * size**2, "a representation")
+    size = record.reject_unknown("size", "entries")["size"].integer(1)
+    with as_value_errors(record):
+        check_available_memory(8 * dim * size**2, "a representation")
         matrices = np.zeros((dim, size, size))
     *where, values = record["entries"].rows(dim, size, size).T
     matrices[tuple(index.astype(np.int64) for index in where)] = values
@@ -160,10 +160,10 @@ def invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
 
 def _form_of(record: Entry, dim: int) -> Quadratic:
     form = _hamiltonian_of(record, dim)
-    with made_of(record):
+    with as_value_errors(record):
         form = Quadratic.from_polynomial(form) if isinstance(form, Polynomial) else form
     if not isinstance(form, Quadratic):
-        raise record["kind"].wrong("'quadratic' or 'polynomial'")
+        raise record["kind"].invalid_error("'quadratic' or 'polynomial'")
     return form
 
 
@@ -171,11 +171,11 @@ def _polynomial_of(record: Entry, dim: int) -> Polynomial:
     monomials = {}
     for term in record.entries():
         coefficient, exponents = term.entries(2)
-        powers = tuple(exponents.wholes(MOST_DEGREE, dim))
-        if sum(powers) > MOST_DEGREE or powers in monomials:
-            raise exponents.wrong(f"of a degree up to {MOST_DEGREE}, and in no other term")
+        powers = tuple(exponents.integers(MAX_DEGREE, dim))
+        if sum(powers) > MAX_DEGREE or powers in monomials:
+            raise exponents.invalid_error(f"of a degree up to {MAX_DEGREE}, and in no other term")
         monomials[powers] = coefficient.exact()
-    with made_of(record):
+    with as_value_errors(record):
         return Polynomial(monomials, dim=dim)
 
 
@@ -185,45 +185,45 @@ def _hamiltonian_of(record: Entry, dim: int) -> Any:
         return _split_of(record, dim)
     if kind == "sum":
         return _sum_of(record, dim)
-    if record["dim"].whole(1) != dim:
-        raise record["dim"].wrong(f"{dim}, the number of its coordinates")
+    if record["dim"].integer(1) != dim:
+        raise record["dim"].invalid_error(f"{dim}, the number of its coordinates")
     if kind == "polynomial":
-        return _polynomial_of(record.only("kind", "dim", "monomials")["monomials"], dim)
+        return _polynomial_of(record.reject_unknown("kind", "dim", "monomials")["monomials"], dim)
     if kind == "quadratic":
         return _quadratic_of(record, dim)
-    raise record["kind"].wrong("'quadratic', 'polynomial', 'split' or 'sum'")
+    raise record["kind"].invalid_error("'quadratic', 'polynomial', 'split' or 'sum'")
 
 
 def _split_of(record: Entry, dim: int) -> SplitHamiltonian:
     pieces = []
-    for piece in record.only("kind", "pieces")["pieces"].entries():
+    for piece in record.reject_unknown("kind", "pieces")["pieces"].entries():
         coordinates, inner = piece.entries(2)
-        chosen = coordinates.wholes(dim - 1)
+        chosen = coordinates.integers(dim - 1)
         pieces.append((chosen, _hamiltonian_of(inner, len(chosen))))
-    with made_of(record):
+    with as_value_errors(record):
         return SplitHamiltonian(pieces)
 
 
 def _sum_of(record: Entry, dim: int) -> Any:
-    given = record.only("kind", "summands")["summands"]
+    given = record.reject_unknown("kind", "summands")["summands"]
     summands = [_hamiltonian_of(one, dim) for one in given.entries()]
     if not summands:
-        raise given.wrong("a list of at least one Hamiltonian")
-    with made_of(record):
+        raise given.invalid_error("a list of at least one Hamiltonian")
+    with as_value_errors(record):
         return sum(summands[1:], summands[0])
 
 
 def _quadratic_of(record: Entry, dim: int) -> Quadratic:
     from scipy.sparse import coo_array
 
-    record.only("kind", "dim", "M", "linear", "constant")
+    record.reject_unknown("kind", "dim", "M", "linear", "constant")
     upper = record["M"].rows(dim, dim)
     places = upper[:, :2].astype(np.int64)
     if len(np.unique(places, axis=0)) < len(places) or (places[:, 0] > places[:, 1]).any():
-        raise record["M"].wrong("rows (i, j, value) with i up to j, each pair once")
+        raise record["M"].invalid_error("rows (i, j, value) with i up to j, each pair once")
     below = places[places[:, 0] < places[:, 1]][:, ::-1]
     (rows, columns), values = np.concatenate([places, below]).T, upper[:, 2]
     linear, constant = record["linear"].numbers(dim), record["constant"].exact()
-    with made_of(record):
+    with as_value_errors(record):
         values = np.concatenate([values, values[places[:, 0] < places[:, 1]]])
         return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)

@@ -29,8 +29,8 @@ from coadjoint.systems.system_checks import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
 
-LONGEST_NAME = 64
-STORED = (Polynomial, Quadratic)
+MAX_NAME_LENGTH = 64
+STORABLE_TYPES = (Polynomial, Quadratic)
 
 
 def record_of(system: System | Batch) -> dict[str, Any]:
@@ -63,9 +63,11 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         return {"name": system.name, "not_stored": [f"structure matrix: {_function_name(system.structure_function)}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
     followed, known = system.casimirs, system.algebra.casimirs_known
-    lost = [name for name, value in (*followed.items(), *known.items()) if not isinstance(value, STORED)]
+    lost = [name for name, value in (*followed.items(), *known.items()) if not isinstance(value, STORABLE_TYPES)]
     missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(lost)]
-    missing += [f"{INTEGRAL}{name}" for name, value in system.integrals.items() if not isinstance(value, STORED)]
+    missing += [
+        f"{INTEGRAL}{name}" for name, value in system.integrals.items() if not isinstance(value, STORABLE_TYPES)
+    ]
     missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
     record: dict[str, Any] = {
         "name": system.name,
@@ -111,7 +113,7 @@ def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)
         for name, value in casimirs.items()
-        if isinstance(value, STORED)
+        if isinstance(value, STORABLE_TYPES)
     }
 
 
@@ -207,4 +209,4 @@ def safe_name(name: str) -> str:
     'x1_x3_x2_2'
     """
     letters = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name)
-    return "_".join(letters.split())[:LONGEST_NAME] or "unnamed"
+    return "_".join(letters.split())[:MAX_NAME_LENGTH] or "unnamed"

@@ -9,10 +9,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.files.configuration.polynomials import read_polynomial
-from coadjoint.files.datasets.state_arrays import in_parts, state_dimensions
-from coadjoint.files.datasets.variables import named
-from coadjoint.files.records.entries import Entry, made_of
+from coadjoint.files.configuration.polynomials import parse_polynomial
+from coadjoint.files.datasets.state_arrays import split_complex, state_dimensions
+from coadjoint.files.datasets.variables import cf_attributes
+from coadjoint.files.records.entries import Entry, as_value_errors
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import invariants_record
 from coadjoint.runs.events import Event, Events
@@ -21,7 +21,7 @@ from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 
 def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
@@ -39,22 +39,22 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     options = dict(table)
     g = options.pop("g")
     if isinstance(g, str) and g not in coordinate_names(moved, moved.dim):
-        g = read_polynomial(g, moved.dim)
+        g = parse_polynomial(g, moved.dim)
     elif isinstance(g, list):
-        g = read_polynomial(g, moved.dim)
+        g = parse_polynomial(g, moved.dim)
     elif not isinstance(g, str):
-        g = read_whole(g, "g", 0, moved.dim - 1)
+        g = read_integer(g, "g", 0, moved.dim - 1)
     return Event(g, name=name, **options)
 
 
-def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
+def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
     """Return events as JSON, and the names of those that are functions, whose g is null since it cannot be stored.
 
     Examples
     --------
-    >>> written_events([Event("x2", terminal=True)], ["x2"])
+    >>> event_record([Event("x2", terminal=True)], ["x2"])
     ('{"x2": {"g": "x2", "direction": 0, "count": null, "terminal": true}}', [])
-    >>> written_events([Event(abs)], ["mine"])
+    >>> event_record([Event(abs)], ["mine"])
     ('{"mine": {"g": null, "direction": 0, "count": null, "terminal": false}}', ['mine'])
     """
     tables, missing = {}, []
@@ -73,14 +73,14 @@ def variables_of(events: Events) -> dict[str, Any]:
     """Return crossings as variables of a dataset, over ``crossing``."""
     over = ("crossing",)
     found: dict[str, Any] = {
-        "event_time": (over, events.t, named("time of a crossing")),
-        "event_x": ((*over, *state_dimensions(events.x, 1)), in_parts(events.x), named("momentum there")),
+        "event_time": (over, events.t, cf_attributes("time of a crossing")),
+        "event_x": ((*over, *state_dimensions(events.x, 1)), split_complex(events.x), cf_attributes("momentum there")),
         "event_which": (over, events.which, {"long_name": "number of the event"}),
         "event_member": (over, events.member, {"long_name": "member that crosses"}),
         "event_direction": (over, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
     }
     if events.attitude is not None:
-        found["event_attitude"] = ((*over, "row", "column"), events.attitude, named("group element there"))
+        found["event_attitude"] = ((*over, "row", "column"), events.attitude, cf_attributes("group element there"))
     return found
 
 
@@ -90,9 +90,9 @@ def not_stored(x: NDArray[Any], t: float) -> float:
 
 
 def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
-    """Parse the events of `written_events`, with `not_stored` for functions; ValueError if damaged."""
+    """Parse the events of `event_record`, with `not_stored` for functions; ValueError if damaged."""
     found = []
-    with made_of(entry):
+    with as_value_errors(entry):
         for name, table in json.loads(entry.text()).items():
             if table["g"] is None:
                 found.append(Event(**{**table, "g": not_stored}, name=name))

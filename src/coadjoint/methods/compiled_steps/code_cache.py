@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-from coadjoint.private_folders import OTHERS_WRITE, check_private, private_folder
+from coadjoint.private_folders import WRITABLE_BY_OTHERS, check_private, private_folder
 
 
 def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
@@ -22,12 +22,12 @@ def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
     """
     try:
         folder = _cache_folder()
-        path = _stored(folder, name)
+        path = _cached(folder, name)
         if path is None:
             with tempfile.TemporaryDirectory(dir=folder) as own:
                 made = Path(own, name)
                 build(made)
-                path = folder / _name_of(name, _settled(made))
+                path = folder / _cache_name(name, _flushed_content(made))
                 os.replace(made, path)
     except OSError as reason:
         why = f"{reason.strerror}: {reason.filename}" if reason.strerror else reason
@@ -43,7 +43,7 @@ def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-def _name_of(name: str, content: bytes) -> str:
+def _cache_name(name: str, content: bytes) -> str:
     """Return a file name that contains a digest of the content: loading a damaged library would crash the process."""
     return f"{name}-{hashlib.sha256(content).hexdigest()[:32]}.so"
 
@@ -71,27 +71,27 @@ def _home() -> Path:
     return home
 
 
-def _stored(folder: Path, name: str) -> Path | None:
+def _cached(folder: Path, name: str) -> Path | None:
     """Return the undamaged library of this name, or None; damaged ones are removed.
 
     Raise PermissionError if another user can have written it.
     """
     for path in sorted(folder.iterdir()):
         if path.name.startswith(f"{name}-"):
-            if path.name == _name_of(name, _own_content(path)):
+            if path.name == _cache_name(name, _trusted_content(path)):
                 # Loading by name is safe: in a private folder nobody else can replace the file.
                 return path
             path.unlink(missing_ok=True)
     return None
 
 
-def _own_content(path: Path) -> bytes:
+def _trusted_content(path: Path) -> bytes:
     """Return the content of a file; raise PermissionError unless it belongs to this user and only this user can write
     it.
     """
     with open(path, "rb", opener=_without_links) as file:
         found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & OTHERS_WRITE:
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & WRITABLE_BY_OTHERS:
             raise PermissionError(
                 f"{path} is not a file that only this user can write: owner {found.st_uid}, mode {found.st_mode:o}"
             )
@@ -102,7 +102,7 @@ def _without_links(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
-def _settled(path: Path) -> bytes:
+def _flushed_content(path: Path) -> bytes:
     """Flush a new file to disk, writable by its owner only whatever the umask; return its content."""
     path.chmod(0o600)
     with open(path, "rb") as file:

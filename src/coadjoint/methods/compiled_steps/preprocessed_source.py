@@ -15,11 +15,11 @@ from coadjoint.kernels.compiling import SOURCE
 
 LINE_MARKER = re.compile(rb'^# \d+ "((?:[^"\\\n]|\\.)*)"([ \d]*)$', re.MULTILINE)
 SYSTEM_HEADER = b"3"
-SEARCHED = re.compile(
+SEARCH_FOLDERS = re.compile(
     rb"^#include .* search starts here:\n((?: .*\n|#include .*\n)*)End of search list\.", re.MULTILINE
 )
-ABSENT = re.compile(rb'^ignoring nonexistent directory "(.*)"$', re.MULTILINE)
-SETTLED = 2 * 10**9
+ABSENT_FOLDER = re.compile(rb'^ignoring nonexistent directory "(.*)"$', re.MULTILINE)
+TIMESTAMP_GRANULARITY = 2 * 10**9
 """Files modified within this many nanoseconds can change again without a new time stamp."""
 
 Stamp = tuple[int, ...] | None
@@ -41,9 +41,9 @@ class PreprocessedSource(NamedTuple):
         for name, flags in LINE_MARKER.findall(text):
             if not name.startswith(b"<"):
                 files.setdefault(re.sub(rb"\\(.)", rb"\1", name), SYSTEM_HEADER in flags.split())
-        listed = SEARCHED.search(messages)
+        listed = SEARCH_FOLDERS.search(messages)
         searched = re.findall(rb"^ (.*?)(?: \(framework directory\))?$", listed[1], re.MULTILINE) if listed else []
-        return cls(text, files, [*searched, *ABSENT.findall(messages)] if searched else [])
+        return cls(text, files, [*searched, *ABSENT_FOLDER.findall(messages)] if searched else [])
 
     def digest(self, options: Sequence[str]) -> str:
         """Return a digest of the user's files and options, independent of the compiler."""
@@ -91,7 +91,7 @@ def stamps_of(paths: Iterable[bytes]) -> dict[bytes, Stamp]:
     return found
 
 
-def settled(stamps: dict[bytes, Stamp]) -> bool:
+def stamps_are_final(stamps: dict[bytes, Stamp]) -> bool:
     """Return whether every later change will alter the stamps."""
     newest = max((max(stamp[3:]) for stamp in stamps.values() if stamp), default=0)
-    return bool(stamps) and newest < time.time_ns() - SETTLED
+    return bool(stamps) and newest < time.time_ns() - TIMESTAMP_GRANULARITY

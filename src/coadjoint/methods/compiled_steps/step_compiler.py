@@ -19,11 +19,11 @@ from typing import NamedTuple
 from coadjoint.kernels.compiling import options, tuning
 from coadjoint.kernels.library import kernels, level_in_use
 from coadjoint.methods.compiled_steps.code_cache import cached_library
-from coadjoint.methods.compiled_steps.preprocessed_source import PreprocessedSource, Stamp, settled, stamps_of
+from coadjoint.methods.compiled_steps.preprocessed_source import PreprocessedSource, Stamp, stamps_are_final, stamps_of
 from coadjoint.short_repr import short
 
 COMPILERS = ("c++", "g++", "clang++")
-SECONDS = 600.0
+COMPILER_TIMEOUT = 600.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ _LOADED: dict[str, ctypes.CDLL] = {}
 """Libraries in use by digest of all inputs of the machine code; never unloaded."""
 _LIBRARIES: dict[tuple[str, str], ctypes.CDLL] = {}
 """The same libraries by path and digest of a step."""
-_LAST: dict[str, _Compiled] = {}
+_LAST_COMPILATIONS: dict[str, _Compiled] = {}
 
 
 def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
@@ -116,85 +116,90 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
         raise ValueError(f"{source}: has the steps {', '.join(names)}; select one by name=")
     if name is not None and name not in names:
         raise ValueError(f"{source}: has no step {short(name)}; it has {', '.join(names)}")
-    place = str(source.resolve())
-    step = CompiledStep(name or names[0], place, _digest_of_library(place))
-    if not hasattr(_LIBRARIES[place, step.digest], f"{step.name}_step"):
+    source_path = str(source.resolve())
+    step = CompiledStep(name or names[0], source_path, _digest_of_library(source_path))
+    if not hasattr(_LIBRARIES[source_path, step.digest], f"{step.name}_step"):
         raise ValueError(f"{source}: has no step {step.name} after preprocessing")
     return step
 
 
-def _digest_of_library(place: str) -> str:
+def _digest_of_library(source_path: str) -> str:
     """Load the library of a file, compiled if necessary, and return its digest."""
     kernels()  # raises first if the kernels are missing
     # Compiled for the level in use, so that the bits are the same.
     settings = level_in_use(), dict(os.environ)
-    last = _LAST.get(place)
+    last = _LAST_COMPILATIONS.get(source_path)
     if last is not None and last.settings == settings and stamps_of(last.stamps) == last.stamps:
         return last.digest
     compiler = _compiler()
     executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
     command = [*compiler, *options(tuning(settings[0])), "-DCOADJOINT_APART"]
-    version = _run([*compiler, "--version"], place).stdout.decode(errors="replace")
-    found = _run([*command, "-E", "-v", place], place)
+    version = _run([*compiler, "--version"], source_path).stdout.decode(errors="replace")
+    found = _run([*command, "-E", "-v", source_path], source_path)
     if found.returncode != 0:
-        raise _refusal(compiler, place, found)
+        raise _compiler_error(compiler, source_path, found)
     source = PreprocessedSource.read(found.stdout, found.stderr)
     watched = source.watched()
     stamps = stamps_of([*watched, executable])
     identity = [command, version, os.fsdecode(executable), (stamps[executable] or ())[2:4]]
     key = hashlib.sha256(json.dumps(identity).encode() + source.text).hexdigest()
     if key not in _LOADED:
-        _LOADED[key] = _load(f"{Path(place).stem[:40]}-{key[:32]}", place, partial(_build, command, source.text))
+        _LOADED[key] = _load(
+            f"{Path(source_path).stem[:40]}-{key[:32]}", source_path, partial(_build, command, source.text)
+        )
     digest = source.digest([word for word in compiler if word.startswith("-")])
-    _LIBRARIES[place, digest] = _LOADED[key]
-    if watched and settled(stamps):
-        _LAST[place] = _Compiled(settings, stamps, digest)
+    _LIBRARIES[source_path, digest] = _LOADED[key]
+    if watched and stamps_are_final(stamps):
+        _LAST_COMPILATIONS[source_path] = _Compiled(settings, stamps, digest)
     return digest
 
 
-def _load(name: str, place: str, build: Callable[[str, Path], None]) -> ctypes.CDLL:
+def _load(name: str, source_path: str, build: Callable[[str, Path], None]) -> ctypes.CDLL:
     try:
-        library = cached_library(name, partial(build, place))
+        library = cached_library(name, partial(build, source_path))
     except OSError as reason:
-        raise ValueError(f"{place}: the compiled step cannot be loaded ({reason})") from None
+        raise ValueError(f"{source_path}: the compiled step cannot be loaded ({reason})") from None
     lending = kernels().lent_to_others
     lending.restype = ctypes.c_void_p
     library.borrow(ctypes.c_void_p(lending()))
     return library
 
 
-def _build(command: Sequence[str], text: bytes, place: str, made: Path) -> None:
+def _build(command: Sequence[str], text: bytes, source_path: str, output_path: Path) -> None:
     """Compile the preprocessed text, not the file, which may have changed since."""
-    done = _run([*command, "-shared", "-o", str(made), "-x", "c++-cpp-output", "-"], place, text)
+    done = _run([*command, "-shared", "-o", str(output_path), "-x", "c++-cpp-output", "-"], source_path, text)
     if done.returncode != 0:
-        raise _refusal(command, place, done)
-    if not made.is_file():
-        raise RuntimeError(f"{place}: the compiler {command[0]} has written nothing; name another one by CXX=")
+        raise _compiler_error(command, source_path, done)
+    if not output_path.is_file():
+        raise RuntimeError(f"{source_path}: the compiler {command[0]} has written nothing; name another one by CXX=")
 
 
-def _run(command: Sequence[str], place: str, text: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+def _run(command: Sequence[str], source_path: str, text: bytes = b"") -> subprocess.CompletedProcess[bytes]:
     """Run a compiler with messages in English."""
     language = {**os.environ, "LC_ALL": "C"}
     try:
-        return subprocess.run(command, input=text, capture_output=True, timeout=SECONDS, check=False, env=language)
+        return subprocess.run(
+            command, input=text, capture_output=True, timeout=COMPILER_TIMEOUT, check=False, env=language
+        )
     except OSError as reason:
         raise RuntimeError(
-            f"{place}: the compiler {command[0]} cannot be run ({reason.strerror}); name another one by CXX="
+            f"{source_path}: the compiler {command[0]} cannot be run ({reason.strerror}); name another one by CXX="
         ) from None
     except subprocess.TimeoutExpired:
         raise RuntimeError(
-            f"{place}: the compiler {command[0]} did not end within {SECONDS:.0f} s; name another one by CXX="
+            f"{source_path}: the compiler {command[0]} did not end within {COMPILER_TIMEOUT:.0f} s; name another one "
+            "by CXX="
         ) from None
 
 
-def _refusal(command: Sequence[str], place: str, done: subprocess.CompletedProcess[bytes]) -> Exception:
+def _compiler_error(command: Sequence[str], source_path: str, done: subprocess.CompletedProcess[bytes]) -> Exception:
     lines = done.stderr.decode(errors="replace").splitlines()
     shown = [line for line in lines if re.search(r"\berror: ", line)][:3] or lines[-3:]
     if done.returncode < 0 or not shown:
         return RuntimeError(
-            f"{place}: the compiler {command[0]} failed (exit status {done.returncode}); name another one by CXX="
+            f"{source_path}: the compiler {command[0]} failed (exit status {done.returncode}); name another one by CXX="
         )
-    return ValueError(f"{place}: the compiler {command[0]} refuses it: {' | '.join(shown)[:600]}")
+    return ValueError(f"{source_path}: the compiler {command[0]} refuses it: {' | '.join(shown)[:600]}")
 
 
 def _compiler() -> list[str]:

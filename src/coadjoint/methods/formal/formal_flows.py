@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.body_flow import Moving
-from coadjoint.program.interpreter import Reading, called_parts
+from coadjoint.program.body_flow import FlowState
+from coadjoint.program.interpreter import Interpreter, body_flow_parts
 from coadjoint.program.table import Program
 
 
-class FormalReading(Reading):
+class FormalInterpreter(Interpreter):
     """Evaluation of a program with rational constants in formal numbers.
 
     Angles are constant along their flow, which is therefore exp(sum_a theta_a D_a) x. Angles have no term without h:
@@ -23,20 +23,20 @@ class FormalReading(Reading):
 
     def __init__(self, program: Program) -> None:
         self.program = program
-        self._called = called_parts(program)
+        self._called = body_flow_parts(program)
 
     def pieces(self, reach: Callable[[], Any]) -> int:
         """Return 1: a power series in h needs no subdivision of the time of a free body."""
         return 1
 
-    def negligible(self, terms: Sequence[Moving]) -> bool:
+    def negligible(self, terms: Sequence[FlowState]) -> bool:
         """Return whether the next term has a power of h beyond the truncation."""
         return len(terms) >= type(terms[0].x[0]).count
 
     def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:
         return values.copy()
 
-    def _bent(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
+    def _rational_angles(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
         base = int(self.program.terms.row[self.program.share[part]])
         w = self.program.frequency[base : base + len(theta)]
         return [_arctangent(angle, f) if f else angle for angle, f in zip(theta, w, strict=True)], turned

@@ -186,7 +186,7 @@ def is_short(value: Any) -> bool:
     """Return whether a number is a fraction with a short denominator, such as 0.375 or 1/3 but not 0.1, and hence
     exact.
     """
-    return Fraction(value).denominator <= SHORT
+    return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR
 
 
-SHORT = 2**20
+MAX_SHORT_DENOMINATOR = 2**20

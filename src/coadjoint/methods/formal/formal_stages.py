@@ -73,7 +73,7 @@ class StagesOfCollocation(FormalStages):
 
     def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
         self.x, self.h, ring = x, h, h.ring
-        self._place = ring.dim + ring.symbols.index(NODE)
+        self._node = ring.dim + ring.symbols.index(NODE)
         node = ring.symbol[NODE]
         self._modulus = ring.zero
         for power, coefficient in enumerate(nodes):
@@ -87,11 +87,11 @@ class StagesOfCollocation(FormalStages):
         return self._mapped(values, lambda term: divmod(term, self._modulus)[1])[None]
 
     def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        integral = self._mapped(slopes[0], lambda term: divmod(term.integral(self._place), self._modulus)[1])
+        integral = self._mapped(slopes[0], lambda term: divmod(term.integral(self._node), self._modulus)[1])
         return (self.x + self.h * integral)[None]
 
     def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        return self.x + self.h * self._mapped(slopes[0], lambda term: term.integral(self._place).subs({NODE: 1}))
+        return self.x + self.h * self._mapped(slopes[0], lambda term: term.integral(self._node).subs({NODE: 1}))
 
     @staticmethod
     def _mapped(values: NDArray[Any], function: Callable[[Any], Any]) -> NDArray[Any]:
@@ -110,18 +110,20 @@ def formal_end(stages: FormalStages, system: System, solver: str, iterations: in
 
     field, gradient = system.vector_field, system.hamiltonian.gradient
     if solver in ("explicit", "implicit"):
-        return stages.end(_settled(stages, lambda X: stages.each(field, X)))
+        return stages.end(_converged_slopes(stages, lambda X: stages.each(field, X)))
     frozen = stages.start()
     for _ in range(iterations):
         frozen = stages.points(stages.each(field, frozen))
     if solver == "iterated":
         return stages.end(stages.each(field, frozen))
     if solver == "structure":
-        return stages.end(_settled(stages, lambda X: stages.each(lambda Z, Y: product(Z, gradient(Y)), frozen, X)))
-    return stages.end(_settled(stages, lambda X: stages.each(lambda Z, Y: product(Y, gradient(Z)), frozen, X)))
+        return stages.end(
+            _converged_slopes(stages, lambda X: stages.each(lambda Z, Y: product(Z, gradient(Y)), frozen, X))
+        )
+    return stages.end(_converged_slopes(stages, lambda X: stages.each(lambda Z, Y: product(Y, gradient(Z)), frozen, X)))
 
 
-def _settled(stages: FormalStages, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
+def _converged_slopes(stages: FormalStages, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Return the slopes at the points that solve X = x + h A L(X); each pass is exact in one more power of h."""
     count = stages.h.count
     points = vector(value.cut(1) for value in stages.start().ravel()).reshape(stages.start().shape)

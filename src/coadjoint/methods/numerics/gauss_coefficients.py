@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from coadjoint.program.numbers import Number, roundoff
 
 DIGITS = 60  # working precision for float64 coefficients; the formulas lose far fewer than 40 digits
-GRID = 2.0**-52
-FEW = 24  # up to this number of stages, sums in decimals are faster than the import of flint
+UNIT_SPACING = 2.0**-52
+MAX_DECIMAL_STAGES = 24  # up to this number of stages, sums in decimals are faster than the import of flint
 
 
 class Collocation(NamedTuple):
@@ -81,11 +81,11 @@ def _rounded(exact: Collocation) -> Collocation:
 
 def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round mu so that mu_ij + mu_ji = 1 exactly in floats: the drift of quadratic invariants then has no bias."""
-    below = np.tril(np.round(mu / GRID) * GRID, -1)
+    below = np.tril(np.round(mu / UNIT_SPACING) * UNIT_SPACING, -1)
     return below + np.triu(1.0 - below.T, 1) + 0.5 * np.eye(mu.shape[0])
 
 
-def _in_whole_numbers(roots: Sequence[decimal.Decimal]) -> Collocation:
+def _in_integers(roots: Sequence[decimal.Decimal]) -> Collocation:
     """Return the result of `_collocation` for decimals, with its s^2 sums of s products in integers: a hundred times
     faster.
 
@@ -113,7 +113,7 @@ def _in_whole_numbers(roots: Sequence[decimal.Decimal]) -> Collocation:
 def _in_floats(stages: int, radau: bool) -> Collocation:
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = (_radau_roots if radau else _gauss_roots)(stages, decimal.Decimal)
-        result = _rounded(_collocation(roots) if stages <= FEW else _in_whole_numbers(roots))
+        result = _rounded(_collocation(roots) if stages <= MAX_DECIMAL_STAGES else _in_integers(roots))
     if not radau:
         result = result._replace(mu=_symmetric(result.mu))
     for part in result:
@@ -182,7 +182,7 @@ def radau(stages: int, number: Number = float) -> Collocation:
     return _in_floats(stages, True) if number is float else _radau(stages, number)
 
 
-FURTHEST = 9
+MAX_EXTRAPOLATION_DEGREE = 9
 """Highest degree of the extrapolated Legendre polynomials: at the end of the next step they are about 6^degree."""
 
 
@@ -191,12 +191,12 @@ def extrapolation(stages: int, ratio: float) -> NDArray[np.float64]:
     """Return E (s, s) with x + sum_j E_ij L_j the polynomial of a Gauss step extrapolated to the nodes of the next one.
 
     E_ij is the integral of l_j / b_j from 1 to 1 + ratio c_i, in units of the old step, with the sum for l_j of
-    `_collocation` truncated at degree `FURTHEST`. `ratio` is next step over old step, negative for a step back. E =
-    [[ratio / 2]] for s = 1.
+    `_collocation` truncated at degree `MAX_EXTRAPOLATION_DEGREE`. `ratio` is next step over old step, negative for a
+    step back. E = [[ratio / 2]] for s = 1.
     """
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = _gauss_roots(stages, decimal.Decimal)
-        top = min(stages, FURTHEST + 1)
+        top = min(stages, MAX_EXTRAPOLATION_DEGREE + 1)
         values = [_legendre(stages, z) for z in roots]
         result = np.zeros((stages, stages))
         for i in range(stages):

@@ -26,13 +26,13 @@ class VectorOrbit:
     """The orbit of a momentum: ``D y = sign J(y) k``. Changes are columns."""
 
     def __init__(self, system: LiePoissonSystem) -> None:
-        self._system, self.bent_by = system, "formula"
+        self._system, self.derivative_by = system, "formula"
 
     def gradient(self, y: Any, t: Any) -> Any:
         """Return the gradient of H."""
         return self._system.hamiltonian.gradient(y, t)
 
-    def bend(self, y: Any, dy: Any, t: Any) -> Any:
+    def gradient_change(self, y: Any, dy: Any, t: Any) -> Any:
         """Return the changes of the gradient."""
         return self._system.hamiltonian.hessian(y, t) @ dy
 
@@ -54,13 +54,13 @@ class MatrixOrbit:
     """The orbit of a matrix: ``D W = [P, W]`` with the stream P as gradient; or of two layers."""
 
     def __init__(self, system: MatrixSystem) -> None:
-        self._system, self.bent_by = system, "formula" if system.linear_stream else "differences"
+        self._system, self.derivative_by = system, "formula" if system.linear_stream else "differences"
 
     def gradient(self, W: Any, t: Any) -> Any:
         """Return the stream P."""
         return self._system.stream_of(W, t)
 
-    def bend(self, W: Any, dW: Any, t: Any) -> Any:
+    def gradient_change(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
         layers = len(self._system.shape) == 3  # streams of two layers are linear, without a constant
         return self._system.stream_of(dW, t) if layers else slope_along(self._system, W, dW, t)
@@ -76,13 +76,13 @@ class MatrixOrbit:
         )
 
 
-def orbit_of(system: Any, asked_by: str) -> VectorOrbit | MatrixOrbit:
+def orbit_of(system: Any, scheme_name: str) -> VectorOrbit | MatrixOrbit:
     """Return the orbits of a system; raise an error that names the scheme if it is a batch or has no Lie algebra."""
     check_one_system(system)
     if isinstance(system, MatrixSystem):
         return MatrixOrbit(system)
     if system.algebra is None:
         raise ValueError(
-            f"{asked_by} moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
+            f"{scheme_name} moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
         )
     return VectorOrbit(system)

@@ -17,12 +17,12 @@ LANES = 8
 # Sums of up to WRITTEN_OUT vectors of rows are unrolled, if there are no products behind the coordinates. Others are
 # slower by the factor BY_TABLES per vector, and have a longer chain of dependent operations for each coefficient, and
 # for each vector of rows.
-WRITTEN_OUT = 3
-BY_TABLES, WAITING_BY_TABLES, WAITING_FOR_A_BLOCK = 3.5, 6.5, 2.0
+UNROLLED_VECTORS = 3
+TABLE_FACTOR, TABLE_LATENCY, BLOCK_LATENCY = 3.5, 6.5, 2.0
 # Dependent operations per product in the sum of a coefficient.
-WAITING_FOR_A_PRODUCT = 1.4
+PRODUCT_LATENCY = 1.4
 # Up to FEW_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
-FEW_INVARIANTS, NOT_IN_REGISTERS = 4, 1.5
+REGISTER_INVARIANTS, SPILL_FACTOR = 4, 1.5
 
 
 def series_operations(system: System, order: int, invariants: Iterable[HamiltonianLike]) -> Operations:
@@ -39,16 +39,16 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
     """
     lanes = 4 if system.dim <= 4 else LANES
     blocks = -(-system.dim // lanes)
-    products, behind = vectors_of_products(system, lanes) * lanes / LANES, Behind(system.hamiltonian).blocks
-    if behind or blocks > WRITTEN_OUT:
-        vectors = BY_TABLES * (products + behind)
-        waiting = WAITING_BY_TABLES + WAITING_FOR_A_BLOCK * blocks + products + behind
+    products, behind = vectors_of_products(system, lanes) * lanes / LANES, ProductVectors(system.hamiltonian).blocks
+    if behind or blocks > UNROLLED_VECTORS:
+        vectors = TABLE_FACTOR * (products + behind)
+        waiting = TABLE_LATENCY + BLOCK_LATENCY * blocks + products + behind
     else:
-        vectors, waiting = products, 1.0 + WAITING_FOR_A_PRODUCT * products
+        vectors, waiting = products, 1.0 + PRODUCT_LATENCY * products
     rows = [Rows(C, system.dim, lanes).vectors for C in invariants]
     looks = len(rows) + sum(rows) / LANES
-    if len(rows) > FEW_INVARIANTS or blocks > 2:
-        looks *= NOT_IN_REGISTERS
+    if len(rows) > REGISTER_INVARIANTS or blocks > 2:
+        looks *= SPILL_FACTOR
     return Operations(float(0.5 * order**2 * vectors), float(order * waiting), float(looks))
 
 
@@ -67,7 +67,7 @@ def vectors_of_products(system: System, lanes: int) -> float:
     return _longest_of_blocks(np.bincount(row, minlength=-(-system.dim // lanes) * lanes), lanes)
 
 
-class Behind:
+class ProductVectors:
     """Number of vectors of products, stored behind the coordinates, for the gradient of a Hamiltonian."""
 
     def __init__(self, H: HamiltonianLike) -> None:

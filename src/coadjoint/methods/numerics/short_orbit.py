@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 # STEPS is the number of steps of an orbit, PART their length in units of the time in which the motion rotates by one
 # radian or grows by a factor e.
 STEPS = 128
-PART = 0.25
-FEWEST = 8
+RELATIVE_STEP = 0.25
+MIN_STEPS = 8
 
 
 class ShortOrbit(NamedTuple):
@@ -36,7 +36,7 @@ class ShortOrbit(NamedTuple):
         """The square of the largest momentum; 1 if all are zero."""
         return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
 
-    def carried(self, fields: Floats) -> Floats:
+    def propagated(self, fields: Floats) -> Floats:
         """Return the first-order errors (k + 1, n, m) of m perturbations of the vector field, given at the points in
         the same shape, by the trapezoidal rule.
         """
@@ -55,14 +55,14 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
     return total
 
 
-@QUIET
+@ignore_overflow
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
     """Return the orbit from a state over some dozens of radians, with tangents, by a scheme of order at least two in
     Python.
 
     It is shorter if the motion leaves the range of float64; raise ValueError if this happens within a few steps.
     """
-    spacing = PART / rate_at(system, x0, t)
+    spacing = RELATIVE_STEP / rate_at(system, x0, t)
     points, tangents = [x0], []
     for k in range(steps):
         try:
@@ -73,20 +73,20 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
             break
         points.append(after)
         tangents.append(tangent)
-    if len(tangents) < FEWEST:
-        raise cannot_follow(x0, spacing)
+    if len(tangents) < MIN_STEPS:
+        raise orbit_overflow_error(x0, spacing)
     return ShortOrbit(np.array(points), np.array(tangents), spacing)
 
 
-def cannot_follow(x0: Floats, spacing: float) -> ValueError:
+def orbit_overflow_error(x0: Floats, spacing: float) -> ValueError:
     """Return the error for a motion that leaves the range of float64 within a few steps."""
     return ValueError(
-        f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
+        f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {MIN_STEPS} steps of "
         f"{spacing:g}; take another state"
     )
 
 
-@QUIET
+@ignore_overflow
 def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
     """Return the rate at which the motion rotates or grows at a state, per unit of time; ValueError if the field
     overflows.

@@ -46,7 +46,7 @@ def iterated(step: Step, iterations: int, tangent: bool) -> Evaluation:
 
 def implicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes L_j = h b_j f(x + sum_k mu_jk L_k), and dL_j = h b_j f'(X_j) dX_j."""
-    slopes = settle(step, step.fields)
+    slopes = iterate_to_stagnation(step, step.fields)
     if not tangent:
         return Evaluation(slopes, None)
     jacobians = step.jacobians(step.points(slopes))
@@ -114,7 +114,7 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
     return spread
 
 
-def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
+def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 
     Raise IntegrationError if the iteration does not converge.

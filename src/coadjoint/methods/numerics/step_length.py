@@ -13,13 +13,16 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.formal.power_series import Dual, expand
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-DECIDING = 4  # number of last and of middle terms that determine the length
+DECIDING_TERMS = 4  # number of last and of middle terms that determine the length
 LN2 = 0.6931471805599453
 NO_LIMIT = 900.0  # binary logarithm of the largest length
 MOST_STEPS = 1_000_000
-MANY = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
+TOO_MANY_STEPS_MESSAGE = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
 """End of the messages about motions for which no next step exists; the limit is that of the kernels."""
-TOO_SHORT = f"the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; {MANY}"
+TOO_SHORT_MESSAGE = (
+    "the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; "
+    + TOO_MANY_STEPS_MESSAGE
+)
 
 
 def near_log2(a: float) -> float:
@@ -51,37 +54,37 @@ def logarithm_of_step(sizes: Sequence[float], largest: float, tolerance: float) 
     14 (2005), section 3.2.
     """
     order = len(sizes)
-    last = range(max(1, order + 1 - DECIDING), order + 1)
+    last = range(max(1, order + 1 - DECIDING_TERMS), order + 1)
     whole, biggest = near_log2(largest), max(sizes[k - 1] for k in last)
     radius = min(((whole - near_log2(sizes[k - 1])) / k for k in last if sizes[k - 1] > 0.0), default=2.0 * NO_LIMIT)
     length = min(radius, 2.0 * NO_LIMIT) + near_log2(tolerance) / order
-    if order >= 2 * DECIDING and biggest > 0.0:
-        middle = max(sizes[order // 2 - DECIDING : order // 2])
+    if order >= 2 * DECIDING_TERMS and biggest > 0.0:
+        middle = max(sizes[order // 2 - DECIDING_TERMS : order // 2])
         if middle > 0.0:
             converging = (near_log2(middle) - near_log2(biggest)) / (order - order // 2)
             length = min(length, converging - 1.0)
     return max(min(length, NO_LIMIT), -NO_LIMIT)
 
 
-def through_own_steps(
+def advance_by_own_steps(
     field: Callable[[NDArray[Any]], NDArray[Any]],
     x: NDArray[Any],
     h: Any,
     order: int,
     tolerance: float,
-    back: Callable[[NDArray[Any]], NDArray[Any]],
+    to_level_set: Callable[[NDArray[Any]], NDArray[Any]],
 ) -> NDArray[Any]:
     """Return the state after a time h of either sign, in steps whose length is chosen from the series.
 
     The field consists of sums and products; the entries of x are numbers of one type, or `Dual`. `tolerance` is the
-    error of a step relative to the largest state so far; `back`, a projection, is applied to the end of each step.
-    Raise IntegrationError if steps no longer change the time.
+    error of a step relative to the largest state so far; `to_level_set`, a projection, is applied to the end of each
+    step. Raise IntegrationError if steps no longer change the time.
 
     Examples
     --------
     The motion x' = x^2 from 1, at t = 1/2:
 
-    >>> end = through_own_steps(lambda x: x * x, np.array([1.0], dtype=object), 0.5, 12, 1e-12, lambda z: z)
+    >>> end = advance_by_own_steps(lambda x: x * x, np.array([1.0], dtype=object), 0.5, 12, 1e-12, lambda z: z)
     >>> bool(abs(end[0] - 2) < 1e-10)
     True
     """
@@ -92,13 +95,13 @@ def through_own_steps(
         length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
         ahead = h - since
         if abs(ahead) <= abs(length):
-            return back(x + _sum(terms, ahead / scale))
-        x = back(x + _sum(terms, length / scale))
+            return to_level_set(x + _sum(terms, ahead / scale))
+        x = to_level_set(x + _sum(terms, length / scale))
         since = since + length
         if not abs(length) > UNIT_ROUNDOFF * abs(since):
             break
         scale = math.copysign(2.0 ** math.floor(near_log2(abs(length))), float(h))
-    raise IntegrationError(TOO_SHORT, step=1, time=float(since), residual=float(length))
+    raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=float(since), residual=float(length))
 
 
 def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.long_operations import waiting
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.numerics.short_orbit import ShortOrbit, short_orbit
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.program.modified_energy.modified_terms import leading_term
 from coadjoint.program.modified_energy.nested_brackets import NestedBrackets
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import best_decomposition, candidates, decompose
-from coadjoint.program.parts.order_of_parts import CLEARLY, MOST_ORDERED, least_of_orders
+from coadjoint.program.parts.order_of_parts import IMPROVEMENT_FACTOR, MAX_ORDERED, smallest_order
 from coadjoint.program.parts.part import Parts
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -25,14 +25,14 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 Floats = NDArray[np.float64]
 
 # Larger systems are compared at the given states only: brackets cost n^3 operations at each point of a motion.
-LARGEST_FOLLOWED = 64
+MAX_ORBIT_DIMENSION = 64
 # Number of choices compared by the first term of the scheme itself, for orders above two.
-MOST_TRIED = 12
+MAX_CANDIDATES = 12
 # Largest number of monomials of that term; above it, the choice is that for order two.
 MOST_MONOMIALS = 4000
 
 
-@waiting("Splitting.tuned")
+@long_operation("Splitting.tuned")
 def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
     """Return shift and order of the automatic parts with the smallest error along short motions from `starts` (members,
     n).
@@ -43,25 +43,25 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
     term. The automatic choice is returned unless another one is better.
     """
     method = scheme("auto")
-    own, terms = decompose(system, "auto").choice, system.hamiltonian.terms()
-    if system.dim > LARGEST_FOLLOWED or not all(term.differentiable for term in terms):
+    automatic, terms = decompose(system, "auto").choice, system.hamiltonian.terms()
+    if system.dim > MAX_ORBIT_DIMENSION or not all(term.differentiable for term in terms):
         return best_decomposition(system, starts).choice
     orbits = [short_orbit(method, system, start) for start in starts]
     # All candidates have the same, smallest number of parts.
-    if not 1 < len(own.order) <= MOST_ORDERED:
+    if not 1 < len(automatic.order) <= MAX_ORDERED:
         return best_decomposition(system, np.concatenate([orbit.points for orbit in orbits])).choice
     ranked: list[tuple[float, ChosenParts]] = []
     for shift, parts in candidates(system):
-        errors = ErrorsOfOrders(system, parts, orbits)
-        natural = own.order if shift == own.shift else tuple(range(len(parts)))
+        errors = PartOrderErrors(system, parts, orbits)
+        natural = automatic.order if shift == automatic.shift else tuple(range(len(parts)))
         tried: dict[tuple[int, ...], float] = {}
-        least_of_orders(natural, partial(_remembered, errors, tried))
+        smallest_order(natural, partial(_cached_sizes, errors, tried))
         ranked += [(size, ChosenParts(order, shift)) for order, size in tried.items()]
-    ranked.sort(key=lambda one: (one[0], one[1] != own))
+    ranked.sort(key=lambda one: (one[0], one[1] != automatic))
     if method.order == 2 or _monomials(system, method.order) > MOST_MONOMIALS:
-        return _least(ranked, own)
-    some = [own, *(choice for _, choice in ranked if choice != own)][:MOST_TRIED]
-    return _least([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in some], own)
+        return _least(ranked, automatic)
+    some = [automatic, *(choice for _, choice in ranked if choice != automatic)][:MAX_CANDIDATES]
+    return _least([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in some], automatic)
 
 
 def _monomials(system: LiePoissonSystem, order: int) -> float:
@@ -70,31 +70,35 @@ def _monomials(system: LiePoissonSystem, order: int) -> float:
     return np.inf if H is None else comb(system.dim + (order + 1) * (H.degree - 1) + 1, system.dim)
 
 
-def _remembered(
-    errors: ErrorsOfOrders, kept: dict[tuple[int, ...], float], orders: Sequence[tuple[int, ...]]
+def _cached_sizes(
+    errors: PartOrderErrors, cache: dict[tuple[int, ...], float], orders: Sequence[tuple[int, ...]]
 ) -> list[float]:
-    kept.update(zip(orders, errors.sizes(orders), strict=True))
-    return [kept[order] for order in orders]
+    cache.update(zip(orders, errors.sizes(orders), strict=True))
+    return [cache[order] for order in orders]
 
 
-def _least(sizes: Sequence[tuple[float, ChosenParts]], own: ChosenParts) -> ChosenParts:
+def _least(sizes: Sequence[tuple[float, ChosenParts]], automatic: ChosenParts) -> ChosenParts:
     """Return the choice with the smallest error; the automatic one unless another is clearly better."""
     least, best = min(sizes, key=lambda one: one[0])
-    return best if all(choice != own or least < size * CLEARLY for size, choice in sizes) else own
+    return (
+        best if all(choice != automatic or least < size * IMPROVEMENT_FACTOR for size, choice in sizes) else automatic
+    )
 
 
 def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Sequence[ShortOrbit]) -> float:
-    """Return the error of a scheme, divided by h^order; see `ErrorsOfOrders.sizes`."""
+    """Return the error of a scheme, divided by h^order; see `PartOrderErrors.sizes`."""
     term = leading_term(system, method, method.order)
     total = 0.0
     for orbit in orbits:
         slopes = term.gradient(orbit.points)
-        fields = np.array([_turned(system, x, slope[:, None]) for x, slope in zip(orbit.points, slopes, strict=True)])
-        total += np.max(np.sum(orbit.carried(fields)[:, :, 0] ** 2, axis=1)) / orbit.square
+        fields = np.array(
+            [_structure_times(system, x, slope[:, None]) for x, slope in zip(orbit.points, slopes, strict=True)]
+        )
+        total += np.max(np.sum(orbit.propagated(fields)[:, :, 0] ** 2, axis=1)) / orbit.square
     return float(np.sqrt(total / len(orbits)))
 
 
-class ErrorsOfOrders:
+class PartOrderErrors:
     """Errors of each bracket of the h^2 term along some orbits; the error of every order of the parts is a linear
     combination.
 
@@ -103,42 +107,44 @@ class ErrorsOfOrders:
 
     def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
         self._brackets = NestedBrackets(system.algebra, parts)
-        self._carried, self._square = [], [orbit.square for orbit in orbits]
+        self._propagated, self._square = [], [orbit.square for orbit in orbits]
         for orbit in orbits:
             slopes = np.moveaxis(self._brackets.gradients(orbit.points), (2, 3), (0, 1))
             slopes = slopes.reshape(*slopes.shape[:2], -1)
-            fields = np.array([_turned(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)])
-            self._carried.append(orbit.carried(fields))
+            fields = np.array(
+                [_structure_times(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)]
+            )
+            self._propagated.append(orbit.propagated(fields))
 
     def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
         """Return the largest error relative to x for several orders of the parts, root mean square over the orbits."""
         weights = np.array([self._brackets.weights(order).ravel() for order in orders])
         total = np.zeros(len(orders))
-        for carried, square in zip(self._carried, self._square, strict=True):
-            squares = np.zeros((len(carried), len(orders)))
-            for i in range(carried.shape[1]):
-                squares += _summed(carried[:, i], weights) ** 2
+        for propagated, square in zip(self._propagated, self._square, strict=True):
+            squares = np.zeros((len(propagated), len(orders)))
+            for i in range(propagated.shape[1]):
+                squares += _summed(propagated[:, i], weights) ** 2
             total += np.max(squares, axis=0) / square
-        return np.sqrt(total / len(self._carried)).tolist()
+        return np.sqrt(total / len(self._propagated)).tolist()
 
     def along(self, order: tuple[int, ...]) -> list[Floats]:
         """Return the error of one order at the points of each orbit, (k + 1, n), divided by h^2."""
         weights = self._brackets.weights(order).ravel()[None]
         return [
-            np.stack([_summed(carried[:, i], weights)[:, 0] for i in range(carried.shape[1])], axis=1)
-            for carried in self._carried
+            np.stack([_summed(propagated[:, i], weights)[:, 0] for i in range(propagated.shape[1])], axis=1)
+            for propagated in self._propagated
         ]
 
 
-def _summed(carried: Floats, weights: Floats) -> Floats:
+def _summed(propagated: Floats, weights: Floats) -> Floats:
     """Return (k, m) times the transpose of (orders, m), summed in order."""
-    total = np.zeros((len(carried), len(weights)))
-    for m in range(carried.shape[1]):
-        total += carried[:, m, None] * weights[:, m]
+    total = np.zeros((len(propagated), len(weights)))
+    for m in range(propagated.shape[1]):
+        total += propagated[:, m, None] * weights[:, m]
     return total
 
 
-def _turned(system: LiePoissonSystem, x: Floats, slopes: Floats) -> Floats:
+def _structure_times(system: LiePoissonSystem, x: Floats, slopes: Floats) -> Floats:
     """Return sign J(x) times columns, summed in order."""
     structure = system.sign * system.algebra.structure_matrix(x)
     found = np.zeros_like(slopes)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import intertwiner, invariant_form
-from coadjoint.memory import check_room
-from coadjoint.methods.protocol.method import Method, declared_by
+from coadjoint.memory import check_available_memory
+from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.systems.system_checks import System
 
 
@@ -21,7 +21,7 @@ def check_attitude(method: Method, system: System, representation: Any) -> None:
     (then K T = T g, K the coadjoint matrix). This holds for the rotation matrices of so(3), not for those of so(n), n
     >= 4, where the spatial momentum g X g^T is quadratic in g.
     """
-    kind = declared_by(method, system).attitude
+    kind = declared_properties(method, system).attitude
     scheme = type(method).__name__
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
@@ -49,5 +49,5 @@ def check_attitude(method: Method, system: System, representation: Any) -> None:
 
 def coadjoint_matrices(system: Any) -> NDArray[np.float64]:
     """Return the matrices D_(e_i), shape (n, n, n)."""
-    check_room(16 * system.dim**3, f"the coadjoint matrices of {system.name}, of dimension {system.dim},")
+    check_available_memory(16 * system.dim**3, f"the coadjoint matrices of {system.name}, of dimension {system.dim},")
     return np.stack([system.algebra.coadjoint(unit) for unit in np.eye(system.dim)])

@@ -54,12 +54,12 @@ class CompiledStepMethod(SteppedMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
-        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
         from coadjoint.kernels.step_tables import step_tables
         from coadjoint.kernels.stepping import STEP_LOOP
 
         found = step_tables(system, self, representation, fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
+        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive, memory=scheme_memory(STEP_LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the operations of a step, or of its iterations."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.kernels.interface import limit
-from coadjoint.program.describe import action_work, bodies_of, series_in, share_work
+from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
@@ -18,48 +18,48 @@ from coadjoint.systems.system_checks import System
 # Weights of the cost model, to be adjusted when the compiled loops change. The unit is a flow that rotates one pair of
 # coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core. An iteration of
 # eight stages of a field in three dimensions, in vector lanes, then costs 1.6.
-FLOW = 0.2
-MULTIPLICATION = 0.04
-FUNCTION = 0.6
-COMPENSATED = 1.3
+FLOW_COST = 0.2
+MULTIPLICATION_COST = 0.04
+FUNCTION_COST = 0.6
+COMPENSATION_FACTOR = 1.3
 # A sparse series, in addition to its multiplications: its rows are addressed by indices, term by term.
-SERIES = 5.0
+SPARSE_SERIES_COST = 5.0
 # The flow of a free body over a short time.
-BODY = 7.0
+FREE_BODY_COST = 7.0
 # A bond of a lattice, in vector lanes, and with compensated sums.
-BOND = 1.3
-BOND_COMPENSATED = 12.0
-ITERATION = 0.5
+BOND_COST = 1.3
+COMPENSATED_BOND_COST = 12.0
+ITERATION_COST = 0.5
 LANES = 8
-VECTOR_MULTIPLICATION = 0.05
+VECTOR_MULTIPLICATION_COST = 0.05
 # Dimensions and products of fields whose stages stay in registers if H is quadratic (so(3), e(3), so(4), see
 # ``brackets.hpp``); vectors are half as wide for few stages.
-HELD, FEW_STAGES = ((3, 6), (6, 18), (6, 24)), 4
-IN_REGISTERS = 0.7
-NARROW = 0.65
+REGISTER_FIELDS, FEW_STAGES = ((3, 6), (6, 18), (6, 24)), 4
+REGISTER_FACTOR = 0.7
+HALF_VECTOR_FACTOR = 0.65
 # Factor for products of a polynomial, which are addressed by indices.
-BY_INDEX = 2.0
-IMPLICIT_STEP = 5.0
+INDEXED_FACTOR = 2.0
+IMPLICIT_STEP_COST = 5.0
 # A step without iterations: products of series, dependent sums, evaluations of invariants (after the first correction,
 # and after later ones).
-EXPLICIT_STEP = 2.7
-VECTOR = 0.017
-WAITING = 0.136
-LOOK = 0.25
+EXPLICIT_STEP_COST = 2.7
+VECTOR_COST = 0.017
+LATENCY_COST = 0.136
+INVARIANT_COST = 0.25
 # Selection of the length of a step.
-OWN_STEP = 6.0
-FIRST_CORRECTION = 3.2
-NEXT_CORRECTION = 1.0
+STEP_CONTROL_COST = 6.0
+FIRST_CORRECTION_COST = 3.2
+NEXT_CORRECTION_COST = 1.0
 # From CROWD members on, flows and series in few dimensions are computed for many members in vector lanes, at these
 # fractions of the cost. Other steps fill the lanes with one member.
-CROWD = 16
-FLOWS_OF_A_CROWD = 0.1
-BODIES_OF_A_CROWD = 0.17
-SERIES_OF_A_CROWD = 0.6
-ELIMINATION = 0.015
+MIN_LANE_MEMBERS = 16
+LANE_FLOW_FACTOR = 0.1
+LANE_BODY_FACTOR = 0.17
+LANE_SERIES_FACTOR = 0.6
+ELIMINATION_COST = 0.015
 # A multiplication in a matrix product by BLAS, and the overhead per product. For IsospectralGauss on so(3) to so(20)
 # and on spheres of N = 4 to 64 the estimate is correct within a factor of 2.6, or 3.3 for one stage.
-PRODUCT, PRODUCT_CALL = 0.006, 10.0
+PRODUCT_COST, PRODUCT_CALL_COST = 0.006, 10.0
 
 
 @dataclass(frozen=True)
@@ -99,18 +99,20 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
     bodies = bodies_of(program, number)
     if bodies:
         multiplications, functions = 0, 0
-    cost = FLOW + MULTIPLICATION * multiplications + FUNCTION * functions
+    cost = FLOW_COST + MULTIPLICATION_COST * multiplications + FUNCTION_COST * functions
     acting = action_work(program.state, number)
     if bodies:
         bonds = bool(bodies[0].other)
-        cost += len(bodies) * (BODY if not bonds else BOND_COMPENSATED if compensated else BOND)
+        cost += len(bodies) * (FREE_BODY_COST if not bonds else COMPENSATED_BOND_COST if compensated else BOND_COST)
         acting = 0 if bonds else acting[0], 0  # sines are part of the cost of the body
-    cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
-    cost += SERIES * series_in(program.state, number)
+    cost += (MULTIPLICATION_COST * acting[0] + FUNCTION_COST * acting[1]) * (
+        COMPENSATION_FACTOR if compensated else 1.0
+    )
+    cost += SPARSE_SERIES_COST * count_series_blocks(program.state, number)
     if program.group is not None:
         # The rows of a group element are rotated in vector lanes, by one sine.
         acting = action_work(program.group, number)
-        cost += MULTIPLICATION * acting[0] * math.ceil(program.group.size / LANES) + FUNCTION * acting[1]
+        cost += MULTIPLICATION_COST * acting[0] * math.ceil(program.group.size / LANES) + FUNCTION_COST * acting[1]
     return cost
 
 
@@ -122,22 +124,26 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
         entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
         edge = system.dim if isinstance(group, str) else group.shape[1]
         vectors += edge * entries + stages * edge * edge
-    elif stages <= LANES and _held(system):
-        vectors *= IN_REGISTERS * (NARROW if stages <= FEW_STAGES else 1.0)
-    return ITERATION + VECTOR_MULTIPLICATION * math.ceil(stages / LANES) * vectors + FUNCTION * stages * functions
+    elif stages <= LANES and _fits_in_registers(system):
+        vectors *= REGISTER_FACTOR * (HALF_VECTOR_FACTOR if stages <= FEW_STAGES else 1.0)
+    return (
+        ITERATION_COST
+        + VECTOR_MULTIPLICATION_COST * math.ceil(stages / LANES) * vectors
+        + FUNCTION_COST * stages * functions
+    )
 
 
-def _held(system: System) -> bool:
+def _fits_in_registers(system: System) -> bool:
     """Return whether the stages of a system stay in registers."""
     quadratic = all(term.form is not None for term in system.hamiltonian.terms())
     algebra = system.algebra
-    return quadratic and algebra is not None and (system.dim, 2 * len(algebra.triples[3])) in HELD
+    return quadratic and algebra is not None and (system.dim, 2 * len(algebra.triples[3])) in REGISTER_FIELDS
 
 
 def field_work(system: System) -> tuple[float, int]:
     """Return the numbers of multiplications and function calls in one evaluation of the vector field."""
     terms = system.hamiltonian.terms()
-    multiplications = sum(term.multiplications * (1.0 if term.form is not None else BY_INDEX) for term in terms)
+    multiplications = sum(term.multiplications * (1.0 if term.form is not None else INDEXED_FACTOR) for term in terms)
     functions = sum(term.called for term in terms)
     if isinstance(system, LiePoissonSystem):
         return multiplications + 2 * len(system.algebra.triples[3]), functions
@@ -153,7 +159,7 @@ def work_of_flows(program: Program, compensated: bool) -> Work:
     """Return the work of a step that consists of flows."""
     cost = flow_work(program, compensated)
     better = None if compensated else lambda: work_of_flows(program, True)
-    crowd = BODIES_OF_A_CROWD if program.parts.bodies else FLOWS_OF_A_CROWD
+    crowd = LANE_BODY_FACTOR if program.parts.bodies else LANE_FLOW_FACTOR
     return Work(lambda iterations, evaluations: cost, flows_of(program), crowd, better)
 
 
@@ -162,14 +168,14 @@ def work_of_iterations(system: System, group: Any) -> Work:
 
     def cost(iterations: float, evaluations: float) -> float:
         rounds = max(1.0, iterations)
-        return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
+        return IMPLICIT_STEP_COST + rounds * iteration_work(system, evaluations / rounds, group)
 
     return Work(cost)
 
 
 def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Work:
     """Return the work of a step with these evaluations of the field, and a linear system unless it is explicit."""
-    cost = IMPLICIT_STEP + evaluations * iteration_work(system, 1, None)
+    cost = IMPLICIT_STEP_COST + evaluations * iteration_work(system, 1, None)
     if not explicit:
         cost += newton_work(system.dim, 1)
     return Work(lambda iterations, counted: cost)
@@ -178,7 +184,7 @@ def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Wor
 def work_of_products(system: Any, products: int, iterated: bool = False) -> Work:
     """Return the work of a step, or of each of its iterations, with this number of products of matrices."""
     numbers = 4.0 if system.complex else 1.0
-    cost = products * (PRODUCT_CALL + PRODUCT * numbers * float(system.algebra.N) ** 3)
+    cost = products * (PRODUCT_CALL_COST + PRODUCT_COST * numbers * float(system.algebra.N) ** 3)
     return Work(lambda iterations, evaluations: cost * (max(1.0, iterations) if iterated else 1.0))
 
 
@@ -204,9 +210,11 @@ def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float 
     """Return the work of a step with this number of substeps; its corrections are counted as iterations."""
 
     def cost(iterations: float, evaluations: float) -> float:
-        corrections = FIRST_CORRECTION * min(iterations, substeps) + NEXT_CORRECTION * max(0.0, iterations - substeps)
-        series = EXPLICIT_STEP + VECTOR * operations.vectors + WAITING * operations.waiting
-        return substeps * series + LOOK * operations.looks * (substeps + corrections)
+        corrections = FIRST_CORRECTION_COST * min(iterations, substeps) + NEXT_CORRECTION_COST * max(
+            0.0, iterations - substeps
+        )
+        series = EXPLICIT_STEP_COST + VECTOR_COST * operations.vectors + LATENCY_COST * operations.waiting
+        return substeps * series + INVARIANT_COST * operations.looks * (substeps + corrections)
 
     return Work(cost, in_a_crowd=in_a_crowd)
 
@@ -217,18 +225,18 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
 
     def cost(iterations: float, evaluations: float) -> float:
         own = evaluations / order
-        look = LOOK * operations.looks * (1.0 + FIRST_CORRECTION) + WAITING * 0.5 * order
-        return look + (own * (OWN_STEP + step.cost(iterations / own, evaluations)) if own > 0.0 else 0.0)
+        look = INVARIANT_COST * operations.looks * (1.0 + FIRST_CORRECTION_COST) + LATENCY_COST * 0.5 * order
+        return look + (own * (STEP_CONTROL_COST + step.cost(iterations / own, evaluations)) if own > 0.0 else 0.0)
 
     return Work(cost)
 
 
 def work_of_projection(base: Work, invariants: int) -> Work:
     """Return the work of a step of another scheme, and of a projection to this number of invariants."""
-    back = LOOK * invariants * (1.0 + FIRST_CORRECTION)
+    back = INVARIANT_COST * invariants * (1.0 + FIRST_CORRECTION_COST)
     return Work(lambda iterations, evaluations: base.cost(iterations, evaluations) + back)
 
 
 def newton_work(dim: int, stages: float) -> float:
     """Return the additional work of Newton's method in a step: about one elimination of the stages' linear system."""
-    return ELIMINATION * min(dim * stages, limit("LARGEST_DENSE")) ** 3
+    return ELIMINATION_COST * min(dim * stages, limit("LARGEST_DENSE")) ** 3

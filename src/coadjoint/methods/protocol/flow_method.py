@@ -18,10 +18,10 @@ from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.numbers import Number
 from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.decompose import CALLED, check_inputs_of_called
-from coadjoint.program.parts.split import NotSplit
+from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow_inputs
+from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep
-from coadjoint.systems.hamiltonians.linear_term import with_all_present
+from coadjoint.systems.hamiltonians.linear_term import with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
-    from coadjoint.program.interpreter import Reading
+    from coadjoint.program.interpreter import Interpreter
     from coadjoint.program.table import Program
 
-TABULATED = 1e-38  # relative error of published coefficients, which have at least 40 digits
-MOST_OFF = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
+COEFFICIENT_ERROR = 1e-38  # relative error of published coefficients, which have at least 40 digits
+SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
 
 
 class FlowMethod(Method):
@@ -90,7 +90,7 @@ class FlowMethod(Method):
                 "take GaussLegendre"
             )
         covered = [sweep.coefficient for sweep in self.sweeps()]
-        if not abs(sum(covered) - 1.0) <= MOST_OFF * sum(map(abs, covered)):
+        if not abs(sum(covered) - 1.0) <= SUM_TOLERANCE * sum(map(abs, covered)):
             raise ValueError(f"the sweeps of {self} cover {sum(covered)!r} of the step; their coefficients add up to 1")
         return build_program(system, self, group=group, number=number)
 
@@ -102,8 +102,8 @@ class FlowMethod(Method):
         """Return the scheme with the automatic parts of this system fixed; requires a field `parts`."""
         from coadjoint.program.parts.decompose import decompose
 
-        if isinstance(self.parts, str) and self.parts in CALLED:
-            check_inputs_of_called(system, self.parts, coordinates)
+        if isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
+            check_body_flow_inputs(system, self.parts, coordinates)
         automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
         if not automatic or not isinstance(system, LiePoissonSystem):
             return self
@@ -113,22 +113,22 @@ class FlowMethod(Method):
             )
         self.properties(system)
         try:
-            choice = decompose(with_all_present(system, coordinates), self.parts).choice
-        except NotSplit:
+            choice = decompose(with_placeholders(system, coordinates), self.parts).choice
+        except NotSplittable:
             return self  # the loop raises the error for a Hamiltonian that does not split
         return replace(self, parts=replace(choice, linear=tuple(coordinates)))
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
-        return self._loop_over(self.program(system, group=representation), h)
+        return self._program_loop(self.program(system, group=representation), h)
 
-    def _loop_over(self, program: Program, h: float) -> CompiledLoop:
+    def _program_loop(self, program: Program, h: float) -> CompiledLoop:
         from coadjoint.kernels.flow import FLOW_LOOP
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables import flow_tables
 
         found = flow_tables(program, h, bool(self.compensated))
-        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift, parts=program.parts)
+        return CompiledLoop(FLOW_LOOP, found.tables, found.keepalive, program.shift, parts=program.parts)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""
@@ -136,36 +136,36 @@ class FlowMethod(Method):
 
         check_differentiable(system)
         program = self.program(system)
-        return with_tangents(self._loop_over(program, h), system, program.functions, frame)
+        return with_tangents(self._program_loop(program, h), system, program.functions, frame)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
-        return _reading(self, system, number).steps(point, number(h), 1, t0=number(t))
+        return _interpreter(self, system, number).steps(point, number(h), 1, t0=number(t))
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        from coadjoint.methods.formal.formal_flows import FormalReading
+        from coadjoint.methods.formal.formal_flows import FormalInterpreter
 
-        return FormalReading(self.program(system, number=Fraction)).steps(x, h, 1, t0=0 * h)
+        return FormalInterpreter(self.program(system, number=Fraction)).steps(x, h, 1, t0=0 * h)
 
     @property
     def known_to(self) -> float:
         """Zero if all coefficients are short fractions, else the rounding error of the published coefficients."""
         sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
-        return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else TABULATED
+        return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else COEFFICIENT_ERROR
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        return self._carrying(system, x, t, h, np.eye(len(x)))
+        return self._carry_vectors(system, x, t, h, np.eye(len(x)))
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        return self._carrying(system, x, t, h, vectors)[1]
+        return self._carry_vectors(system, x, t, h, vectors)[1]
 
-    def _carrying(
+    def _carry_vectors(
         self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         point = np.asarray(x, dtype=np.float64)
         try:
-            after, carried = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
+            after, carried = _interpreter(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
         except (OverflowError, ValueError) as error:  # sines of infinities
             said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
             raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
@@ -188,7 +188,7 @@ class FlowMethod(Method):
 
 
 @lru_cache(maxsize=8)
-def _reading(method: FlowMethod, system: System, number: Number) -> Reading:
-    from coadjoint.program.interpreter import Reading
+def _interpreter(method: FlowMethod, system: System, number: Number) -> Interpreter:
+    from coadjoint.program.interpreter import Interpreter
 
-    return Reading(method.program(system, number=number))
+    return Interpreter(method.program(system, number=number))

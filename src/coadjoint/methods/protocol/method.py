@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import unknown_keyword
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System, tabulated
+from coadjoint.systems.system_checks import System, has_compiled_bracket
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Representation = NDArray[np.float64] | str | None
 
 
-class Finer(NamedTuple):
+class FinerRun(NamedTuple):
     """A more accurate scheme and number of steps, and the fraction of the original error that is left."""
 
     method: Method
@@ -44,10 +44,10 @@ NO_ERROR_CONTROL = (
     "integrate accuracy=, which finds a constant step, or take Taylor(tolerance=...), or "
     "ReversibleSteps(Splitting(...)), whose steps follow the motion reversibly"
 )
-OWN_LOOKS = 240  # sampled points to find the size of a motion, for schemes that choose their own steps
+SIZE_SAMPLES = 240  # sampled points to find the size of a motion, for schemes that choose their own steps
 FEW_STEPS = 20  # with fewer steps the error may not scale with the order; a finer run takes at least this many more
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
-LONGEST = 200  # characters of a parameter in a message
+MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
 
 
 class Method(ABC):
@@ -89,7 +89,7 @@ class Method(ABC):
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in ("order", "stages") or value != field.default:
-                shown.append(f"{field.name}={value if isinstance(value, Method) else short(value, LONGEST)}")
+                shown.append(f"{field.name}={value if isinstance(value, Method) else short(value, MAX_PARAMETER_TEXT)}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
     @property
@@ -193,10 +193,12 @@ class Method(ABC):
         ValueError, TypeError
             The scheme cannot be used for the system.
         """
-        declared_by(self, system)
-        if system.algebra is not None and tabulated(system):
+        declared_properties(self, system)
+        if system.algebra is not None and has_compiled_bracket(system):
             constants = system.algebra.triples.c.size
-            check_room(BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}")
+            check_available_memory(
+                BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}"
+            )
         return self.compiled(system, h, representation)
 
     @abstractmethod
@@ -431,7 +433,7 @@ class Method(ABC):
         """
         return None
 
-    def finer(self, steps: int, times: float) -> Finer:
+    def finer(self, steps: int, times: float) -> FinerRun:
         """Return the scheme and number of steps of a more accurate run, for an estimate of the error of a run.
 
         Parameters
@@ -447,7 +449,7 @@ class Method(ABC):
             Its `left` is the fraction of the error that is left according to the order.
         """
         count = math.ceil(times * (steps + FEW_STEPS))
-        return Finer(self, count, (steps / count) ** self.order)
+        return FinerRun(self, count, (steps / count) ** self.order)
 
     def reaching(self, system: System, tolerance: float) -> Method:
         """Return the same scheme with another tolerance, if it chooses its own steps.
@@ -495,7 +497,7 @@ def check_base(base: Any, wrapper: str, example: str) -> None:
         raise TypeError(f"the base of {wrapper} is a scheme such as {example}, not {short(base)}")
 
 
-def declared_by(method: Method, system: System) -> Properties:
+def declared_properties(method: Method, system: System) -> Properties:
     """Return what a scheme declares to keep on a system; raise TypeError if it returns anything but `Properties`."""
     said = method.properties(system)
     if not isinstance(said, Properties):

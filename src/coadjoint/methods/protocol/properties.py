@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from coadjoint.short_repr import short
-from coadjoint.validation import read_choice, read_flag, read_list
+from coadjoint.validation import read_bool, read_choice, read_list
 
 KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
 KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "group", "integrated", "none")
-SELDOM = ("broken_by", "reversible")
+SHOWN_IF_SET = ("broken_by", "reversible")
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Properties:
     reversible: bool = False
 
     def __repr__(self) -> str:
-        told = (field.name for field in fields(self) if field.name not in SELDOM or getattr(self, field.name))
+        told = (field.name for field in fields(self) if field.name not in SHOWN_IF_SET or getattr(self, field.name))
         return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in told)})"
 
     def __post_init__(self) -> None:
         for name in ("poisson", "energy", "reversible"):
-            object.__setattr__(self, name, read_flag(getattr(self, name), name))
+            object.__setattr__(self, name, read_bool(getattr(self, name), name))
         broken = read_list(self.broken_by, "broken_by", "give a tuple of str")
         if not all(isinstance(one, str) for one in broken):
             raise TypeError(f"broken_by is {short(self.broken_by)}; give a tuple of str")

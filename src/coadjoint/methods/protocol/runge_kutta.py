@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, checked
 from coadjoint.methods.protocol.method import Method, Representation
@@ -150,7 +150,7 @@ class RungeKuttaMethod(SteppedMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
-        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
         from coadjoint.kernels.runge_kutta import RUNGE_KUTTA_LOOP
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
@@ -163,8 +163,8 @@ class RungeKuttaMethod(SteppedMethod):
         return CompiledLoop(
             RUNGE_KUTTA_LOOP,
             found.tables,
-            found.keep,
-            memory=remembered(RUNGE_KUTTA_LOOP, found.tables),
+            found.keepalive,
+            memory=scheme_memory(RUNGE_KUTTA_LOOP, found.tables),
         )
 
     def tangent_loop_of_substeps(
@@ -177,7 +177,7 @@ class RungeKuttaMethod(SteppedMethod):
         check_differentiable(system)
         if self.solver not in ("explicit", "iterated"):
             edge = len(self.coefficients().node) * system.dim
-            check_room(8 * 2 * edge**2, f"the derivative of the stages of {type(self).__name__}")
+            check_available_memory(8 * 2 * edge**2, f"the derivative of the stages of {type(self).__name__}")
         table = TermTable()
         for term in system.hamiltonian.terms():
             table.add(term)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 # So small that second-order terms vanish, and large enough that products do not underflow.
 COMPLEX_STEP = 2.0**-300
 # Cube root of the unit round-off, for which rounding and truncation of a central difference are of equal size.
-DIFFERENCE = 2.0**-17
+DIFFERENCE_STEP = 2.0**-17
 # Largest deviation of the complex step from a difference, whose own error is smaller, for an analytic function.
 AGREEMENT = 2.0**-20
 
@@ -70,6 +70,6 @@ def _difference(
     function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     size = float(np.max(np.abs(x))) or 1.0
-    h = DIFFERENCE * size
+    h = DIFFERENCE_STEP * size
     ahead, behind = (np.asarray(function(x + side * h * direction), dtype=np.float64) for side in (1.0, -1.0))
     return np.asarray((ahead - behind) / (2.0 * h))

@@ -80,7 +80,7 @@ class StepMethod(SteppedMethod):
 
         function = StepFunction(self, system)
         found = function_tables(system, function.address, fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, (*found.keep, function))
+        return CompiledLoop(STEP_LOOP, found.tables, (*found.keepalive, function))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""

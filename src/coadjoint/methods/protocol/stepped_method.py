@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-WHOLE = (1.0,)
+FULL_STEP = (1.0,)
 
 
 class SteppedMethod(Method):
@@ -66,7 +66,7 @@ class SteppedMethod(Method):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop without substeps."""
-        return self.loop_of_substeps(system, h, representation, WHOLE)
+        return self.loop_of_substeps(system, h, representation, FULL_STEP)
 
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
@@ -76,7 +76,7 @@ class SteppedMethod(Method):
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
         """Return the loop without substeps, with tangent vectors."""
-        return self.tangent_loop_of_substeps(system, h, frame, WHOLE)
+        return self.tangent_loop_of_substeps(system, h, frame, FULL_STEP)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)

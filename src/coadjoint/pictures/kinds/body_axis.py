@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from coadjoint.pictures.globe import Globe, view_of
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.spatial import axis_in_space
 from coadjoint.pictures.style import INK, colour, key
@@ -13,7 +13,7 @@ from coadjoint.pictures.style import INK, colour, key
 
 @kind("body axis")
 def body_axis(
-    drawn: Drawn, axis: Any = 2, up: Any = None, vertical: str = "", view: tuple[float, float] | None = None
+    drawn: PlottedRun, axis: Any = 2, up: Any = None, vertical: str = "", view: tuple[float, float] | None = None
 ) -> Paint:
     """Show where a body axis points in space; needs a run with attitude.
 
@@ -36,7 +36,7 @@ def body_axis(
         several = len(path) > 1
         for m, own in enumerate(path):
             paint_with = colour(m if several else 0)
-            globe.path(own[drawn.kept], paint_with, drawn.turned_little, linewidth=0.9 if several else 1.1)
+            globe.path(own[drawn.kept], paint_with, drawn.axis_joined, linewidth=0.9 if several else 1.1)
             globe.mark(own[0], colour(1), label="start" if m == 0 else None)
             globe.mark(own[-1], INK, label="end" if m == 0 else None, marker="s", size=4.0)
         axes.set_title(f"{name} in space", fontsize=9.5, color=INK)

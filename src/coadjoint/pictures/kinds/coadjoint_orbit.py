@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from coadjoint.pictures.orbit import draw_orbit
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 
 
 @kind("coadjoint orbit", projection="3d")
-def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> Paint:
+def coadjoint_orbit(drawn: PlottedRun, view: tuple[float, float] = (-60.0, 30.0)) -> Paint:
     """Show orbits of three coordinates on the level surface of a Casimir.
 
     Parameters
@@ -24,7 +24,9 @@ def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> 
 
     def paint(axes: Any) -> None:
         labels = [drawn.label(i) for i in range(3)]
-        draw_orbit(axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined, drawn.left is None)
+        draw_orbit(
+            axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined, drawn.unexplained_change is None
+        )
         axes.view_init(azim=view[0], elev=view[1])  # type: ignore[attr-defined]
 
     return paint

@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.sign_changes import flips as flips_of
 from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
 
-MOST_COMPONENTS = 8
+MAX_COMPONENTS = 8
 
 Function = Callable[[Any], Any]
 
 
 @kind("components", over_time=True)
 def components(
-    drawn: Drawn,
+    drawn: PlottedRun,
     chosen: Sequence[int | str] | Callable[[int], Sequence[int]] | None = None,
     functions: Mapping[str, Function] | Callable[[int], Mapping[str, Function]] | None = None,
     flips: int | str | None = None,
@@ -45,7 +45,7 @@ def components(
     functions = functions(n) if callable(functions) else functions
     places = [drawn.place(i) for i in chosen or ()]
     if chosen is None and functions is None:
-        places = spread(n, MOST_COMPONENTS).tolist()
+        places = spread(n, MAX_COMPONENTS).tolist()
     lines = {drawn.label(i): drawn.x[..., i] for i in places}
     for name, function in (functions or {}).items():
         with np.errstate(all="ignore"):  # nonfinite values are not drawn
@@ -81,7 +81,7 @@ def components(
     return paint
 
 
-def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
+def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
     if len(drawn.x) > 1 or not drawn.close:
         return
     times = flips_of(drawn.slope, drawn.t, drawn.x[0], i, most=2)

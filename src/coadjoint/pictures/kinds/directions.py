@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import Globe, view_of
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, colour, key
 from coadjoint.validation import read_finite
@@ -17,7 +17,7 @@ from coadjoint.validation import read_finite
 
 @kind("directions")
 def directions(
-    drawn: Drawn,
+    drawn: PlottedRun,
     vectors: Mapping[str, Any],
     axes_named: Sequence[str] = ("$e_1$", "$e_2$", "$e_3$"),
     title: str = "",
@@ -59,7 +59,7 @@ def directions(
     return paint
 
 
-def _components(drawn: Drawn, given: Any) -> npt.NDArray[np.float64]:
+def _components(drawn: PlottedRun, given: Any) -> npt.NDArray[np.float64]:
     n = drawn.n
     if np.ndim(given) == 2:
         forms = read_finite(given, "forms of a vector")

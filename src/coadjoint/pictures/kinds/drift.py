@@ -10,20 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.fluids import carried_by, vorticity_of
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
-MOST_CASIMIRS = 5
+MAX_CASIMIRS = 5
 """Number of Casimirs with a line of their own; of more, the worst four, and a band of all."""
-BAND = "#9AA7B5"
+BAND_COLOUR = "#9AA7B5"
 TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 
 
 @kind("drift", over_time=True)
-def drift(drawn: Drawn) -> Paint:
+def drift(drawn: PlottedRun) -> Paint:
     """Show the absolute deviations from the start on a logarithmic scale.
 
     If the Hamiltonian depends on time, the title states that the energy is driven. Of many Casimirs the worst four have
@@ -40,20 +40,20 @@ def drift(drawn: Drawn) -> Paint:
     lines, others = {"energy": energy, **_worst(deviations)}, len(deviations)
 
     def paint(axes: Any) -> None:
-        if others > MOST_CASIMIRS:
+        if others > MAX_CASIMIRS:
             _draw_band(axes, drawn, np.stack(list(deviations.values())))
         for i, (name, members) in enumerate(lines.items()):
             # Zero deviations have no logarithm, and leave gaps.
             visible = np.where(members > 0.0, members, np.nan)
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
-            if drawn.left is not None:
-                shown = np.abs(drawn.left[name]) / sizes.get(name, 1.0)
+            if drawn.unexplained_change is not None:
+                shown = np.abs(drawn.unexplained_change[name]) / sizes.get(name, 1.0)
                 _draw_left(axes, drawn, shown, colour(i), None if i else "$H$ less their work")
         axes.set(yscale="log", ylabel=f"{measure} deviation from start")
         plain = "drift of the energy $H$ and the Casimirs"
         title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
-        if drawn.left is not None:
+        if drawn.unexplained_change is not None:
             title = "change of the energy $H$ and the Casimirs by forces"
         axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
@@ -65,7 +65,7 @@ def drift(drawn: Drawn) -> Paint:
     return paint
 
 
-def _sizes(drawn: Drawn) -> Mapping[str, float]:
+def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
     """Return the scales of the invariants at the start of the first member, for matrices only.
 
     Traces of powers cancel, so their scale is the sum without signs.
@@ -88,18 +88,20 @@ def _sizes(drawn: Drawn) -> Mapping[str, float]:
     return found if known else {}
 
 
-def _draw_left(axes: Any, drawn: Drawn, left: npt.NDArray[np.float64], shade: str, label: str | None) -> None:
-    for m, values in enumerate(left):
+def _draw_left(
+    axes: Any, drawn: PlottedRun, unexplained_change: npt.NDArray[np.float64], shade: str, label: str | None
+) -> None:
+    for m, values in enumerate(unexplained_change):
         visible = np.where(values > 0.0, values, np.nan)
         axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
 
 
 def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:
     """Return all Casimirs if they are few, else those with the largest deviations."""
-    if len(deviations) <= MOST_CASIMIRS:
+    if len(deviations) <= MAX_CASIMIRS:
         return dict(deviations)
     size = {name: float(np.nanmax(values, initial=0.0)) for name, values in deviations.items()}
-    worst = sorted(deviations, key=lambda name: -size[name])[: MOST_CASIMIRS - 1]
+    worst = sorted(deviations, key=lambda name: -size[name])[: MAX_CASIMIRS - 1]
     return {name: deviations[name] for name in worst}
 
 
@@ -110,11 +112,11 @@ def _at_least_two_decades(axes: Any) -> None:
         axes.set_ylim(middle / 10.0, middle * 10.0)
 
 
-def _draw_band(axes: Any, drawn: Drawn, deviations: npt.NDArray[np.float64]) -> None:
+def _draw_band(axes: Any, drawn: PlottedRun, deviations: npt.NDArray[np.float64]) -> None:
     every = deviations.reshape(-1, deviations.shape[-1])
     every = np.where(every > 0.0, every, np.nan)
     some: npt.NDArray[np.bool_] = np.isfinite(every).any(axis=0)  # type: ignore[assignment]
     low, high = np.full((2, every.shape[1]), np.nan)
     low[some], high[some] = np.nanmin(every[:, some], axis=0), np.nanmax(every[:, some], axis=0)
     label = f"all {len(deviations)} Casimirs"
-    axes.fill_between(drawn.t, low, high, color=BAND, alpha=0.4, linewidth=0.5, label=label)
+    axes.fill_between(drawn.t, low, high, color=BAND_COLOUR, alpha=0.4, linewidth=0.5, label=label)

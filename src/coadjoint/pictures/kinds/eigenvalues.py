@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
-FEW = 40
+MAX_MARKED = 40
 """Number of eigenvalues up to which lines have markers."""
 
 
 @kind("eigenvalues", low=True)
-def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
+def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """Show the eigenvalues of a matrix of the first member at the start and at another time, and their displacement.
 
     If W is skew-Hermitian, those of -i W in ascending order; else those of W in the complex plane. For a fluid they are
@@ -45,7 +45,7 @@ def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
                 style |= {"linestyle": "none", "marker": "o", "markersize": 3.0 * width}
                 axes.plot(values.real / size, values.imag / size, **style)
             else:
-                style |= {"marker": "o", "markersize": 2.0 * width} if len(values) <= FEW else {}
+                style |= {"marker": "o", "markersize": 2.0 * width} if len(values) <= MAX_MARKED else {}
                 axes.plot(part, values / size, **style)
         if np.iscomplexobj(first):
             axes.set(xlabel="real part over the largest", ylabel="imaginary part over the largest")

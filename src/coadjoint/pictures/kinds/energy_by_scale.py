@@ -7,30 +7,30 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 
-MOST_TIMES = 200
-MOST_SCALES = 6
+MAX_TIMES = 200
+MAX_SCALES = 6
 LETTER = {"sphere": "l", "torus": "|n|"}
 
 
 @kind("energy by scale", over_time=True)
-def energy_by_scale(drawn: Drawn) -> Paint:
+def energy_by_scale(drawn: PlottedRun) -> Paint:
     """Show the fractions of the energy in the scales that have most of it, at up to 200 saved times.
 
     Scales are degrees on the sphere, or wave numbers on the torus; the first member is shown.
     """
     fluid = fluid_of(drawn)
-    times = spread(len(drawn.t), MOST_TIMES)
+    times = spread(len(drawn.t), MAX_TIMES)
     found = [fluid.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
     scales = np.asarray(found[0][0])
     energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in found])
     total = energies.sum(axis=1, keepdims=True)
     # Failed members leave gaps; a fluid at rest has no shares.
     shares = np.divide(energies, total, out=0.0 * energies, where=total > 0.0)
-    most = np.sort(np.argsort(-np.nanmax(shares, axis=0), kind="stable")[:MOST_SCALES])
+    most = np.sort(np.argsort(-np.nanmax(shares, axis=0), kind="stable")[:MAX_SCALES])
 
     def paint(axes: Any) -> None:
         for place, i in enumerate(most):

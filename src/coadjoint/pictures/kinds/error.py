@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, plain_axes
 from coadjoint.systems.batch import Batch
 
-MOST_TIMES = 400
+MAX_TIMES = 400
 
 
 @kind("error", over_time=True)
-def error(drawn: Drawn) -> Paint:
+def error(drawn: PlottedRun) -> Paint:
     """Show the distance from the closed form, relative to the size of the start, at up to 400 times.
 
     For a motion that stays on its orbit it is the phase error. Batches are not supported.
@@ -24,7 +24,7 @@ def error(drawn: Drawn) -> Paint:
     system = drawn.system
     if getattr(system, "closed_form", None) is None or isinstance(drawn.solution.system, Batch):
         raise CannotShow(f"no closed form is known for {drawn.solution.system.name}")
-    at = spread(len(drawn.t), MOST_TIMES)
+    at = spread(len(drawn.t), MAX_TIMES)
     t = drawn.t[at]
     found = []
     for states in drawn.x:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import INK
 from coadjoint.validation import read_positive
@@ -18,7 +18,7 @@ LEVELS = 21
 
 @kind("field", moves=True)
 def field(
-    drawn: Drawn,
+    drawn: PlottedRun,
     width: Callable[[Any], float],
     modes: Callable[..., Any] | None = None,
     values: Callable[[Any, Any], Any] | None = None,

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 
-ACROSS = {"sphere": "degree $l$", "torus": "wave number $|n|$"}
+AXIS_LABELS = {"sphere": "degree $l$", "torus": "wave number $|n|$"}
 DECADES = 8.0
 """Range of values shown below the largest one, in powers of ten."""
 
 
 @kind("field spectra", low=True)
-def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
+def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """Show energy and enstrophy of the first member over the degree on the sphere, or wave number on the torus.
 
     Thin dashed lines are those of the start.
@@ -41,7 +41,7 @@ def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
                 scales, values = found[name, j]
                 label = f"{name}, $t$ = {drawn.t[j]:.4g}"
                 axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(place), label=label, **style)
-        axes.set(xscale="log", xlabel=ACROSS[surface_of(fluid)])
+        axes.set(xscale="log", xlabel=AXIS_LABELS[surface_of(fluid)])
         axes.set(ylabel="energy and enstrophy", title="spectra of energy and enstrophy")
         top = max(float(values.max()) for _, values in found.values())
         if top > 0.0:  # a fluid at rest has no logarithms

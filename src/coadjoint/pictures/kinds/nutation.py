@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.spatial import axis_in_space
 from coadjoint.pictures.style import INK, colour, dots, key, plain_axes
 
 
 @kind("nutation")
-def nutation(drawn: Drawn, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
+def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
     """Show the inclination of a body axis to the vertical over its azimuth, both in degrees; needs attitude.
 
     Parameters
@@ -38,7 +38,7 @@ def nutation(drawn: Drawn, axis: Any = 2, up: Any = None, turns: float = 0.5) ->
             beyond = np.flatnonzero(np.abs(azimuth) > 360.0 * turns)
             last = int(beyond[0]) if beyond.size else len(azimuth)
             ended |= bool(beyond.size)
-            style: dict[str, Any] = {"linewidth": 1.1} if drawn.turned_little else dots(len(points))
+            style: dict[str, Any] = {"linewidth": 1.1} if drawn.axis_joined else dots(len(points))
             axes.plot(azimuth[:last], inclination[:last], color=colour(m), **style)
             start = {"label": "start"} if m == 0 else {}
             axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1), **start)

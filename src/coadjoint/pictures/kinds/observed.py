@@ -6,22 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
 
-MOST_OBSERVED = 8
+MAX_OBSERVED = 8
 
 
 @kind("observed", over_time=True)
-def observed(drawn: Drawn) -> Paint:
+def observed(drawn: PlottedRun) -> Paint:
     """Show the quantities of ``observe=`` that are numbers; at most the first eight."""
     series = {name: drawn.of_each(values) for name, values in drawn.solution.observed.items()}
     numbers = {name: values for name, values in series.items() if values.ndim == 2 and values.dtype.kind in "fiub"}
     if not numbers:
         raise CannotShow("nothing was observed; integrate with observe={name: function}")
-    shown = dict(list(numbers.items())[:MOST_OBSERVED])
+    shown = dict(list(numbers.items())[:MAX_OBSERVED])
 
     def paint(axes: Any) -> None:
         for i, (name, members) in enumerate(shown.items()):

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.orbit import frame_space
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, colour, dots, key
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 SHOWN = 40  # attitudes along the path
 
 
 @kind("path in space", projection="3d")
-def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
+def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
     """Show the position in the group element of SE(3), and a body axis at evenly spaced times.
 
     Needs the attitude of a system whose group element has a position, such as a body in a fluid.
@@ -26,7 +26,7 @@ def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
     axis : int
         The axis that is drawn, 0 to 2.
     """
-    number = read_whole(axis, "axis", 0, 2)
+    number = read_integer(axis, "axis", 0, 2)
     drawn = drawn.between
     g = drawn.attitude
     if g is None or g.shape[-1] != 4:
@@ -38,7 +38,7 @@ def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
         low, high = np.nanmin(positions, axis=(0, 1)), np.nanmax(positions, axis=(0, 1))
         reach = 0.09 * float(np.max(high - low)) or 1.0
         for m, (path, direction) in enumerate(zip(positions, pointing, strict=True)):
-            style: dict[str, Any] = {"linewidth": 1.2} if drawn.turned_little else dots(len(path))
+            style: dict[str, Any] = {"linewidth": 1.2} if drawn.axis_joined else dots(len(path))
             axes.plot(*path.T, color=colour(m), **style)
             at = spread(len(path), SHOWN)
             ends = np.stack([path[at], path[at] + reach * direction[at], np.full((len(at), 3), np.nan)], axis=1)

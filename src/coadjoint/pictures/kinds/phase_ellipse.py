@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, plain_axes
-from coadjoint.validation import read_number, read_whole
+from coadjoint.validation import read_integer, read_number
 
 Lump = tuple[Any, Any, Any, Any, Any]
 
 
 @kind("phase ellipse")
 def phase_ellipse(
-    drawn: Drawn,
+    drawn: PlottedRun,
     moments: Sequence[int | str] | None = None,
     lumps: Callable[[Any, int], Sequence[Lump]] | None = None,
     times: int = 9,
@@ -40,7 +40,7 @@ def phase_ellipse(
     labels : (str, str)
         Labels of the axes.
     """
-    count, x = read_whole(times, "times", 2), drawn.x[0]
+    count, x = read_integer(times, "times", 2), drawn.x[0]
     if moments is not None:
         if any(isinstance(i, int) and i >= x.shape[1] for i in moments):
             raise CannotShow(f"the moments are the coordinates {list(moments)}, and the state has {x.shape[1]}")

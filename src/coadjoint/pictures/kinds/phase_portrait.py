@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, dots, plain_axes
 
@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 @kind("phase portrait")
 def phase_portrait(
-    drawn: Drawn,
+    drawn: PlottedRun,
     across: int | str | Callable[[Any], Any] = 0,
     up: int | str | Callable[[Any], Any] = 1,
     labels: tuple[str, str] | None = None,
@@ -69,7 +69,7 @@ def phase_portrait(
     return paint
 
 
-def _of(drawn: Drawn, chosen: Any) -> Floats:
+def _of(drawn: PlottedRun, chosen: Any) -> Floats:
     x = drawn.x[:, drawn.kept]
     with np.errstate(all="ignore"):  # nonfinite values are not drawn
         return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]

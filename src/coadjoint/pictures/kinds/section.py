@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.section import draw_crossings, places
 
 
 @kind("section")
-def section(drawn: Drawn, event: str | int | None = None, components: Any = None) -> Paint:
+def section(drawn: PlottedRun, event: str | int | None = None, components: Any = None) -> Paint:
     """Show the crossings of an event: two components of the states, with one colour per member.
 
     Parameters

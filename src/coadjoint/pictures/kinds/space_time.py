@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn, spread
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import plain_axes
 
-MOST_ROWS = 400
+MAX_ROWS = 400
 
 
 @kind("space-time")
 def space_time(
-    drawn: Drawn,
+    drawn: PlottedRun,
     sites: Callable[[int], Sequence[int]],
     label: str,
     across: str = "site",
@@ -43,7 +43,7 @@ def space_time(
         raise CannotShow("there are fewer than two sites")
 
     def paint(axes: Any) -> None:
-        rows = spread(len(drawn.t), MOST_ROWS)
+        rows = spread(len(drawn.t), MAX_ROWS)
         values = drawn.x[0][rows][:, places]
         limits: dict[str, Any] = {"cmap": "viridis"}
         if centred:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import VIEW, Globe
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, Update, kind
 from coadjoint.pictures.style import INK
 
@@ -20,7 +20,7 @@ PIXELS = 301
 
 @kind("sphere field", moves=True)
 def sphere_field(
-    drawn: Drawn,
+    drawn: PlottedRun,
     values: Callable[[Any, Any], Any],
     at: float = 0.0,
     view: tuple[float, float] = VIEW,

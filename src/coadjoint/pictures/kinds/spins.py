@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.site_positions import places_of_sites, sites_of_row
 from coadjoint.pictures.style import INK
@@ -18,7 +18,7 @@ SHADES = ("#0072B2", "#8A8A8A", "#D55E00")
 
 
 @kind("spins", moves=True)
-def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
+def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
     """Show the spins of a lattice at one time, for the first member.
 
     Parameters

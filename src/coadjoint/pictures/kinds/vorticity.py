@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.fluids import fluid_of, part_on_grid, surface_of
 from coadjoint.pictures.kinds.sphere_field import on_grid
-from coadjoint.pictures.plot_data import Drawn
+from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, Projection
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import INK
@@ -18,7 +18,7 @@ from coadjoint.validation import read_choice, read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
 
-PARTS = {
+PART_TITLES = {
     "all": "vorticity",
     "large": "vorticity, large scales",
     "small": "vorticity, small scales",
@@ -27,15 +27,15 @@ PARTS = {
 }
 COLUMNS = 720
 """Pixels across a map."""
-FEWEST, MOST = 128, 720
+MIN_GRID, MAX_GRID = 128, 720
 """Smallest and largest number of grid points along a side."""
-LINES = 30.0
+GRID_SPACING = 30.0
 """Degrees between the grid lines of a map."""
 
 
 @kind("vorticity", low=True, moves=True)
 def vorticity(
-    drawn: Drawn,
+    drawn: PlottedRun,
     at: float = 1.0,
     part: str = "all",
     projection: str = "mollweide",
@@ -61,7 +61,7 @@ def vorticity(
         Largest absolute value of the colour scale; by default it covers start, end and this time.
     """
     fluid = fluid_of(drawn)
-    part = read_choice(part, "part of the vorticity", PARTS)
+    part = read_choice(part, "part of the vorticity", PART_TITLES)
     across = PROJECTIONS[read_choice(projection, "projection", PROJECTIONS)]
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
     if part == "carried" and len(drawn.family.shape) != 3:
@@ -80,7 +80,7 @@ def vorticity(
         image = axes.imshow(pixels(first), **put, **style)
         ends = "both" if largest > size else "neither"
         bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, extend=ends)
-        bar.set_label(PARTS[part], fontsize=9)
+        bar.set_label(PART_TITLES[part], fontsize=9)
         bar.ax.tick_params(labelsize=8)
         title = axes.set_title(_title(drawn, part, k), fontsize=9.5, color=INK)
 
@@ -93,13 +93,13 @@ def vorticity(
     return paint
 
 
-def _title(drawn: Drawn, part: str, k: int) -> str:
-    return f"{PARTS[part]} at $t$ = {drawn.t[k]:.4g}"
+def _title(drawn: PlottedRun, part: str, k: int) -> str:
+    return f"{PART_TITLES[part]} at $t$ = {drawn.t[k]:.4g}"
 
 
 def _shape(N: int, surface: str) -> tuple[int, int]:
     """Return a grid fine enough for the picture: with both poles, or a square."""
-    side = min(max(FEWEST, 2 * N), MOST)
+    side = min(max(MIN_GRID, 2 * N), MAX_GRID)
     return (side + 1, 2 * side) if surface == "sphere" else (side, side)
 
 
@@ -113,9 +113,9 @@ def _map(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixels:
     axes.plot(wide * np.cos(edge), np.sin(edge), color=INK, linewidth=0.6)
     turn, rise = np.radians(np.linspace(-180.0, 180.0, 361)), np.radians(np.linspace(-90.0, 90.0, 181))
     lines = {"color": INK, "linewidth": 0.3, "alpha": 0.4}
-    for latitude in np.arange(-90.0 + LINES, 89.0, LINES):
+    for latitude in np.arange(-90.0 + GRID_SPACING, 89.0, GRID_SPACING):
         axes.plot(*across.line(turn, np.full_like(turn, np.radians(latitude)), centre), **lines)
-    for longitude in np.arange(-180.0, 179.0, 2 * LINES):
+    for longitude in np.arange(-180.0, 179.0, 2 * GRID_SPACING):
         axes.plot(*across.line(np.full_like(rise, np.radians(longitude)), rise, centre), **lines)
     axes.set_aspect("equal")
     axes.axis("off")

@@ -10,15 +10,15 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import SparseRows
 
-LARGEST = 1500
+MAX_ESTIMATED_DIMENSION = 1500
 """Largest dimension for which products are counted. Larger systems are lattices, whose brackets are short."""
-LARGEST_CUBIC = 400
+MAX_CUBIC_DIMENSION = 400
 """Largest dimension for which nested brackets are counted, which takes n^3 bytes."""
-LOOKS = 6
+SAMPLED_PARTS = 6
 """Number of points along the parts at which the brackets are counted."""
 
 
-def products_ahead(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
+def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
     """Estimate a lower bound on the products of monomials in `sweep_logarithm`, from the sparsity pattern.
 
     Part p acts on the series R of the parts after it. Products up to h^3 are counted, few compared with those of higher
@@ -26,21 +26,21 @@ def products_ahead(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
     systems.
     """
     n = algebra.dim
-    if highest < 2 or parts.special or n > LARGEST:
+    if highest < 2 or parts.nonlinear_shares or n > MAX_ESTIMATED_DIMENSION:
         return 0.0
     i, j, k, _ = algebra.triples
     acting = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k])
-    cubic = highest > 2 and n <= LARGEST_CUBIC
+    cubic = highest > 2 and n <= MAX_CUBIC_DIMENSION
     slopes = np.zeros((n, n), dtype=bool)  # slopes[i]: coordinates in dR_1/dx_i
     second = np.zeros((n, n, n) if cubic else 0, dtype=bool)  # second[m]: pairs that multiply x_m in R_2
     counts = np.zeros(n)  # counts[i]: monomials in dR_2/dx_i
-    every = max(1, len(parts) // LOOKS)
+    every = max(1, len(parts) // SAMPLED_PARTS)
     total = 0.0
     angles = np.split(np.argsort(parts.part_of_angle, kind="stable"), np.cumsum(np.diff(parts.angle))[:-1])
     for number, p in enumerate(reversed(range(len(parts)))):
         length, again = slopes.sum(axis=1, dtype=float), np.zeros(n)
         if cubic and number % every == 0:
-            counts = _beside(second)
+            counts = _monomials_per_coordinate(second)
         for angle in angles[p].tolist():
             weights = _mask(parts.weights, angle, n)
             field, moved = _field(acting, _mask(parts.forms, angle, n), weights, parts.offset[angle] != 0, n)
@@ -91,7 +91,7 @@ def _pairs(moved: Integers, slopes: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(found | found.T)
 
 
-def _beside(second: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _monomials_per_coordinate(second: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Count for each coordinate the monomials that contain it, in a cubic polynomial given by pairs."""
     n = len(second)
     found = np.empty(n)

@@ -30,10 +30,10 @@ from coadjoint.program.sweeps import Sweep, Swept
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 
-BITS = 320
+BALL_BITS = 320
 """Precision (bits) of balls: 1.5 times that of the longest coefficients."""
 
-SHORT = 30
+MAX_EXACT_DIGITS = 30
 """Decimal texts with fewer digits are exact; longer ones were rounded, to half a unit in the last digit."""
 
 
@@ -73,14 +73,14 @@ def composition_logarithm(
 ) -> Coordinates:
     """Return the Lie series of one step P K P^-1 of a scheme, up to the power h^highest.
 
-    `sweeps` (of the kernel K) and `after` (of the processor P) are those of `swept_exactly`. Coefficients of the
+    `sweeps` (of the kernel K) and `after` (of the processor P) are those of `exact_sweeps`. Coefficients of the
     conditions of the declared `order` that vanish up to rounding are set to zero. With a single part every sweep meets
     the next one. With `rational` rotations, two flows of one part are not its flow over the total time.
 
     Examples
     --------
     >>> from coadjoint.methods.splitting import Splitting
-    >>> found = composition_logarithm(*swept_exactly(Splitting(order=2)), 3, order=2)
+    >>> found = composition_logarithm(*exact_sweeps(Splitting(order=2)), 3, order=2)
     >>> {tuple(letter.weight for letter in word): str(value) for word, value in found.of_weight[3].items()}
     {(1, 2): '-1/8', (3,): '1/4'}
     """
@@ -92,7 +92,7 @@ def _logarithm(
 ) -> Coordinates:
     from flint import ctx, fmpq
 
-    with ctx.workprec(BITS):
+    with ctx.workprec(BALL_BITS):
         series = _product_of(sweeps, highest, alone, rational)
         if after:
             processor = _product_of(after, highest, alone, rational)
@@ -162,13 +162,13 @@ def _inverse(series: Series) -> Series:
     return result
 
 
-def swept_exactly(method: Swept) -> tuple[list[Sweep], list[Sweep]]:
+def exact_sweeps(method: Swept) -> tuple[list[Sweep], list[Sweep]]:
     """Return the sweeps and the processor of a scheme, with rational coefficients, or balls if irrational (a cube
     root).
     """
     from flint import ctx
 
-    with ctx.workprec(BITS):
+    with ctx.workprec(BALL_BITS):
         try:
             return _read(method, exact_or_ball)
         except (TypeError, ValueError, ZeroDivisionError):
@@ -198,10 +198,10 @@ def exact_or_ball(value: Any) -> Any:
         return value
     if isinstance(value, str):
         found = re.fullmatch(r"\s*[+-]?(\d*)\.?(\d*)\s*", value)
-        if found and len((found[1] + found[2]).lstrip("0")) >= SHORT:
+        if found and len((found[1] + found[2]).lstrip("0")) >= MAX_EXACT_DIGITS:
             middle = Fraction(value)
             half_a_unit = Fraction(1, 2 * 10 ** len(found[2]))
-            with ctx.workprec(BITS):
+            with ctx.workprec(BALL_BITS):
                 return arb(rational_number(middle)) + arb(0, arb(rational_number(half_a_unit)).upper())
         return rational_number(Fraction(value))
     if isinstance(value, np.generic):

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 from coadjoint.algebra.exact.free_algebra import Word, factors
 from coadjoint.algebra.polynomials.exact_polynomials import Exact
-from coadjoint.program.modified_energy.composition_logarithm import BITS, Coordinates, Letter
+from coadjoint.program.modified_energy.composition_logarithm import BALL_BITS, Coordinates, Letter
 from coadjoint.program.modified_energy.sweep_logarithm import Commutators, Flow, sweep_logarithm
 
-FEWEST_BITS = 60
+MIN_BITS = 60
 
 
 class Balls(NamedTuple):
@@ -70,7 +70,7 @@ class ModifiedSeries:
             return total
         sums: dict[tuple[int, ...], Any] = {}
         largest = 0.0
-        with ctx.workprec(BITS):
+        with ctx.workprec(BALL_BITS):
             for word, value in own.items():
                 for exponents, factor in self.of(word).to_dict().items():
                     sums[exponents] = sums.get(exponents, 0) + (added := value * factor)
@@ -82,7 +82,7 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
     found, radius, neglected = {}, 0.0, 0.0
     for exponents, ball in balls.items():
         size = float(ball.rad())
-        if size > largest * 2.0**-FEWEST_BITS:
+        if size > largest * 2.0**-MIN_BITS:
             raise ValueError(
                 "the coefficients of the scheme are known to too few digits: a coefficient of the modified Hamiltonian "
                 f"is known up to {size:.1e} only, from products of size {largest:.1e}"

@@ -9,9 +9,9 @@ import numpy as np
 
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.long_operations import tell
-from coadjoint.program.modified_energy.bracket_cost import products_ahead
-from coadjoint.program.modified_energy.composition_logarithm import Coordinates, composition_logarithm, swept_exactly
+from coadjoint.long_operations import warn_if_long
+from coadjoint.program.modified_energy.bracket_cost import estimated_products
+from coadjoint.program.modified_energy.composition_logarithm import Coordinates, composition_logarithm, exact_sweeps
 from coadjoint.program.modified_energy.modified_series import Balls, ModifiedSeries
 from coadjoint.program.modified_energy.sweep_logarithm import SECONDS_PER_PRODUCT, Commutators, check_products
 from coadjoint.program.parts.part_polynomials import part_polynomials
@@ -56,7 +56,7 @@ def modified_terms(
     if highest == 1:
         return ModifiedTerms({}, 0.0, coordinates.neglected)
     if pieces is None:
-        check_ahead(system, program, highest)
+        check_cost(system, program, highest)
     own = part_polynomials(ring, program.parts) if pieces is None else pieces
     turned = rational_pieces(ring, program.parts, program.frequency, highest)
     flows = [{1: piece, **more} for piece, more in zip(own, turned, strict=True)]
@@ -75,16 +75,16 @@ def modified_terms(
     return ModifiedTerms(found, radius, neglected)
 
 
-def check_ahead(system: LiePoissonSystem, program: Program, highest: int) -> None:
+def check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
     """Estimate the cost of the terms up to a weight: raise ValueError if it is too large, warn if slow."""
-    count = products_ahead(system.algebra, program.parts, highest)
+    count = estimated_products(system.algebra, program.parts, highest)
     check_products(count)
-    tell("the modified Hamiltonian", SECONDS_PER_PRODUCT * count, "a lower order takes less")
+    warn_if_long("the modified Hamiltonian", SECONDS_PER_PRODUCT * count, "a lower order takes less")
 
 
 def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynomial:
     """Return H_p of a scheme of order p, whose step is the flow of H + h^p H_p + ..."""
     program = build_program(system, method)
-    coordinates = coordinates_of(program, *swept_exactly(method), order + 1, order)
+    coordinates = coordinates_of(program, *exact_sweeps(method), order + 1, order)
     found = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])
     return found.of_power.get(order, Polynomial({}, dim=system.dim))

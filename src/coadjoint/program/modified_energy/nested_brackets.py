@@ -12,7 +12,7 @@ from coadjoint.program.modified_energy.second_order import Floats, Samples
 from coadjoint.program.parts.part import Parts
 
 # Relative step of the central differences; brackets are smooth, so the relative error is about (2^-14)^2.
-NUDGE = 2.0**-14
+DIFFERENCE_STEP = 2.0**-14
 
 
 class NestedBrackets:
@@ -31,7 +31,7 @@ class NestedBrackets:
     def gradients(self, points: Floats, t: float = 0.0) -> Floats:
         """Return the gradients at points (k, n), shape (parts, pairs, k, n), by central differences."""
         size = np.max(np.abs(points), axis=1, keepdims=True)
-        nudge = NUDGE * np.where(size > 0.0, size, 1.0)
+        nudge = DIFFERENCE_STEP * np.where(size > 0.0, size, 1.0)
         columns = []
         for i in range(points.shape[1]):
             ahead, behind = points.copy(), points.copy()

@@ -39,20 +39,20 @@ def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
     place = (part[angle[entry]], 0, forms.coordinate[entry], weights.coordinate[at])
     np.add.at(bent, place, value[entry] * weights.value[at].astype(np.float64))
     gradient = constant + _applied(bent, points)
-    hessian = np.repeat(bent, count, axis=1) if parts.special else bent
-    for s, share in parts.special.items():
+    hessian = np.repeat(bent, count, axis=1) if parts.nonlinear_shares else bent
+    for s, share in parts.nonlinear_shares.items():
         if isinstance(share, BodyShare):
             continue
         own = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
         p = part[parts.row[s]]
         for k, x in enumerate(points):
-            slope, curvature = _own_jet(share, own, x, t)
+            slope, curvature = _share_jet(share, own, x, t)
             gradient[p, k, own] += slope
             hessian[p, k][np.ix_(own, own)] += curvature
     return Jet(gradient, hessian)
 
 
-def _own_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Floats, t: float) -> tuple[Floats, Floats]:
+def _share_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Floats, t: float) -> tuple[Floats, Floats]:
     """Return gradient and Hessian of a share with respect to its own coordinates."""
     if isinstance(share, FunctionShare):
         slope, curvature = (derivative_of(share.term, order, x[own], t) for order in (1, 2))

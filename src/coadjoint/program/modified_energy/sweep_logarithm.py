@@ -16,12 +16,12 @@ from operator import mul
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.long_operations import at
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 
-MOST_PRODUCTS = 10**8
+MAX_PRODUCTS = 10**8
 """Largest number of products of monomials in all brackets: about 20 s, more with long numerators."""
 
-TELLING = MOST_PRODUCTS // 100
+WARN_PRODUCTS = MAX_PRODUCTS // 100
 """Number of products above which the remaining ones are estimated."""
 
 SECONDS_PER_PRODUCT = 2e-7
@@ -41,21 +41,21 @@ class Commutators:
 
     def __call__(self, F: Exact, G: Exact) -> Exact:
         """Return [F, G]."""
-        return self.with_first(F)(G)
+        return self.adjoint_operator(F)(G)
 
-    def with_first(self, F: Exact) -> WithFirst:
+    def adjoint_operator(self, F: Exact) -> AdjointOperator:
         """Return the map G -> [F, G], for many G."""
-        return WithFirst(self, [self.sign * entry for entry in self.ring.field(F)])
+        return AdjointOperator(self, [self.sign * entry for entry in self.ring.field(F)])
 
-    def check_room(self, count: int) -> None:
+    def check_available_memory(self, count: int) -> None:
         """Count the products of monomials of a bracket; raise ValueError if the total or the memory is too large."""
         self.spent += count
         check_products(self.spent)
         at("the brackets of a modified Hamiltonian")
         size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
-        check_room(count * size, "a bracket in a modified Hamiltonian")
+        check_available_memory(count * size, "a bracket in a modified Hamiltonian")
 
-    def check_ahead(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
+    def check_cost(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
         """Raise ValueError if the brackets of further fields with a series, which grows with each, are too many.
 
         `lengths` has the number of monomials in the components of each field.
@@ -67,15 +67,15 @@ class Commutators:
 
 def check_products(count: float) -> None:
     """Raise ValueError if brackets have too many products of monomials."""
-    if count > MOST_PRODUCTS:
+    if count > MAX_PRODUCTS:
         raise ValueError(
             f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, about "
-            f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MOST_PRODUCTS:.0e} are made; take a lower order, "
+            f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MAX_PRODUCTS:.0e} are made; take a lower order, "
             "a system of fewer coordinates, or a run, whose energy shows their sum"
         )
 
 
-class WithFirst:
+class AdjointOperator:
     """The derivation G -> [F, G] = sign {G, F} along the field sign J(x) grad F."""
 
     def __init__(self, commutators: Commutators, field: Sequence[Exact]) -> None:
@@ -87,7 +87,7 @@ class WithFirst:
         """Return the bracket; raise ValueError if it is too large."""
         slopes = [G.derivative(i) for i, _ in self._moving]
         count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
-        self._commutators.check_room(count)
+        self._commutators.check_available_memory(count)
         total = self._ring.zero
         for slope, (_, component) in zip(slopes, self._moving, strict=True):
             if slope != 0:
@@ -105,12 +105,12 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     R = [ring.zero] * highest
     lengths: list[list[list[int]]] | None = None
     for number, flow in enumerate(reversed(flows)):
-        if lengths is None and commutators.spent > TELLING:
-            lengths = [[commutators.with_first(W).lengths for W in one.values()] for one in reversed(flows)]
+        if lengths is None and commutators.spent > WARN_PRODUCTS:
+            lengths = [[commutators.adjoint_operator(W).lengths for W in one.values()] for one in reversed(flows)]
         if lengths is not None:
-            commutators.check_ahead([one for later in lengths[number:] for one in later], R[:-1])
+            commutators.check_cost([one for later in lengths[number:] for one in later], R[:-1])
         for j, W in flow.items():
-            R = _transported(commutators.with_first(W), j, R)
+            R = _transported(commutators.adjoint_operator(W), j, R)
         for j, W in flow.items():
             if j <= highest:
                 R[j - 1] += j * W
@@ -133,7 +133,7 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     return found
 
 
-def _transported(ad: WithFirst, j: int, series: list[Exact]) -> list[Exact]:
+def _transported(ad: AdjointOperator, j: int, series: list[Exact]) -> list[Exact]:
     """Return exp(h^j ad) of a series in h."""
     result, current = list(series), list(series)
     for m in range(1, len(series) // j + 1):

@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import quadratic, within
-from coadjoint.memory import check_room
+from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, quadratic
+from coadjoint.memory import check_available_memory
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts.few_parts import few_parts
 from coadjoint.program.parts.free_bodies import Triple, fixed_axis, terms_by_degree, triples_of
 from coadjoint.program.parts.part import BodyShare, Parts
-from coadjoint.program.parts.split import NotSplit, atoms_of
+from coadjoint.program.parts.split import NotSplittable, atoms_of
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MOST_BONDS = 100_000
+MAX_BONDS = 100_000
 BYTES_PER_BOND = 8000  # peak memory of building the tables
 
 
@@ -57,23 +57,25 @@ def bonds(system: LiePoissonSystem) -> Bonds:
     spins = [] if form is None else _ideals(system.algebra)
     found = _isotropic(form, spins) if form is not None and spins else []
     if form is None or place is None or not found:
-        raise NotSplit(
+        raise NotSplittable(
             "it has no isotropic coupling c z.w between the momenta z, w of two copies of so(3) that are ideals; take "
             'parts="auto"'
         )
-    if len(found) > MOST_BONDS:
-        raise NotSplit(f'it has {len(found)} bonds, and {MOST_BONDS} are the most for parts="bonds"; take parts="auto"')
-    check_room(
+    if len(found) > MAX_BONDS:
+        raise NotSplittable(
+            f'it has {len(found)} bonds, and {MAX_BONDS} are the most for parts="bonds"; take parts="auto"'
+        )
+    check_available_memory(
         BYTES_PER_BOND * len(found), f"a splitting of {system.name} into {len(found)} bonds", 'take parts="auto"'
     )
     colour = colours([(bond.first, bond.second) for bond in found], len(spins))
     coloured = _shares(found, spins, colour)
     axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
-    left = _left_of(form, found, spins, axes)
+    left = _remainder(form, found, spins, axes)
     others = [*terms[:place], *([left] if left is not None else []), *terms[place + 1 :]]
     rest = Parts.concatenate([*(fixed_axis(form, triple) for triple in axes), atoms_of(system, others, commutation)])
     parts = Parts.concatenate([coloured, few_parts(rest, commutation)]) if len(rest) else coloured
-    if not within(3 * len(spins), system.dim):
+    if not casimirs_fit(3 * len(spins), system.dim):
         return Bonds(parts, None)
     taken = _squares(found, spins, system.dim)
     return Bonds(parts, ((taken, 1.0),) if taken.monomials else ())
@@ -168,7 +170,7 @@ def _shares(found: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int
     )
 
 
-def _left_of(
+def _remainder(
     form: QuadraticTerm, found: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
 ) -> QuadraticTerm | None:
     """Return a quadratic term without the bonds and the fixed axes; None if nothing is left."""

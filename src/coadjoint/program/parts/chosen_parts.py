@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.short_repr import short
-from coadjoint.validation import read_list, read_number, read_whole
+from coadjoint.validation import read_integer, read_list, read_number
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ChosenParts:
 
     def __post_init__(self) -> None:
         order = [
-            read_whole(k, "a part", 0) for k in read_list(self.order, "the order of parts", "give numbers of parts")
+            read_integer(k, "a part", 0) for k in read_list(self.order, "the order of parts", "give numbers of parts")
         ]
         if sorted(order) != list(range(len(order))):
             raise ValueError(f"the order of parts {short(order)} is not a permutation of 0, 1, ...")
@@ -42,20 +42,20 @@ class ChosenParts:
         shift = tuple((name, read_number(factor, f"the factor of {short(name)}")) for name, factor in pairs)
         object.__setattr__(self, "shift", shift)
         linear = read_list(self.linear, "the linear coefficients that are present", "give coordinates")
-        object.__setattr__(self, "linear", tuple(read_whole(k, "a coordinate", 0) for k in linear))
+        object.__setattr__(self, "linear", tuple(read_integer(k, "a coordinate", 0) for k in linear))
 
     @classmethod
-    def from_mapping(cls, given: Mapping[str, Any]) -> ChosenParts:
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> ChosenParts:
         """Construct a choice from ``{"order": [...], "shift": {...}, "linear": [...]}``."""
-        unknown = set(given) - {"order", "shift", "linear"}
-        if unknown or "order" not in given:
+        unknown = set(mapping) - {"order", "shift", "linear"}
+        if unknown or "order" not in mapping:
             raise ValueError(
-                f"parts has the keys {short(list(given))}; it must have 'order' and may have 'shift' and 'linear'"
+                f"parts has the keys {short(list(mapping))}; it must have 'order' and may have 'shift' and 'linear'"
             )
-        shift = given.get("shift", {})
+        shift = mapping.get("shift", {})
         if not isinstance(shift, Mapping):
             raise TypeError(f"the shift is {short(shift)}; give a mapping from the name of a Casimir to a factor")
-        return cls(given["order"], tuple(shift.items()), given.get("linear", ()))
+        return cls(mapping["order"], tuple(shift.items()), mapping.get("linear", ()))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping accepted by `from_mapping`."""

@@ -13,10 +13,10 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 # A bracket of two forms counts as zero below this relative size (round-off of its products).
 BRACKET_ROUNDOFF = 16 * UNIT_ROUNDOFF
 # Cost of sorting one product, in multiplications of a dense matrix product.
-CHEAPER = 32
+COST_RATIO = 32
 
 
-def surely_clashing(
+def surely_noncommuting(
     forms: Floats, algebra: LieAlgebra, first: Integers, second: Integers, costs: Integers
 ) -> NDArray[np.bool_]:
     """Test pairs of dense forms, shape (forms, n), for a bracket component that is nonzero far beyond rounding.
@@ -37,7 +37,7 @@ def surely_clashing(
     for component in np.argsort(-count, kind="stable").tolist():
         own = slice(start[component], start[component + 1])
         products = 4 * count[component] * len(forms) ** 2
-        if not products or CHEAPER * int(costs[left].sum()) < products:
+        if not products or COST_RATIO * int(costs[left].sum()) < products:
             break
         one, other = c[own] * forms[:, i[own]], forms[:, j[own]]
         half, size_of_half = one @ other.T, np.abs(one) @ np.abs(other).T

@@ -16,27 +16,27 @@ from coadjoint.long_operations import at
 from coadjoint.program.parts.bonds import bonds
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.free_bodies import free_bodies
-from coadjoint.program.parts.generator_cost import TooWide
-from coadjoint.program.parts.offsets_of_squares import with_offsets_of
-from coadjoint.program.parts.order_of_parts import CLEARLY, best_orders
+from coadjoint.program.parts.generator_cost import SplittingTooExpensive
+from coadjoint.program.parts.offsets_of_squares import with_linear_offsets
+from coadjoint.program.parts.order_of_parts import IMPROVEMENT_FACTOR, best_orders
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.split import NotSplit, check_splits, split
+from coadjoint.program.parts.split import NotSplittable, check_splits, split
 from coadjoint.program.shifts.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
-from coadjoint.program.shifts.shift_counts import numbers_of_parts
-from coadjoint.systems.hamiltonians.linear_term import linear_of, with_all_present
+from coadjoint.program.shifts.shift_counts import count_parts
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SEED = 1993
 SAMPLES = 16
 # Larger dimensions keep the natural order: comparing orders costs n^3 operations.
-LARGEST_COMPARED = 24
+MAX_COMPARED_DIMENSION = 24
 # Number of systems compared at once, limited by the processor cache.
-MOST_TOGETHER = 256
+COMPARISON_BATCH = 256
 # Multiplications allowed for trying shifts; above about 100 fully coupled coordinates, only the first are tried.
-MOST_WORK = 1 << 26
-FEWEST_SHIFTS = 8
+MAX_WORK = 1 << 26
+MIN_SHIFTS = 8
 WORK_PER_CONSTANT = 16
-CALLED = ("free_body", "bonds")
+BODY_FLOW_CHOICES = ("free_body", "bonds")
 """Choices whose first parts rotate momenta by an attitude, not about fixed axes."""
 
 
@@ -62,9 +62,9 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     H does not split, or the choice does not fit the system.
     """
     if isinstance(choice, ChosenParts):
-        return _chosen(system, choice)
-    if isinstance(choice, str) and choice in CALLED:
-        known = _CALLED[choice]
+        return _explicit_decomposition(system, choice)
+    if isinstance(choice, str) and choice in BODY_FLOW_CHOICES:
+        known = _BODY_FLOW_CACHE[choice]
         if system not in known:
             parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
             known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
@@ -72,26 +72,26 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
-    if system not in _FOUND:
+    if system not in _AUTOMATIC_CACHE:
         decompose_all([system])
-    return _FOUND[system]
+    return _AUTOMATIC_CACHE[system]
 
 
 def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
     """Cache the automatic decompositions of many systems of one dimension at once, which is faster."""
-    missing = [system for system in systems if system not in _FOUND]
-    for k in range(0, len(missing), MOST_TOGETHER):
-        some = missing[k : k + MOST_TOGETHER]
-        for system, found in zip(some, best_decompositions(some, _sample(some[0].dim)), strict=True):
-            _FOUND[system] = found
+    missing = [system for system in systems if system not in _AUTOMATIC_CACHE]
+    for k in range(0, len(missing), COMPARISON_BATCH):
+        some = missing[k : k + COMPARISON_BATCH]
+        for system, found in zip(some, best_decompositions(some, _sample_points(some[0].dim)), strict=True):
+            _AUTOMATIC_CACHE[system] = found
 
 
 # Systems are immutable, so decompositions are cached for the lifetime of the system.
-_FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
-_CALLED: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition]] = {
-    choice: WeakKeyDictionary() for choice in CALLED
+_AUTOMATIC_CACHE: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+_BODY_FLOW_CACHE: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition]] = {
+    choice: WeakKeyDictionary() for choice in BODY_FLOW_CHOICES
 }
-_CHECKED: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
+_CHECKED_CACHE: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
 
 
 class Candidate(NamedTuple):
@@ -118,7 +118,7 @@ def best_decompositions(
         best, (order, least) = own[0], next(orders)
         for candidate in own[1:]:
             other, size = next(orders)
-            if size < least * CLEARLY:
+            if size < least * IMPROVEMENT_FACTOR:
                 best, order, least = candidate, other, size
         result.append(_decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift)))
     return result
@@ -131,14 +131,14 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     fewest = len(found[0].parts)
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being built.
-    counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
+    counts = [0] * len(shifts) if comparing else count_parts(system, casimirs, shifts)
     work, spent = _work(system, found[0].parts), 0
     for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
         if count >= fewest:
             continue
         at(f"the parts after shift {number + 1} of {len(shifts)} by Casimirs", number / len(shifts))
         spent += work
-        if spent > max(MOST_WORK, FEWEST_SHIFTS * work) and not comparing:
+        if spent > max(MAX_WORK, MIN_SHIFTS * work) and not comparing:
             break
         parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
         if len(parts) < fewest:
@@ -159,20 +159,20 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
     The automatic parts are not computed here, which may be slow. Results are cached.
     """
     key = choice if isinstance(choice, str | tuple | ChosenParts) else None
-    if key is not None and key in _CHECKED.get(system, ()):
+    if key is not None and key in _CHECKED_CACHE.get(system, ()):
         return
     try:
-        if isinstance(choice, str) and choice not in CALLED:
+        if isinstance(choice, str) and choice not in BODY_FLOW_CHOICES:
             check_splits(system)
         else:
             decompose(system, choice)
-    except (NotSplit, TooWide) as reason:
+    except (NotSplittable, SplittingTooExpensive) as reason:
         raise ValueError(f"{scheme} cannot be used for {system.name}: {reason}") from None
     if key is not None:
-        _CHECKED.setdefault(system, set()).add(key)
+        _CHECKED_CACHE.setdefault(system, set()).add(key)
 
 
-def check_inputs_of_called(system: Any, choice: str, coordinates: Sequence[int]) -> None:
+def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int]) -> None:
     """Raise ValueError for inputs that change the axis of a part: on the coordinates of free bodies and bonds."""
     if isinstance(system, LiePoissonSystem):
         check_parts(system, choice, "Splitting")
@@ -186,15 +186,15 @@ def check_inputs_of_called(system: Any, choice: str, coordinates: Sequence[int])
             )
 
 
-def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
+def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
     casimirs, whole = quadratic_casimirs(system), system
     if choice.linear:
         if max(choice.linear) >= system.dim:
             raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
-        whole = with_all_present(system, choice.linear)
+        whole = with_placeholders(system, choice.linear)
     parts = split(whole, "auto", shifted_terms(whole.hamiltonian.terms(), casimirs, choice.shift))
     if whole is not system:
-        parts = with_offsets_of(parts, linear_of(system.hamiltonian, system.dim))
+        parts = with_linear_offsets(parts, linear_of(system.hamiltonian, system.dim))
     if len(parts) != len(choice.order):
         raise ValueError(
             f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "
@@ -209,9 +209,9 @@ def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choic
 
 
 @lru_cache(maxsize=32)
-def _sample(size: int) -> NDArray[np.float64]:
+def _sample_points(size: int) -> NDArray[np.float64]:
     """Return fixed points of unit length, shape (samples, n): the choice must not depend on a state."""
-    if size > LARGEST_COMPARED:
+    if size > MAX_COMPARED_DIMENSION:
         return np.zeros((0, size))
     points = np.random.default_rng(SEED).standard_normal((SAMPLES, size))
     points /= np.sqrt(np.sum(points**2, axis=1, keepdims=True))

@@ -10,10 +10,10 @@ from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.commutation import Commutation, Pairs
 from coadjoint.program.parts.first_fit import first_fit
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
+from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 
 # Above this number parts are joined in the given order only; lattices have thousands, in a good order.
-MOST_REORDERED = 64
+MAX_REORDERED = 64
 
 
 def few_parts(parts: Parts, commutation: Commutation) -> Parts:
@@ -24,25 +24,27 @@ def few_parts(parts: Parts, commutation: Commutation) -> Parts:
     """
     if not len(parts):
         return parts
-    touching = commutation.touching(parts)
-    clashes = commutation.clashes(parts, touching)
-    if len(parts) > LARGEST_PATTERN:
-        return parts.joined(_few_groups(len(parts), clashes, touching))
-    return parts.joined(_remembered_groups(len(parts), Pattern((clashes, touching), *clashes, *touching)))
+    coupled_pairs = commutation.coupled_pairs(parts)
+    noncommuting_pairs = commutation.noncommuting_pairs(parts, coupled_pairs)
+    if len(parts) > MAX_PATTERN_SIZE:
+        return parts.joined(_few_groups(len(parts), noncommuting_pairs, coupled_pairs))
+    return parts.joined(
+        _cached_groups(len(parts), Pattern((noncommuting_pairs, coupled_pairs), *noncommuting_pairs, *coupled_pairs))
+    )
 
 
 @lru_cache(maxsize=1024)
-def _remembered_groups(count: int, pairs: Pattern[tuple[Pairs, Pairs]]) -> Integers:
-    return _few_groups(count, *pairs.given)
+def _cached_groups(count: int, pairs: Pattern[tuple[Pairs, Pairs]]) -> Integers:
+    return _few_groups(count, *pairs.source)
 
 
-def _few_groups(count: int, clashes: Pairs, touching: Pairs) -> Integers:
-    best = first_fit(count, *clashes)
-    if best.max() > 1 and count <= MOST_REORDERED:
-        one, other = touching
+def _few_groups(count: int, noncommuting_pairs: Pairs, coupled_pairs: Pairs) -> Integers:
+    best = first_fit(count, *noncommuting_pairs)
+    if best.max() > 1 and count <= MAX_REORDERED:
+        one, other = coupled_pairs
         number = np.bincount(np.concatenate([one, other[one != other]]), minlength=count)
         for sign in (-1, 1):
-            found = _in_order(np.argsort(sign * number, kind="stable"), *clashes)
+            found = _in_order(np.argsort(sign * number, kind="stable"), *noncommuting_pairs)
             best = found if found.max() < best.max() else best
     return best
 

@@ -13,7 +13,7 @@ from coadjoint.program.sparse_rows import order_by, starts_of
 
 BITS = 64
 # Number of masks held in memory at once.
-ROOM = 1 << 22
+MAX_BATCH_ITEMS = 1 << 22
 
 Masks = NDArray[np.uint64]
 
@@ -28,12 +28,12 @@ def first_fit(count: int, first: Integers, second: Integers) -> Integers:
     return BITS * word + np.bitwise_count(masks[np.arange(count), word] - np.uint64(1)).astype(np.int64)
 
 
-def numbers_of_groups(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Integers:
+def count_groups(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Integers:
     """Count the groups of `first_fit` for subsets of the items, for many cases at once.
 
     `present` has shape (count, cases); the pairs in conflict have first < second.
     """
-    at_once = max(1, ROOM // max(count, 1))
+    at_once = max(1, MAX_BATCH_ITEMS // max(count, 1))
     found = [np.zeros(0, dtype=np.int64)]
     for begin in range(0, present.shape[1], at_once):
         masks = _masks(count, first, second, present[:, begin : begin + at_once])

@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts.few_parts import few_parts
 from coadjoint.program.parts.part import BodyShare, Parts
-from coadjoint.program.parts.split import NotSplit, atoms_of
+from coadjoint.program.parts.split import NotSplittable, atoms_of
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm, QuadraticTerm, Term
@@ -42,9 +42,9 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     terms = terms_by_degree(system)
     place = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
     form = None if place is None else terms[place].form
-    chosen = [] if form is None else _chosen(system.algebra, form)
+    chosen = [] if form is None else _select_triples(system.algebra, form)
     if form is None or place is None or not chosen:
-        raise NotSplit(
+        raise NotSplittable(
             "no three of its coordinates that span so(3) have an energy that is quadratic in two of them or more; take "
             'parts="auto"'
         )
@@ -54,7 +54,7 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     for number, triple in enumerate(chosen):
         inside[list(triple.coordinates)] = number
     axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
-    left = _left_of(form, inside)
+    left = _remainder(form, inside)
     others = [*terms[:place], *([left] if left is not None else []), *terms[place + 1 :]]
     rest = Parts.concatenate([*axes, atoms_of(system, others, commutation)])
     return Parts.concatenate([body, few_parts(rest, commutation)]) if len(rest) else body
@@ -98,7 +98,7 @@ def triples_of(algebra: LieAlgebra) -> list[Triple]:
     return found
 
 
-def _chosen(algebra: LieAlgebra, form: QuadraticTerm) -> list[Triple]:
+def _select_triples(algebra: LieAlgebra, form: QuadraticTerm) -> list[Triple]:
     """Choose commuting triples with a quadratic energy, those with the most entries of M first."""
     squares = [(-np.count_nonzero(_block(form, triple)), triple) for triple in triples_of(algebra)]
     chosen: list[Triple] = []
@@ -148,7 +148,7 @@ def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
 
-def _left_of(form: QuadraticTerm, inside: Any) -> QuadraticTerm | None:
+def _remainder(form: QuadraticTerm, inside: Any) -> QuadraticTerm | None:
     """Return a quadratic term without the bodies; None if nothing is left."""
     kept = ~((inside[form.rows] >= 0) & (inside[form.rows] == inside[form.indices]))
     linear = np.where(inside >= 0, 0.0, form.linear)

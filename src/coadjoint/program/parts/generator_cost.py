@@ -6,19 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.long_operations import tell
-from coadjoint.memory import check_room, in_words
+from coadjoint.long_operations import warn_if_long
+from coadjoint.memory import check_available_memory, format_bytes
 
 # Generators with fewer products are not counted: lattices may have millions of them.
 WIDE = 1 << 12
-MOST_PRODUCTS = 1 << 24
+MAX_PRODUCTS = 1 << 24
 BYTES_PER_PRODUCT = 150
 SECONDS_PER_PRODUCT = 2e-6
 # Per product, for one step of order two: two sweeps, with a series of twenty products per entry.
 SECONDS_PER_STEP = 4e-8
 
 
-class TooWide(ValueError):
+class SplittingTooExpensive(ValueError):
     """A splitting would take minutes to prepare, and seconds per step."""
 
 
@@ -30,11 +30,13 @@ def check_products(products: NDArray[np.int64] | Integers, what: str) -> None:
     """
     wide = products[products > WIDE]
     total = int(wide.sum())
-    if total > MOST_PRODUCTS:
-        raise TooWide(
+    if total > MAX_PRODUCTS:
+        raise SplittingTooExpensive(
             f"{what} has {len(wide)} flows of {total // len(wide)} products each: a splitting would need about "
-            f"{SECONDS_PER_PRODUCT * total:.0f} s and {in_words(BYTES_PER_PRODUCT * total)} for its preparation, and "
-            f"{SECONDS_PER_STEP * total:.0f} s per step; use GaussLegendre, which needs no preparation"
+            f"{SECONDS_PER_PRODUCT * total:.0f} s and {format_bytes(BYTES_PER_PRODUCT * total)} for its preparation, "
+            f"and {SECONDS_PER_STEP * total:.0f} s per step; use GaussLegendre, which needs no preparation"
         )
-    check_room(BYTES_PER_PRODUCT * total, f"a splitting of {what}", "take GaussLegendre")
-    tell(f"making a splitting of {what} ready", SECONDS_PER_PRODUCT * total, "GaussLegendre is made ready at once")
+    check_available_memory(BYTES_PER_PRODUCT * total, f"a splitting of {what}", "take GaussLegendre")
+    warn_if_long(
+        f"making a splitting of {what} ready", SECONDS_PER_PRODUCT * total, "GaussLegendre is made ready at once"
+    )

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import Parts, PolynomialShare, SpecialShare
-from coadjoint.program.parts.squares import LARGEST_RATIONAL, split_linear
-from coadjoint.systems.hamiltonians.linear_term import PRESENT
+from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
+from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE, split_linear
+from coadjoint.systems.hamiltonians.linear_term import PLACEHOLDER_COEFFICIENT
 
 
 class ExactSums(NamedTuple):
@@ -45,7 +45,7 @@ class ExactSums(NamedTuple):
         ]
 
 
-class Reduced(NamedTuple):
+class ReductionSteps(NamedTuple):
     """Linear terms of squares with forms in floats, by the operations of the reduction in their order.
 
     Each step has its pivots and its forms (coordinate -> value); `order` gives the position of each among the angles.
@@ -68,15 +68,15 @@ class Reduced(NamedTuple):
         return [found[place] for place in self.order]
 
 
-def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduced]]:
+def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | ReductionSteps]]:
     """Return (angles, offsets) for each set of coupled coordinates, as functions of the linear term.
 
-    Forms of up to 16 coupled coordinates are exact (`ExactSums`), others floats (`Reduced`). Uncoupled coordinates are
-    omitted: their offset is the coefficient itself.
+    Forms of up to 16 coupled coordinates are exact (`ExactSums`), others floats (`ReductionSteps`). Uncoupled
+    coordinates are omitted: their offset is the coefficient itself.
     """
     forms = parts.forms
     linear = np.ones(len(parts.offset), dtype=bool)
-    for s in parts.special:
+    for s in parts.nonlinear_shares:
         linear[parts.row[s] : parts.row[s + 1]] = False
     angles = np.flatnonzero(linear)
     owner = np.repeat(np.arange(len(parts.offset)), np.diff(forms.start))
@@ -87,18 +87,18 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduce
     clusters: dict[int, list[int]] = {}
     for angle in angles.tolist():
         clusters.setdefault(int(label[angle]), []).append(angle)
-    found: list[tuple[list[int], ExactSums | Reduced]] = []
+    found: list[tuple[list[int], ExactSums | ReductionSteps]] = []
     for own in clusters.values():
         rows = [_row(parts, angle) for angle in own]
         coordinates = sorted({k for row in rows for k in row})
-        if len(coordinates) > LARGEST_RATIONAL and parts.pivots is not None:
+        if len(coordinates) > MAX_RATIONAL_SIZE and parts.pivots is not None:
             found.append((own, _reduced(rows, parts.pivots[own])))
-        elif 1 < len(coordinates) <= LARGEST_RATIONAL and len(own) <= len(coordinates):
+        elif 1 < len(coordinates) <= MAX_RATIONAL_SIZE and len(own) <= len(coordinates):
             found.append((own, _inverse(rows, coordinates)))
     return found
 
 
-def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> Reduced:
+def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> ReductionSteps:
     """Recover the steps of the reduction from its forms."""
     steps: dict[int, tuple[tuple[int, ...], list[dict[int, float]]]] = {}
     inverse = np.argsort(pivots[:, 0], kind="stable")
@@ -107,26 +107,26 @@ def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> Reduced:
         both = (first,) if first == last else (first, last)
         steps.setdefault(step, (both, []))[1].append(rows[place])
     order = np.argsort(inverse).tolist()
-    return Reduced(tuple((both, tuple(forms)) for both, forms in steps.values()), tuple(order))
+    return ReductionSteps(tuple((both, tuple(forms)) for both, forms in steps.values()), tuple(order))
 
 
-def with_offsets_of(parts: Parts, linear: NDArray[np.float64]) -> Parts:
-    """Replace `PRESENT` (zero coefficients kept as structure) by the linear term, shape (n,), in parts.
+def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
+    """Replace `PLACEHOLDER_COEFFICIENT` (zero coefficients kept as structure) by the linear term, shape (n,), in parts.
 
     The forms are unchanged; some angles may be identically zero.
     """
     offset = parts.offset.copy()
     for angles, sums in offsets_of_squares(parts):
         offset[angles] = sums.at(linear)
-    offset[parts.offset == PRESENT] = 0.0
-    special = {s: _without_present(share) for s, share in parts.special.items()}
-    return Parts(parts.forms, offset, parts.weights, parts.row, special, parts.share, parts.timed)
+    offset[parts.offset == PLACEHOLDER_COEFFICIENT] = 0.0
+    nonlinear_shares = {s: _without_placeholders(share) for s, share in parts.nonlinear_shares.items()}
+    return Parts(parts.forms, offset, parts.weights, parts.row, nonlinear_shares, parts.share, parts.timed)
 
 
-def _without_present(share: SpecialShare) -> SpecialShare:
+def _without_placeholders(share: NonlinearShare) -> NonlinearShare:
     if not isinstance(share, PolynomialShare):
         return share
-    monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PRESENT}
+    monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PLACEHOLDER_COEFFICIENT}
     return PolynomialShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
 
 

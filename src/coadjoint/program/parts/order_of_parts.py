@@ -13,11 +13,11 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MOST_PERMUTED = 5
+MAX_PERMUTED = 5
 # Above this number parts keep their order: comparing orders could take longer than a run.
-MOST_ORDERED = 8
+MAX_ORDERED = 8
 # Differences by rounding must not matter, so that the choice is the same on every machine.
-CLEARLY = 1.0 - 1e-9
+IMPROVEMENT_FACTOR = 1.0 - 1e-9
 
 
 def best_order(
@@ -43,48 +43,48 @@ def best_orders(
             pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
             quadratic = all(term.form is not None for term in terms)
             # Many parts are moved one by one, separately for each set.
-            key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MOST_PERMUTED else m
+            key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MAX_PERMUTED else m
             alike.setdefault(key, []).append(m)
     for members in alike.values():
         samples = Samples([pairs[m][0].algebra for m in members], [pairs[m][1] for m in members], points, t)
-        for m, found in zip(members, _least(samples, result[members[0]][0]), strict=True):
+        for m, found in zip(members, _smallest_orders(samples, result[members[0]][0]), strict=True):
             result[m] = found
     return result
 
 
-def _least(samples: Samples, natural: tuple[int, ...]) -> list[tuple[tuple[int, ...], float]]:
+def _smallest_orders(samples: Samples, natural: tuple[int, ...]) -> list[tuple[tuple[int, ...], float]]:
     """Return for each set of parts the order with the smallest h^2 term, and its size."""
-    if len(natural) > MOST_ORDERED:
+    if len(natural) > MAX_ORDERED:
         return [(natural, float(size)) for size in samples.sizes([natural])[:, 0]]
-    if len(natural) > MOST_PERMUTED:
-        return [least_of_orders(natural, lambda orders: samples.sizes(orders)[0].tolist())]
+    if len(natural) > MAX_PERMUTED:
+        return [smallest_order(natural, lambda orders: samples.sizes(orders)[0].tolist())]
     orders = list(permutations(natural))
-    return [_first_clearly_least(orders, sizes) for sizes in samples.sizes(orders).tolist()]
+    return [_first_clearly_smallest(orders, sizes) for sizes in samples.sizes(orders).tolist()]
 
 
-def least_of_orders(
+def smallest_order(
     natural: tuple[int, ...], sizes: Callable[[Sequence[tuple[int, ...]]], Sequence[float]]
 ) -> tuple[tuple[int, ...], float]:
     """Minimise a measure over the orders of few parts; return the order and its measure.
 
     The search starts from `natural`, which is kept unless another order is clearly better.
     """
-    if len(natural) <= MOST_PERMUTED:
+    if len(natural) <= MAX_PERMUTED:
         orders = list(permutations(natural))
-        return _first_clearly_least(orders, sizes(orders))
+        return _first_clearly_smallest(orders, sizes(orders))
     best = natural
     while True:
         orders = [best, *_neighbours(best)]
-        found, size = _first_clearly_least(orders, sizes(orders))
+        found, size = _first_clearly_smallest(orders, sizes(orders))
         if found == best:
             return best, size
         best = found
 
 
-def _first_clearly_least(orders: Sequence[tuple[int, ...]], sizes: Sequence[float]) -> tuple[tuple[int, ...], float]:
+def _first_clearly_smallest(orders: Sequence[tuple[int, ...]], sizes: Sequence[float]) -> tuple[tuple[int, ...], float]:
     best, least = orders[0], sizes[0]
     for order, size in zip(orders[1:], sizes[1:], strict=True):
-        if size < least * CLEARLY:
+        if size < least * IMPROVEMENT_FACTOR:
             best, least = order, size
     return best, least
 

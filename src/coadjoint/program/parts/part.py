@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.sparse_rows import SparseRows, fresh, joined_starts, starts_of
+from coadjoint.program.sparse_rows import SparseRows, joined_starts, run_starts, starts_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 
@@ -48,7 +48,7 @@ class BodyShare:
     other: tuple[int, int, int] | None = None
 
 
-SpecialShare = PolynomialShare | FunctionShare | BodyShare
+NonlinearShare = PolynomialShare | FunctionShare | BodyShare
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ class Parts(Sequence[Part]):
     """Parts stored by columns, since there may be very many; items (`Part`) are built lazily.
 
     Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and each angle one row of
-    `forms`. The angle of a linear share is offset + weights.x; rows of `weights` are empty in other shares. `special`
-    maps the other shares to their rules; a part has only shares of free bodies, or none. `timed` marks time-dependent
-    parts. `pivots`, shape (angles, 3), are those of `Squares` for completed squares with forms in floats, -1 for other
-    angles.
+    `forms`. The angle of a linear share is offset + weights.x; rows of `weights` are empty in other shares.
+    `nonlinear_shares` maps the other shares to their rules; a part has only shares of free bodies, or none. `timed`
+    marks time-dependent parts. `pivots`, shape (angles, 3), are those of `Squares` for completed squares with forms in
+    floats, -1 for other angles.
     """
 
     pivots: NDArray[np.int64] | None = None
@@ -76,12 +76,12 @@ class Parts(Sequence[Part]):
         offset: NDArray[Any],
         weights: SparseRows,
         row: Integers,
-        special: Mapping[int, SpecialShare],
+        nonlinear_shares: Mapping[int, NonlinearShare],
         share: Integers,
         timed: NDArray[np.bool_],
     ) -> None:
         self.forms, self.offset, self.weights = forms, offset, weights
-        self.row, self.special, self.share, self.timed = row, special, share, timed
+        self.row, self.nonlinear_shares, self.share, self.timed = row, nonlinear_shares, share, timed
 
     @classmethod
     def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: SparseRows, row: Integers) -> Parts:
@@ -112,7 +112,7 @@ class Parts(Sequence[Part]):
             {
                 first + s: share
                 for first, piece in zip(shares, pieces, strict=False)
-                for s, share in piece.special.items()
+                for s, share in piece.nonlinear_shares.items()
             },
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
@@ -126,11 +126,11 @@ class Parts(Sequence[Part]):
     @property
     def bodies(self) -> dict[int, BodyShare]:
         """The shares that are free bodies."""
-        return {s: share for s, share in self.special.items() if isinstance(share, BodyShare)}
+        return {s: share for s, share in self.nonlinear_shares.items() if isinstance(share, BodyShare)}
 
-    def with_rules(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
+    def with_angles(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
         """Return the same forms with other angles."""
-        return Parts(self.forms, offset, weights, self.row, self.special, self.share, self.timed)
+        return Parts(self.forms, offset, weights, self.row, self.nonlinear_shares, self.share, self.timed)
 
     def __len__(self) -> int:
         return len(self.timed)
@@ -158,13 +158,13 @@ class Parts(Sequence[Part]):
         _, shares = expand(first, last)
         begin, end = self.row[shares], self.row[shares + 1]
         _, angles = expand(begin, end)
-        place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.special else {}
+        place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
         taken = Parts(
             self.forms.take(angles),
             self.offset[angles],
             self.weights.take(angles),
             starts_of(end - begin),
-            {place[s]: share for s, share in self.special.items() if s in place},
+            {place[s]: share for s, share in self.nonlinear_shares.items() if s in place},
             starts_of(last - first),
             self.timed[chosen],
         )
@@ -177,10 +177,10 @@ class Parts(Sequence[Part]):
         np.minimum.at(first, label, np.arange(len(self)))
         order = np.argsort(first[label], kind="stable")
         moved, group = self.take(order), first[label][order]
-        begins = np.flatnonzero(fresh(group))
+        begins = np.flatnonzero(run_starts(group))
         timed = np.logical_or.reduceat(moved.timed, begins) if len(begins) else moved.timed
         share = np.append(moved.share[begins], moved.share[-1])
-        joined = Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+        joined = Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.nonlinear_shares, share, timed)
         joined.pivots = moved.pivots
         return joined
 

@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 
 # Completed squares may have numerators of thousands of digits; above this size floats are used, as in a run.
-MOST_BITS = 512
+MAX_BITS = 512
 
 
 def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
@@ -26,7 +26,7 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
     found = [ring.zero for _ in range(len(parts))]
     for angle, p in enumerate(parts.part_of_angle.tolist()):
         found[p] += _linear_angle(ring, parts, angle)
-    for s, share in parts.special.items():
+    for s, share in parts.nonlinear_shares.items():
         if isinstance(share, FunctionShare):
             raise TypeError("a part of the Hamiltonian is a function of Python, not a polynomial")
         if isinstance(share, PolynomialShare):
@@ -36,33 +36,33 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
 
 def _linear_angle(ring: ExactPolynomials, parts: Parts, angle: int) -> Exact:
     """Return (l.x) (offset + weights.x / 2) of an angle."""
-    form = form_of(ring, *row_of(parts.forms, angle))
-    weights = form_of(ring, *row_of(parts.weights, angle))
-    return form * (weights / 2 + number_of(parts.offset[angle]))
+    form = linear_form(ring, *sparse_row(parts.forms, angle))
+    weights = linear_form(ring, *sparse_row(parts.weights, angle))
+    return form * (weights / 2 + to_rational(parts.offset[angle]))
 
 
-def row_of(rows: Any, r: int) -> tuple[list[int], list[Any]]:
+def sparse_row(rows: Any, r: int) -> tuple[list[int], list[Any]]:
     """Return the coordinates and values of a sparse row."""
     entries = slice(int(rows.start[r]), int(rows.start[r + 1]))
     return rows.coordinate[entries].tolist(), rows.value[entries].tolist()
 
 
-def form_of(ring: ExactPolynomials, coordinates: list[int], values: list[Any]) -> Exact:
+def linear_form(ring: ExactPolynomials, coordinates: list[int], values: list[Any]) -> Exact:
     """Return a linear form as a polynomial."""
     total = ring.zero
     for i, value in zip(coordinates, values, strict=True):
-        total += ring.coordinates[i] * number_of(value)
+        total += ring.coordinates[i] * to_rational(value)
     return total
 
 
-def number_of(value: Any) -> Any:
-    """Convert a number to a rational one; above `MOST_BITS` it is first rounded to float64, as in a run."""
+def to_rational(value: Any) -> Any:
+    """Convert a number to a rational one; above `MAX_BITS` it is first rounded to float64, as in a run."""
     exact = Fraction(exact_number(value))
-    long = exact.numerator.bit_length() + exact.denominator.bit_length() > MOST_BITS
+    long = exact.numerator.bit_length() + exact.denominator.bit_length() > MAX_BITS
     return rational(float(exact) if long else exact)
 
 
-def with_given_coefficients(
+def with_hamiltonian_coefficients(
     ring: ExactPolynomials, parts: Parts, pieces: Sequence[Exact], H: Polynomial, factors: Mapping[Exponents, Exact]
 ) -> list[Exact]:
     """Replace the coefficients in the pieces of parts by those of H as given, or by symbols.

@@ -14,24 +14,24 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts.generator_cost import check_products
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
-from coadjoint.program.parts.squares import LARGEST_RATIONAL
-from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
+from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
+from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 
 # Number of entries above which the width of squares is checked.
-LEAST_JUDGED = 1 << 14
+MIN_CHECKED_ENTRIES = 1 << 14
 
 
-def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) -> Parts:
+def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: bool) -> Parts:
     """Split a quadratic term into parts of one share each, by the first coordinate of each connected set.
 
-    With `apart` the squares of coupled coordinates are completed even if these commute.
+    With `separate` the squares of coupled coordinates are completed even if these commute.
     """
-    label, members, squared = _sets(term, commutation, apart)
+    label, members, squared = _sets(term, commutation, separate)
     plain = members[~squared[label[members]]]
     found = [_coupled(term, plain, label[plain])]
-    owner = [label[plain][fresh(label[plain])]]
+    owner = [label[plain][run_starts(label[plain])]]
     if np.any(squared):
         squares, cluster = _square_atoms(term, members[squared[label[members]]], label)
         found, owner = [*found, squares], [*owner, cluster]
@@ -43,7 +43,7 @@ def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None
 
     The parts then depend only on the sparsity pattern, and each angle belongs to one coordinate.
     """
-    label, members, squared = _sets(term, commutation, apart=False)
+    label, members, squared = _sets(term, commutation, separate=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
 
 
@@ -53,9 +53,9 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
     Each of m squares eliminates one coordinate from the later forms, which have m/2 entries on average. Sparse
     couplings are not checked, since their forms may stay short.
     """
-    if len(term.values) < LEAST_JUDGED:
+    if len(term.values) < MIN_CHECKED_ENTRIES:
         return
-    label, members, squared = _sets(term, commutation, apart=False)
+    label, members, squared = _sets(term, commutation, separate=False)
     label = label[members]
     size, entries = np.bincount(label), np.bincount(label, weights=np.diff(term.indptr)[members])
     full = squared & (entries >= DENSE_ROW * size)
@@ -63,7 +63,9 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
     check_products(np.repeat(products[full].astype(np.int64), size[full]), "the Hamiltonian")
 
 
-def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+def _sets(
+    term: QuadraticTerm, commutation: Commutation, separate: bool
+) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Label the connected sets of coupled coordinates, -1 if a coordinate is unused.
 
     Also returns the used coordinates, set by set, and for each label whether squares are to be completed.
@@ -78,14 +80,14 @@ def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[I
     members = members[order_by(label[members])]
     size = np.bincount(label[members], minlength=1)
     squared = size > 1
-    if not apart:
-        squared = squared & commutation.clashing(label)[: len(size)]
+    if not separate:
+        squared = squared & commutation.has_noncommuting(label)[: len(size)]
     return label, members, squared
 
 
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     """Build one part per set of coordinates, with the rows of M as angles."""
-    row = np.append(np.flatnonzero(fresh(label)), len(members))
+    row = np.append(np.flatnonzero(run_starts(label)), len(members))
     matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values)
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
     return Parts.linear(SparseRows.units(members), term.linear[members], weights, row)
@@ -93,7 +95,7 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
 
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
     """Build one part per completed square; also return the label of its set."""
-    ends = np.append(np.flatnonzero(fresh(label[members])), len(members))
+    ends = np.append(np.flatnonzero(run_starts(label[members])), len(members))
     place = np.zeros(len(term.linear), dtype=np.int64)
     place[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
     matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(members)
@@ -119,7 +121,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     weights = SparseRows(starts_of(lengths), rule.coordinate, np.repeat(factor[used], np.diff(rule.start)) * rule.value)
     offset = np.concatenate([found.linear for found in squares])
     parts = Parts.linear(forms, offset, weights, np.arange(len(factor) + 1))
-    if np.diff(ends).max() > LARGEST_RATIONAL:
+    if np.diff(ends).max() > MAX_RATIONAL_SIZE:
         parts.pivots = np.concatenate([found.pivots for found in squares])
         parts.pivots[:, 1:] = members[parts.pivots[:, 1:] + np.repeat(ends[:-1], counts)[:, None]]
     return parts, np.repeat(label[members[ends[:-1]]], counts)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.program.parts.part import Parts, PolynomialShare
-from coadjoint.program.parts.part_polynomials import form_of, number_of, row_of
+from coadjoint.program.parts.part_polynomials import linear_form, sparse_row, to_rational
 
 
 def rational_pieces(
@@ -25,7 +25,7 @@ def rational_pieces(
     found: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     of_share = {
         int(parts.row[s]) + k: (share, i)
-        for s, share in parts.special.items()
+        for s, share in parts.nonlinear_shares.items()
         if isinstance(share, PolynomialShare)
         for k, i in enumerate(share.coordinates)
     }
@@ -33,7 +33,7 @@ def rational_pieces(
         w = rational(frequency[angle])
         if w == 0:
             continue
-        s = form_of(ring, *row_of(parts.forms, angle))
+        s = linear_form(ring, *sparse_row(parts.forms, angle))
         theta = _angle(ring, parts, angle, *of_share.get(angle, (None, 0)))
         power = theta
         for j in range(3, highest + 1, 2):
@@ -57,10 +57,10 @@ def _angle(
             if exponents[coordinate]:
                 found[exponents[coordinate] - 1] += rational(value) * exponents[coordinate]
         return found
-    _, form = row_of(parts.forms, angle)
-    _, weights = row_of(parts.weights, angle)
-    slope = number_of(weights[0]) / number_of(form[0]) if weights else rational(0)
-    return [number_of(parts.offset[angle]), slope]
+    _, form = sparse_row(parts.forms, angle)
+    _, weights = sparse_row(parts.weights, angle)
+    slope = to_rational(weights[0]) / to_rational(form[0]) if weights else rational(0)
+    return [to_rational(parts.offset[angle]), slope]
 
 
 def _times(left: list[Any], right: list[Any]) -> list[Any]:

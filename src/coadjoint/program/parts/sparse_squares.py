@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.program.parts.squares import LARGEST_RATIONAL, SMALLEST_PIVOT, complete_squares, split_linear
+from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE, MIN_PIVOT_RATIO, complete_squares, split_linear
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -31,7 +31,7 @@ class SparseSquares(NamedTuple):
 def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSquares:
     """Complete the square of linear.x + x.M.x/2 for sparse symmetric M, with the numbers of `complete_squares`."""
     size = len(linear)
-    if size > LARGEST_RATIONAL and len(matrix.value) < DENSE_ROW * size:
+    if size > MAX_RATIONAL_SIZE and len(matrix.value) < DENSE_ROW * size:
         return _Reduction(matrix, linear).squares()
     dense = np.zeros((size, size))
     dense[matrix.owner, matrix.coordinate] = matrix.value
@@ -102,7 +102,7 @@ class _Reduction:
             heappop(self.diagonal)
         if self.diagonal:
             size, k = self.diagonal[0]
-            if -size * SMALLEST_PIVOT.denominator >= -largest * SMALLEST_PIVOT.numerator:
+            if -size * MIN_PIVOT_RATIO.denominator >= -largest * MIN_PIVOT_RATIO.numerator:
                 return (k,)
         return (i, j)
 

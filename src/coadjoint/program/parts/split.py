@@ -16,7 +16,7 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts.few_parts import few_parts
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
-from coadjoint.program.pattern_cache import LARGEST_PATTERN, Pattern
+from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
@@ -34,11 +34,11 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     """
     commutation = Commutation(system.algebra)
     terms = terms or system.hamiltonian.terms()
-    if isinstance(choice, str) and choice == "auto" and system.dim <= LARGEST_PATTERN:
+    if isinstance(choice, str) and choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
         known = _parts_by_pattern(terms, commutation)
         if known is not None:
             return known
-    atoms = _sorted(_atoms(system, terms, commutation, apart=choice == "coordinates"))
+    atoms = _sorted(_atoms(system, terms, commutation, separate=choice == "coordinates"))
     if choice == "coordinates":
         return atoms
     if isinstance(choice, str):
@@ -48,7 +48,7 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
 
 def atoms_of(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation) -> Parts:
     """Return the smallest parts of some terms, before any are joined."""
-    return _sorted(_atoms(system, terms, commutation, apart=False))
+    return _sorted(_atoms(system, terms, commutation, separate=False))
 
 
 def _sorted(atoms: Parts) -> Parts:
@@ -65,13 +65,13 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
     if model is None:
         return None
     places = model.weights
-    return model.with_rules(term.linear[model.forms.coordinate], places._replace(value=term.values[places.value]))
+    return model.with_angles(term.linear[model.forms.coordinate], places._replace(value=term.values[places.value]))
 
 
 @lru_cache(maxsize=1024)
 def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
     """Return the parts, and the index of each weight among the values of the term."""
-    term, commutation = pattern.given
+    term, commutation = pattern.source
     places: Any = np.arange(len(term.values))
     atoms = coupled_atoms(replace(term, values=places), commutation)
     return None if atoms is None else few_parts(_sorted(atoms), commutation)
@@ -80,26 +80,26 @@ def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Pa
 class _Atoms:
     """Visitor that collects the parts of terms, before they are joined."""
 
-    def __init__(self, system: LiePoissonSystem, commutation: Commutation, apart: bool) -> None:
+    def __init__(self, system: LiePoissonSystem, commutation: Commutation, separate: bool) -> None:
         self.found: list[Parts] = []
-        self._system, self._commutation, self._apart = system, commutation, apart
+        self._system, self._commutation, self._separate = system, commutation, separate
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        self.found.append(quadratic_atoms(term, self._commutation, self._apart))
+        self.found.append(quadratic_atoms(term, self._commutation, self._separate))
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        self.found.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._apart))
+        self.found.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._separate))
 
     def function(self, term: FunctionTerm) -> None:
         self.found.append(_function_atom(self._system, term, self._commutation))
 
 
-def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, apart: bool) -> Parts:
+def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, separate: bool) -> Parts:
     found: list[Parts] = []
     pieces: dict[int, list[Parts]] = {}
     for term in terms:
         keep = term.piece
-        atoms = _Atoms(system, commutation, apart and keep is None)
+        atoms = _Atoms(system, commutation, separate and keep is None)
         term.given_to(atoms)
         parts = atoms.found[0] if len(atoms.found) == 1 else Parts.concatenate(atoms.found)
         if keep is None:
@@ -112,7 +112,9 @@ def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commuta
     return Parts.concatenate(found)
 
 
-def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, commutation: Commutation, apart: bool) -> Parts:
+def _polynomial_atoms(
+    system: LiePoissonSystem, polynomial: Polynomial, commutation: Commutation, separate: bool
+) -> Parts:
     size = polynomial.dim
     variables = {e: [k for k, power in enumerate(e) if power] for e in polynomial.monomials if sum(e)}
     used = np.zeros(size, dtype=bool)
@@ -126,32 +128,32 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, commutat
     found = []
     for k, cluster in members.items():
         own = monomials[k]
-        if commutation.first_clash(cluster) is None and not (apart and len(cluster) > 1):
+        if commutation.first_noncommuting(cluster) is None and not (separate and len(cluster) > 1):
             found.append(Parts.single(PolynomialShare(tuple(cluster), Polynomial(own)), cluster))
             continue
         low = {e: c for e, c in own.items() if sum(e) <= 2}
         if low:
             (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
             assert form is not None
-            found.append(quadratic_atoms(form, commutation, apart))
+            found.append(quadratic_atoms(form, commutation, separate))
         for exponents in (e for e in own if sum(e) > 2):
             monomial, coordinates = Polynomial({exponents: own[exponents]}), variables[exponents]
-            clash = commutation.first_clash(coordinates)
-            if clash is not None:
-                raise _not_split(system, f"its monomial {short(monomial)}", clash)
+            noncommuting = commutation.first_noncommuting(coordinates)
+            if noncommuting is not None:
+                raise _not_split(system, f"its monomial {short(monomial)}", noncommuting)
             found.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
     return Parts.concatenate(found)
 
 
 def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> Parts:
     coordinates = term.coordinates.tolist()
-    clash = commutation.first_clash(coordinates)
-    if clash is not None:
-        raise _not_split(system, "a function in it", clash)
+    noncommuting = commutation.first_noncommuting(coordinates)
+    if noncommuting is not None:
+        raise _not_split(system, "a function in it", noncommuting)
     return Parts.single(FunctionShare(term), coordinates, term.timed)
 
 
-class _Clashes:
+class _CommutationCheck:
     """Visitor that raises if a term does not split; for quadratic terms it checks the width of completed squares."""
 
     def __init__(self, system: LiePoissonSystem, commutation: Commutation) -> None:
@@ -163,9 +165,11 @@ class _Clashes:
     def polynomial(self, term: PolynomialTerm) -> None:
         for exponents, coefficient in term.polynomial.monomials.items():
             if sum(exponents) > 2:
-                clash = self._commutation.first_clash([k for k, power in enumerate(exponents) if power])
-                if clash is not None:
-                    raise _not_split(self._system, f"its monomial {short(Polynomial({exponents: coefficient}))}", clash)
+                noncommuting = self._commutation.first_noncommuting([k for k, power in enumerate(exponents) if power])
+                if noncommuting is not None:
+                    raise _not_split(
+                        self._system, f"its monomial {short(Polynomial({exponents: coefficient}))}", noncommuting
+                    )
 
     def function(self, term: FunctionTerm) -> None:
         _function_atom(self._system, term, self._commutation)
@@ -177,18 +181,18 @@ def check_splits(system: LiePoissonSystem) -> None:
     Raises TooWide if there are too many long squares.
     """
     terms = system.hamiltonian.terms()
-    clashes = _Clashes(system, Commutation(system.algebra))
+    clashes = _CommutationCheck(system, Commutation(system.algebra))
     for term in terms:
         term.given_to(clashes)
 
 
-class NotSplit(ValueError):
+class NotSplittable(ValueError):
     """The Hamiltonian is not a sum of functions with known flows; the message names the piece and the reason."""
 
 
-def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> NotSplit:
-    first, second = (system.algebra.basis[k] for k in clash)
-    return NotSplit(
+def _not_split(system: LiePoissonSystem, what: str, noncommuting: tuple[int, int]) -> NotSplittable:
+    first, second = (system.algebra.basis[k] for k in noncommuting)
+    return NotSplittable(
         f"{what} couples {first} and {second}, which do not commute; "
         "give H as a sum of functions of commuting coordinates (SplitHamiltonian), or use GaussLegendre"
     )
@@ -203,9 +207,11 @@ def _as_given(
         outside = coordinates[(coordinates < 0) | (coordinates >= system.dim)]
         if len(outside):
             raise ValueError(f"parts name coordinate {outside[0]}, but coordinates run from 0 to {system.dim - 1}")
-        clash = commutation.first_clash(coordinates.tolist())
-        if clash is not None:
-            raise ValueError(f"parts put {basis[clash[0]]} and {basis[clash[1]]} together, which do not commute")
+        noncommuting = commutation.first_noncommuting(coordinates.tolist())
+        if noncommuting is not None:
+            raise ValueError(
+                f"parts put {basis[noncommuting[0]]} and {basis[noncommuting[1]]} together, which do not commute"
+            )
         home[coordinates] = np.minimum(home[coordinates], number)
     if not len(atoms):
         return atoms

@@ -13,9 +13,9 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 # Single pivots need a diagonal entry of at least this fraction of the largest entry, which bounds the coefficients of
 # the forms (Bunch and Parlett 1971, (1 + sqrt 17)/8).
-SMALLEST_PIVOT = Fraction(41, 64)
+MIN_PIVOT_RATIO = Fraction(41, 64)
 # Above this size numerators become too large, and the reduction runs in the number type of its input.
-LARGEST_RATIONAL = 16
+MAX_RATIONAL_SIZE = 16
 
 
 class Squares(NamedTuple):
@@ -37,7 +37,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     Eigenvectors are not used: they are irrational, not unique, and differ between platforms.
     """
     size = len(linear)
-    exact = matrix.dtype == np.float64 and size <= LARGEST_RATIONAL
+    exact = matrix.dtype == np.float64 and size <= MAX_RATIONAL_SIZE
     lift = np.vectorize(Fraction, otypes=[object]) if exact else np.copy
     residual, b = lift(matrix), lift(linear)
     floor = 0 if exact or matrix.dtype == object else 4.0 * size * UNIT_ROUNDOFF * np.max(np.abs(matrix), initial=0.0)
@@ -56,7 +56,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
         largest = abs(residual[row, column])
         if largest <= floor:
             break
-        alone = abs(residual[best, best]) * SMALLEST_PIVOT.denominator >= largest * SMALLEST_PIVOT.numerator
+        alone = abs(residual[best, best]) * MIN_PIVOT_RATIO.denominator >= largest * MIN_PIVOT_RATIO.numerator
         own = [best] if alone else [row, column]
         new = _square(residual, best) if alone else _pair(residual, row, column)
         found = split_linear(b[places[own]], [form[own] for form, _ in new])

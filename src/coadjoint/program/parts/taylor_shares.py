@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare, SpecialShare
+from coadjoint.program.parts.part import FunctionShare, NonlinearShare, Parts, PolynomialShare
 from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
-MOST_EVALUATIONS = 2**15
+MAX_EVALUATIONS = 2**15
 """Largest number of evaluations on one circle, or product of circles, around a point."""
 
 RADII = tuple(2.0**-k for k in range(8))
 """Radii of the circles, relative to the size of the point; the two with the best agreement are used."""
 
-WORST = 1e-6
+MAX_RELATIVE_ERROR = 1e-6
 """Relative disagreement above which a function counts as not analytic."""
 
 
@@ -32,14 +32,14 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     Raises TypeError if a function has too few derivatives and rejects complex numbers, ValueError if it is not analytic
     near the point, or has too many coordinates.
     """
-    special: dict[int, SpecialShare] = {}
-    for s, share in parts.special.items():
+    nonlinear_shares: dict[int, NonlinearShare] = {}
+    for s, share in parts.nonlinear_shares.items():
         if isinstance(share, FunctionShare):
             where = share.term.coordinates
             local = taylor_polynomial(share.term, x[where], degree)
             share = PolynomialShare(tuple(where.tolist()), _placed(local, x, where.tolist()))
-        special[s] = share
-    return Parts(parts.forms, parts.offset, parts.weights, parts.row, special, parts.share, parts.timed)
+        nonlinear_shares[s] = share
+    return Parts(parts.forms, parts.offset, parts.weights, parts.row, nonlinear_shares, parts.share, parts.timed)
 
 
 def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: Sequence[int]) -> Polynomial:
@@ -86,7 +86,7 @@ def _by_circles(
 ) -> dict[tuple[int, ...], float]:
     m = len(y)
     nodes = 2 ** int(np.ceil(np.log2(2 * degree + 2)))
-    if nodes**m > MOST_EVALUATIONS:
+    if nodes**m > MAX_EVALUATIONS:
         raise ValueError(
             f"a function of {m} coordinates would be evaluated at {nodes**m} points for derivatives of order {degree}; "
             "take a lower order, or give the Hamiltonian as a Polynomial"
@@ -106,7 +106,7 @@ def _by_circles(
             abs(found[_exponents(m, i, j)] * (1 + (i == j)) - bent[i, j]) * size**2
             for i, j in product(range(m), repeat=2)
         ]
-    if not max(wrong) <= WORST * scale:
+    if not max(wrong) <= MAX_RELATIVE_ERROR * scale:
         raise ValueError(
             f"derivatives of order {degree} of a function of the Hamiltonian cannot be computed near "
             f"{y.tolist()}: it is not analytic on circles in the complex plane; take a lower order"

@@ -21,18 +21,18 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.generators import BasisMatrices, Generators
 from coadjoint.program.graph_layers import layers
 from coadjoint.program.shifts.shift import quadratic_entries
-from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
+from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-Taken = tuple[Polynomial, float]
+SubtractedCasimir = tuple[Polynomial, float]
 Entries = tuple[Integers, Integers, NDArray[np.float64]]
 
 SEED = 1993
 SAMPLES = 3
 # Smallest ratio of pivots for which an invariant form counts as definite.
-WORST_PIVOT = 2.0**-20
+MIN_CHOLESKY_PIVOT = 2.0**-20
 # Largest representation (number of entries) for which tables are cached.
-LARGEST_KEPT = 4096
+MAX_CACHED_SIZE = 4096
 
 
 class Turn(IntEnum):
@@ -122,22 +122,22 @@ def unshift_tables(
     algebra: LieAlgebra,
     representation: NDArray[np.float64] | None,
     sign: int,
-    shift: Sequence[Taken],
+    shift: Sequence[SubtractedCasimir],
 ) -> UnshiftTables:
     """Return the tables of X = -sign sum c rho(grad C(x)), for pairs (C, c) of homogeneous quadratic Casimirs.
 
     `representation` rho is (n, d, d); None: the coadjoint one. Results for small representations are cached.
     """
     taken = tuple(shift)
-    if (algebra.dim**2 if representation is None else representation.size) > LARGEST_KEPT:
+    if (algebra.dim**2 if representation is None else representation.size) > MAX_CACHED_SIZE:
         return _tables(algebra, representation, sign, taken)
     if representation is None:
-        return _remembered(algebra, None, (), sign, taken)
-    return _remembered(algebra, representation.tobytes(), representation.shape, sign, taken)
+        return _cached_tables(algebra, None, (), sign, taken)
+    return _cached_tables(algebra, representation.tobytes(), representation.shape, sign, taken)
 
 
 @lru_cache(maxsize=64)
-def _remembered(
+def _cached_tables(
     algebra: LieAlgebra, numbers: bytes | None, shape: tuple[int, ...], sign: int, shift: tuple[Any, ...]
 ) -> UnshiftTables:
     return _tables(algebra, None if numbers is None else np.frombuffer(numbers).reshape(shape), sign, shift)
@@ -147,7 +147,7 @@ def _tables(
     algebra: LieAlgebra,
     representation: NDArray[np.float64] | None,
     sign: int,
-    shift: Sequence[Taken],
+    shift: Sequence[SubtractedCasimir],
 ) -> UnshiftTables:
     matrices = BasisMatrices.on_group(algebra, representation)
     entries = [_scaled(casimir, factor) for casimir, factor in shift]
@@ -155,7 +155,7 @@ def _tables(
     samples = np.random.default_rng(SEED).integers(-8, 9, (SAMPLES, algebra.dim)).astype(np.float64) + 0.5
     components = list(_components(matrices.size, generators))
     kinds = [_kind_of(component, samples, entries if representation is None else []) for component in components]
-    cells = [fresh(component.cell) for component in components]
+    cells = [run_starts(component.cell) for component in components]
     metrics = [kind.metric.ravel() for kind in kinds if kind.metric is not None]
     place = starts_of([0 if kind.metric is None else kind.metric.size for kind in kinds])
 
@@ -219,7 +219,7 @@ def _components(size: int, generators: Generators) -> Any:
 def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
     """Classify a component for all momenta by the properties it has at a few generic ones."""
     m = component.width
-    layer = layers(m, component.column[fresh(component.cell)], component.row[fresh(component.cell)])
+    layer = layers(m, component.column[run_starts(component.cell)], component.row[run_starts(component.cell)])
     if layer.min() >= 0:
         return _Kind(Turn.NILPOTENT, int(layer.max()))
     if m <= 2:
@@ -273,7 +273,7 @@ def _cholesky(form: NDArray[np.float64]) -> NDArray[np.float64] | None:
     m, lower = len(form), np.zeros(form.shape)
     rest = form.copy()
     for k in range(m):
-        if not rest[k, k] > WORST_PIVOT * form.max():
+        if not rest[k, k] > MIN_CHOLESKY_PIVOT * form.max():
             return None
         lower[k:, k] = rest[k:, k] / np.sqrt(rest[k, k])
         rest -= np.outer(lower[:, k], lower[:, k])

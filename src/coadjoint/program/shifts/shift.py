@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.pattern_cache import LARGEST_PATTERN
+from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE
 from coadjoint.program.shifts.pencil import singular_factors
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.quadratic import factors_of
@@ -22,8 +22,8 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Shift = tuple[tuple[str, float], ...]
 
-LARGEST_SINGULAR = 8
-LARGEST_DENSE = 32  # coordinates; up to this size adding all n^2 entries is faster than sorting the nonzero ones
+MAX_SINGULAR_DIMENSION = 8
+MAX_DENSE_DIMENSION = 32  # coordinates; up to this size adding all n^2 entries is faster than sorting the nonzero ones
 # An entry after a shift counts as zero below this multiple of the sum of its absolute terms.
 ROUNDING = 4 * UNIT_ROUNDOFF
 
@@ -64,7 +64,7 @@ def quadratic_entries(casimir: Polynomial) -> Entries | None:
     >>> quadratic_entries(Polynomial({(2, 0): 3, (1, 1): 1}))
     (array([0, 0, 1]), array([0, 1, 0]), array([6., 1., 1.]))
     """
-    return (_remembered_entries if casimir.dim <= LARGEST_PATTERN else _entries)(casimir)
+    return (_cached_entries if casimir.dim <= MAX_PATTERN_SIZE else _entries)(casimir)
 
 
 def _entries(casimir: Polynomial) -> Entries | None:
@@ -80,7 +80,7 @@ def _entries(casimir: Polynomial) -> Entries | None:
 
 
 # Cached, since scans over constants subtract the same Casimir repeatedly.
-_remembered_entries = lru_cache(maxsize=256)(_entries)
+_cached_entries = lru_cache(maxsize=256)(_entries)
 
 
 def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
@@ -106,7 +106,7 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
     values = np.concatenate([entry[2] for entry in entries])
     n = len(term.linear)
-    flat, cells = rows * n + columns, np.arange(n * n) if n <= LARGEST_DENSE else None
+    flat, cells = rows * n + columns, np.arange(n * n) if n <= MAX_DENSE_DIMENSION else None
     if cells is None:
         cells, flat = np.unique(flat, return_inverse=True)
     total: NDArray[Any] = np.bincount(flat, weights=values, minlength=len(cells))
@@ -150,7 +150,7 @@ def candidate_shifts(
                 if alone[0][1] and alone not in seen:
                     seen.add(alone)
                     yield alone
-    if len(casimirs) == 1 and system.dim <= LARGEST_SINGULAR:
+    if len(casimirs) == 1 and system.dim <= MAX_SINGULAR_DIMENSION:
         ((name, casimir),) = casimirs.items()
         term = quadratic[0]
         matrices = (term.rows, term.indices, term.values), casimir[1:]

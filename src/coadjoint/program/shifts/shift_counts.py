@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.parts.few_parts import MOST_REORDERED
-from coadjoint.program.parts.first_fit import numbers_of_groups
+from coadjoint.program.parts.few_parts import MAX_REORDERED
+from coadjoint.program.parts.first_fit import count_groups
 from coadjoint.program.shifts.shift import ROUNDING, QuadraticCasimir, Shift
-from coadjoint.program.sparse_rows import fresh
+from coadjoint.program.sparse_rows import run_starts
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
-def numbers_of_parts(
+def count_parts(
     system: LiePoissonSystem, casimirs: Mapping[str, QuadraticCasimir], shifts: Sequence[Shift]
 ) -> NDArray[np.int64]:
     """Count the parts of ``"auto"`` after each shift; 0 if they must be built to be counted.
@@ -40,7 +40,7 @@ def numbers_of_parts(
             size[casimir.rows] += np.abs(factor * casimir.values)
         present[:, number] = (np.abs(total) > ROUNDING * size) | (term.linear != 0)
     i, j, _, _ = system.algebra.triples
-    pairs = fresh(i, j)
-    enough = np.flatnonzero(np.count_nonzero(present, axis=0) > MOST_REORDERED)
-    unknown[enough] = numbers_of_groups(system.dim, i[pairs], j[pairs], present[:, enough])
+    pairs = run_starts(i, j)
+    enough = np.flatnonzero(np.count_nonzero(present, axis=0) > MAX_REORDERED)
+    unknown[enough] = count_groups(system.dim, i[pairs], j[pairs], present[:, enough])
     return unknown

@@ -90,7 +90,7 @@ def double_spherical_pendulum(
     >>> pendulum.energy(hanging), bool(abs(pendulum.vector_field(hanging)).max() == 0)
     (-3.0, True)
     """
-    first, second = (_pair(given, what) for given, what in ((masses, "masses"), (lengths, "lengths")))
+    first, second = (_pair(argument, what) for argument, what in ((masses, "masses"), (lengths, "lengths")))
     g = read_in_range(gravity, "gravity", zero=True)
     H = pendulum_energy(first, second, g)
     return LiePoissonSystem(
@@ -103,8 +103,8 @@ def double_spherical_pendulum(
     )
 
 
-def _pair(given: Any, what: str) -> tuple[float, float]:
-    numbers = read_finite(given, what)
+def _pair(argument: Any, what: str) -> tuple[float, float]:
+    numbers = read_finite(argument, what)
     if numbers.shape != (2,):
         raise ValueError(f"{what} has shape {numbers.shape}; give two numbers, the first of the rod at the pivot")
     one, two = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers.tolist()))

@@ -11,11 +11,16 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
-from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.bodies.rigid_body import rotations
-from coadjoint.systems.closed_forms.closed_form import all_finite, first_element, start_and_times, with_element
+from coadjoint.systems.closed_forms.closed_form import (
+    check_finite_states,
+    initial_group_element,
+    start_and_times,
+    with_group_element,
+)
 from coadjoint.systems.closed_forms.free_rigid_body import fixed_axis
-from coadjoint.systems.closed_forms.sphere_points import over_sphere
+from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -26,7 +31,7 @@ Floats = npt.NDArray[np.float64]
 
 @ready_made(
     telling=Telling(
-        x0=partial(over_sphere, 16),
+        x0=partial(points_on_sphere, 16),
         t_span=(0.0, 60.0),
         step=0.05,
         says="Sixteen motions with the same length of the momentum. Without rotors their curves would be symmetric "
@@ -92,7 +97,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     0.0
     """
     M, kept = inverse_inertia(inertia)
-    warn_of_no_body(kept)
+    warn_unphysical_inertia(kept)
     k = read_vector(rotors, "rotors")
     with np.errstate(over="ignore", invalid="ignore"):
         rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
@@ -121,14 +126,14 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
     ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
     """
     start, times = start_and_times(x0, t, 3)
-    first = first_element(attitude, 3)
+    first = initial_group_element(attitude, 3)
     n = float(m[np.argmin(np.abs(axis))])
     with np.errstate(over="ignore", invalid="ignore"):
         spin = float((axis * ((m - n) * start - m * k)).sum()) * axis
         several = np.atleast_1d(times)
         turned = fixed_axis(spin, several)
         x, A = start @ turned, first @ fixed_axis(n * start, several) @ turned
-    all_finite(np.concatenate([x.ravel(), A.ravel()]), start, times)
+    check_finite_states(np.concatenate([x.ravel(), A.ravel()]), start, times)
     if times.ndim == 0:
         x, A = x[0], A[0]
-    return with_element(x, A, attitude)
+    return with_group_element(x, A, attitude)

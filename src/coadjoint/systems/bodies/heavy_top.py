@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.inertia import axis_of_symmetry, inverse_inertia, momentum_along, read_vector
-from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.closed_forms.kovalevskaya_integral import kovalevskaya_integral
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -91,7 +91,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     {'m1': x1}
     """
     M, kept = inverse_inertia(inertia)
-    warn_of_no_body(kept, "e(3)")
+    warn_unphysical_inertia(kept, "e(3)")
     w = read_vector(lever, "lever")
     return top_under_gravity(M, w, "heavy_top", {"inertia": kept, "lever": tuple(w.tolist())})
 

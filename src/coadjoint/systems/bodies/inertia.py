@@ -13,7 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import check_finite, read_finite, read_number, read_numbers
 
-LEAST_MOMENT = 2.0**-1022
+MIN_MOMENT = 2.0**-1022
 
 
 def inverse_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> tuple[npt.NDArray[np.float64], Any]:
@@ -110,7 +110,7 @@ def positive_moments(moments: npt.NDArray[np.float64], what: str) -> npt.NDArray
         place = f"[{i}]" if len(moments) > 1 else ""
         if moment <= 0.0:
             raise ValueError(f"{what}{place} is {moment:g}; every principal moment must be positive")
-        if moment < LEAST_MOMENT:
+        if moment < MIN_MOMENT:
             raise ValueError(f"{what}{place} is {moment:g}, and its inverse overflows; take larger units")
     return moments
 

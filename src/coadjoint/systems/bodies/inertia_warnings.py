@@ -10,21 +10,23 @@ import numpy.typing as npt
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-SLACK = 64 * UNIT_ROUNDOFF  # relative tolerance for rounded input
-_MEANT = "if a quadratic form is meant, say so by co.LiePoissonSystem(co.algebras.{}, co.Quadratic(...), sign=-1)"
+ROUNDING_TOLERANCE = 64 * UNIT_ROUNDOFF  # relative tolerance for rounded input
+_QUADRATIC_FORM_HINT = (
+    "if a quadratic form is meant, say so by co.LiePoissonSystem(co.algebras.{}, co.Quadratic(...), sign=-1)"
+)
 
 
-def warn_of_no_body(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what: str = "inertia") -> None:
+def warn_unphysical_inertia(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what: str = "inertia") -> None:
     """Warn if a principal moment exceeds the sum of the other two by more than round-off (equal in a flat body).
 
     `inertia` is (3,) or (3, 3), validated; `algebra` is the one suggested for a quadratic form, None for bodies only.
 
     Examples
     --------
-    >>> warn_of_no_body((1.0, 2.0, 3.0))
+    >>> warn_unphysical_inertia((1.0, 2.0, 3.0))
     >>> with warnings.catch_warnings(record=True) as noticed:
     ...     warnings.simplefilter("always")
-    ...     warn_of_no_body((1.0, 1.0, 5.0))
+    ...     warn_unphysical_inertia((1.0, 1.0, 5.0))
     >>> len(noticed)
     1
     """
@@ -33,23 +35,23 @@ def warn_of_no_body(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what:
     # Scaling keeps the ratios of the moments, and their sum does not overflow.
     scaled = tensor / np.abs(tensor).max()
     moments = np.diag(scaled) if given.ndim == 1 else np.linalg.eigvalsh(scaled)
-    if 2.0 * moments.max() - moments.sum() > SLACK * moments.sum():
+    if 2.0 * moments.max() - moments.sum() > ROUNDING_TOLERANCE * moments.sum():
         text = f"{what}: no body has a principal moment that exceeds the sum of the other two"
-        _warn(text if algebra is None else f"{text}; {_MEANT.format(algebra)}")
+        _warn(text if algebra is None else f"{text}; {_QUADRATIC_FORM_HINT.format(algebra)}")
 
 
-def warn_of_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
+def warn_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
     """Warn if a second moment of the mass, (n,) principal or (n, n), is negative by more than round-off.
 
     Examples
     --------
-    >>> warn_of_negative_mass(np.array([0.0, 1.0, 2.0]))
+    >>> warn_negative_mass(np.array([0.0, 1.0, 2.0]))
     """
     principal = second_moments if second_moments.ndim == 1 else np.linalg.eigvalsh(second_moments)
-    if principal.min() < -SLACK * np.abs(principal).max():
+    if principal.min() < -ROUNDING_TOLERANCE * np.abs(principal).max():
         _warn(
             "inertia: a second moment of the mass is negative, and no body has that; "
-            f"{_MEANT.format(f'so({len(principal)})')}"
+            f"{_QUADRATIC_FORM_HINT.format(f'so({len(principal)})')}"
         )
 
 

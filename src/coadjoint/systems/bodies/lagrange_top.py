@@ -6,7 +6,7 @@ import numpy as np
 
 from coadjoint.systems.bodies.heavy_top import top_under_gravity
 from coadjoint.systems.bodies.inertia import moments_of
-from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -74,6 +74,6 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     """
     (across, one), (about, other) = moments_of(equatorial, "equatorial"), moments_of(axial, "axial")
     M, height = np.concatenate([across, across, about]), read_number(lever, "lever")
-    warn_of_no_body((one, one, other), "e(3)", "axial")
+    warn_unphysical_inertia((one, one, other), "e(3)", "axial")
     parameters = {"equatorial": one, "axial": other, "lever": height}
     return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)

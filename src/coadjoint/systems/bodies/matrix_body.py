@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.matrix_algebra import LARGEST, MatrixAlgebra
+from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, MatrixAlgebra
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia_warnings import warn_of_negative_mass
+from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Weights
@@ -88,8 +88,8 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
     0.6
     """
     values = read_finite(inertia, "inertia")
-    if values.ndim != 1 or not 2 <= len(values) <= LARGEST:
-        raise ValueError(f"inertia has shape {values.shape}; give n principal values, n from 2 to {LARGEST}")
+    if values.ndim != 1 or not 2 <= len(values) <= MAX_MATRIX_SIZE:
+        raise ValueError(f"inertia has shape {values.shape}; give n principal values, n from 2 to {MAX_MATRIX_SIZE}")
     if np.sort(values)[:2].sum() <= 0.0:
         raise ValueError(f"inertia is {short(values.tolist())}; the sum of any two moments must be positive")
     with np.errstate(over="ignore", divide="ignore"):
@@ -99,7 +99,7 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
         inverse = -1.0 / sums
     if not (np.isfinite(sums) | np.eye(len(values), dtype=bool)).all() or not np.isfinite(inverse).all():
         raise ValueError("sums of two moments of inertia or their inverses leave the range of float64; change units")
-    warn_of_negative_mass(values)
+    warn_negative_mass(values)
     parameters = {"inertia": tuple(values.tolist())}
     algebra = MatrixAlgebra("so", len(values))
     return MatrixSystem(algebra, Weights(inverse), energy_sign=-1, name="matrix_body", parameters=parameters)

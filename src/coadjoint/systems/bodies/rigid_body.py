@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.inertia import inverse_inertia
-from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
+from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -74,7 +74,7 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     array([1., 2., 4.])
     """
     M, kept = inverse_inertia(inertia)
-    warn_of_no_body(kept)
+    warn_unphysical_inertia(kept)
     return so3_body(M, sign=-1, name="rigid_body", parameters={"inertia": kept})
 
 

@@ -13,8 +13,8 @@ from coadjoint.algebra.families.orthogonal import so
 from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.bodies.inertia_warnings import warn_of_no_body
-from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
+from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.kepler import kepler
 from coadjoint.systems.closed_forms.spin_precession import turned
 from coadjoint.systems.gallery_entry import Picture, Telling
@@ -122,7 +122,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     )
     first, second, third, mass, gravity = (read_in_range(value, what) for what, value in read)
     principal = (first, second, third)
-    warn_of_no_body(principal, None)
+    warn_unphysical_inertia(principal, None)
     turning = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
     H = SplitHamiltonian(
         [*turning, ((3, 4, 5), Quadratic(1 / mass)), ((6, 7, 8), _potential(principal, mass, gravity))]
@@ -209,11 +209,11 @@ def _ball(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude
 
     At a value z of the central coordinate the orbit evolves in the time z t.
     """
-    states_alone(attitude, "satellite")
+    reject_attitude(attitude, "satellite")
     start, times = start_and_times(x0, t, 10)
     L, p, r, z = start[:3], start[3:6], start[6:9], start[9]
     with np.errstate(over="ignore", invalid="ignore"):
         place, velocity = kepler(r, p / mass, gravity, np.atleast_1d(z * times))
         seen = [turned(v.reshape(*times.shape, 3), L / inertia, times) for v in (mass * velocity, place)]
     spin, one = np.broadcast_to(L, (*times.shape, 3)), np.broadcast_to(z, (*times.shape, 1))
-    return all_finite(np.concatenate([spin, *seen, one], axis=-1), start, times)
+    return check_finite_states(np.concatenate([spin, *seen, one], axis=-1), start, times)

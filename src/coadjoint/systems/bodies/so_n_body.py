@@ -7,11 +7,11 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import check_symmetric_matrix, plain
-from coadjoint.systems.bodies.inertia_warnings import warn_of_negative_mass
+from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
 from coadjoint.systems.closed_forms.manakov_integrals import (
     halves_of_so4,
     inverse_of_form,
@@ -109,7 +109,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         raise ValueError(
             f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; give a positive sum"
         )
-    warn_of_negative_mass(given)
+    warn_negative_mass(given)
     algebra = rotations(n)
     if given.ndim == 1:
         first, second = planes(n)
@@ -122,7 +122,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
             )
     else:
         need = BYTES_PER_ENTRY * algebra.dim**2
-        check_room(need, f"the inverse of an inertia of dimension {n}", "give principal values")
+        check_available_memory(need, f"the inverse of an inertia of dimension {n}", "give principal values")
         exact = np.array([[Fraction(entry) for entry in row] for row in given.tolist()], dtype=object)
         M, a = inverse_of_form(trace_form(exact, 1)), exact @ exact
     return LiePoissonSystem(

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_list, read_whole
+from coadjoint.validation import read_finite, read_integer, read_list
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,18 +35,18 @@ def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
     if found.get("shape") is not None:
         shape = found["shape"]
         cells = (shape,) if isinstance(shape, numbers.Integral) else read_list(shape, "the shape of layout", rule)
-        found["shape"] = tuple(read_whole(count, "the shape of layout") for count in cells)
+        found["shape"] = tuple(read_integer(count, "the shape of layout") for count in cells)
     return found
 
 
-def checked_exact(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:
+def checked_closed_form(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:
     """Validate the closed form of a system: a function of (x0, t, attitude), or None."""
     if exact is not None and not callable(exact):
         raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
     return exact
 
 
-def solution_of(exact: Callable[..., Any] | None, name: str) -> Callable[..., Any]:
+def require_closed_form(exact: Callable[..., Any] | None, name: str) -> Callable[..., Any]:
     """Return the closed form of a system; raise TypeError if there is none."""
     if exact is None:
         raise TypeError(f"no closed form is known for {name}; integrate it")
@@ -69,12 +69,12 @@ def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
     return start, times
 
 
-def states_alone(attitude: Any, name: str) -> None:
+def reject_attitude(attitude: Any, name: str) -> None:
     """Raise TypeError if an attitude is requested from a closed form that has none.
 
     Examples
     --------
-    >>> states_alone(True, "toda")
+    >>> reject_attitude(True, "toda")
     Traceback (most recent call last):
     TypeError: toda has a closed form of the state alone; leave attitude out, or integrate
     """
@@ -82,12 +82,12 @@ def states_alone(attitude: Any, name: str) -> None:
         raise TypeError(f"{name} has a closed form of the state alone; leave attitude out, or integrate")
 
 
-def first_element(attitude: Any, size: int) -> Floats:
+def initial_group_element(attitude: Any, size: int) -> Floats:
     """Return the group element at time zero: the identity, or the array given as `attitude`.
 
     Examples
     --------
-    >>> first_element(True, 2)
+    >>> initial_group_element(True, 2)
     array([[1., 0.],
            [0., 1.]])
     """
@@ -99,18 +99,18 @@ def first_element(attitude: Any, size: int) -> Floats:
     return first
 
 
-def with_element(x: Floats, g: Floats, attitude: Any) -> Any:
+def with_group_element(x: Floats, g: Floats, attitude: Any) -> Any:
     """Return the states, or the pair (states, group elements) if `attitude` requests it.
 
     Examples
     --------
-    >>> with_element(np.array([1.0]), np.eye(1), False)
+    >>> with_group_element(np.array([1.0]), np.eye(1), False)
     array([1.])
     """
     return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, g)
 
 
-def all_finite(x: Floats, start: Floats, times: Floats) -> Floats:
+def check_finite_states(x: Floats, start: Floats, times: Floats) -> Floats:
     """Return the states of a closed form; raise ValueError if they overflow."""
     if not np.isfinite(x).all():
         raise ValueError(

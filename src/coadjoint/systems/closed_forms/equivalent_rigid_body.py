@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.closed_form import start_and_times, states_alone
+from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -19,7 +19,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 Floats = npt.NDArray[np.float64]
 
 
-def body_in_disguise(
+def rigid_body_equivalent(
     constants: tuple[float, float, float],
     masses: tuple[float, float, float],
     casimirs: dict[str, Polynomial],
@@ -32,7 +32,7 @@ def body_in_disguise(
 
     Examples
     --------
-    >>> body = body_in_disguise((1.0, 1.0, 2.0), (1.0, 2.0, 3.0), {}, "body", {})
+    >>> body = rigid_body_equivalent((1.0, 1.0, 2.0), (1.0, 2.0, 3.0), {}, "body", {})
     >>> body.vector_field([1.0, 1.0, 1.0])
     array([-1., -1.,  1.])
     """
@@ -50,7 +50,7 @@ def body_in_disguise(
 
 def _exact(constants: Floats, masses: Floats, name: str, x0: Any, t: Any, attitude: Any = False) -> Floats:
     """Return the closed form: y_i = x_i sqrt(c_i / c_1) is a rigid body with masses M_i c_1 / c_i in scaled time."""
-    states_alone(attitude, name)
+    reject_attitude(attitude, name)
     start, times = start_and_times(x0, t, 3)
     ratios = constants / constants[0]
     units = np.sqrt(ratios)

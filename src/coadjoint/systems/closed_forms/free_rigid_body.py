@@ -17,14 +17,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.closed_forms.closed_form import all_finite, first_element, start_and_times, with_element
+from coadjoint.systems.closed_forms.closed_form import (
+    check_finite_states,
+    initial_group_element,
+    start_and_times,
+    with_group_element,
+)
 from coadjoint.systems.closed_forms.elliptic_integrals import across_integral, amplitude, first_kind
 from coadjoint.systems.closed_forms.phase_reduction import (
     ball,
+    components_along,
     exact_principal_axes,
     fraction_of,
     remainders,
-    turned_back,
     working_bits,
 )
 
@@ -197,18 +202,18 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     equations, +1 the same motion backward in time. Raises ValueError for wrong shapes and non-finite numbers.
     """
     start, times = start_and_times(x0, t, 3)
-    first = first_element(attitude, 3)
+    first = initial_group_element(attitude, 3)
     exact, rotation = [Fraction(v) for v in start.tolist()], np.eye(3)
     if M.ndim == 2 and not np.array_equal(M, np.diag(np.diag(M))):
         bits = PRINCIPAL_BITS + 2 * working_bits(times, float(np.abs(M).max()) * float(np.abs(start).max()), 1.0)
         moments, axes = exact_principal_axes(M, bits)
-        exact, rotation = turned_back(axes, exact), np.array([[float(v) for v in row] for row in axes])
+        exact, rotation = components_along(axes, exact), np.array([[float(v) for v in row] for row in axes])
     else:
         moments = [Fraction(v) for v in (M if M.ndim == 1 else np.diag(M)).tolist()]
     with np.errstate(over="ignore", invalid="ignore"):
         x, A = _along_principal_axes(moments, exact, -sign * np.atleast_1d(times))
         x, A = x @ rotation.T, first @ (rotation @ A @ rotation.T)
-    x, A = (all_finite(part, start, times) for part in (x, A))
+    x, A = (check_finite_states(part, start, times) for part in (x, A))
     if times.ndim == 0:
         x, A = x[0], A[0]
-    return with_element(x, A, attitude)
+    return with_group_element(x, A, attitude)

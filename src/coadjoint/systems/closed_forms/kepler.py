@@ -11,7 +11,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = npt.NDArray[np.float64]
 
-ITERATIONS = 200
+MAX_ITERATIONS = 200
 SERIES = 12  # number of terms; the next is below round-off for |z| <= 1
 
 
@@ -23,46 +23,46 @@ def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats,
     """
     if not np.any(np.cross(r, v)):
         raise ValueError("the orbit is radial and has no closed form; integrate it")
-    distance, along = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
-    bent = 2.0 / distance - float(v @ v) / gravity  # inverse semi-major axis; negative on a hyperbola
-    found = [_moved(r, v, gravity, distance, along, bent, float(t)) for t in times]
+    distance, r_dot_v = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
+    alpha = 2.0 / distance - float(v @ v) / gravity  # inverse semi-major axis; negative on a hyperbola
+    found = [_moved(r, v, gravity, distance, r_dot_v, alpha, float(t)) for t in times]
     return np.array([x for x, _ in found]).reshape(-1, 3), np.array([y for _, y in found]).reshape(-1, 3)
 
 
 def _moved(
-    r: Floats, v: Floats, gravity: float, distance: float, along: float, bent: float, t: float
+    r: Floats, v: Floats, gravity: float, distance: float, r_dot_v: float, alpha: float, t: float
 ) -> tuple[Floats, Floats]:
     root = sqrt(gravity)
-    if bent > 0.0:
-        t = float(np.remainder(t, 2.0 * pi / (root * bent * sqrt(bent))))
+    if alpha > 0.0:
+        t = float(np.remainder(t, 2.0 * pi / (root * alpha * sqrt(alpha))))
     if t < 0.0:
-        back, turned = _moved(r, -v, gravity, distance, -along, bent, -t)
+        back, turned = _moved(r, -v, gravity, distance, -r_dot_v, alpha, -t)
         return back, -turned
-    s = _universal(distance, along, bent, root * t)
-    c2, c3 = _stumpff(bent * s * s)
+    s = _universal(distance, r_dot_v, alpha, root * t)
+    c2, c3 = _stumpff(alpha * s * s)
     late, early = s * s * c2, s * s * s * c3
-    now = distance + along * (s - bent * early) + (1.0 - bent * distance) * late
+    now = distance + r_dot_v * (s - alpha * early) + (1.0 - alpha * distance) * late
     f, g = 1.0 - late / distance, t - early / root
-    slope_f, slope_g = root / (distance * now) * s * (bent * s * s * c3 - 1.0), 1.0 - late / now
+    slope_f, slope_g = root / (distance * now) * s * (alpha * s * s * c3 - 1.0), 1.0 - late / now
     return f * r + g * v, slope_f * r + slope_g * v
 
 
-def _universal(distance: float, along: float, bent: float, target: float) -> float:
+def _universal(distance: float, r_dot_v: float, alpha: float, target: float) -> float:
     """Solve ``distance s + along s^2 c2 + (1 - bent distance) s^3 c3 = target`` for s; the left side is increasing."""
 
     def beyond(s: float) -> tuple[float, float]:
-        c2, c3 = _stumpff(bent * s * s)
+        c2, c3 = _stumpff(alpha * s * s)
         late, early = s * s * c2, s * s * s * c3
-        slope = distance + along * (s - bent * early) + (1.0 - bent * distance) * late
-        return distance * s + along * late + (1.0 - bent * distance) * early - target, slope
+        slope = distance + r_dot_v * (s - alpha * early) + (1.0 - alpha * distance) * late
+        return distance * s + r_dot_v * late + (1.0 - alpha * distance) * early - target, slope
 
     low, high = 0.0, target / distance
-    for _ in range(ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         if beyond(high)[0] >= 0.0:
             break
         low, high = high, 2.0 * high
     s = high
-    for _ in range(ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         value, slope = beyond(s)
         low, high = (low, s) if value >= 0.0 else (s, high)
         newton = s - value / slope if 0.0 < slope < inf else inf

@@ -16,9 +16,9 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomi
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
-HIGHEST_N = 6
+MAX_SO_DIMENSION = 6
 """Largest n with integrals of degree 4 and higher; their number of terms grows at least like n^4."""
-HIGHEST_POWER = 10
+MAX_TRACE_POWER = 10
 """Largest power of a in a quadratic integral; higher ones would overflow float64 in large dimensions."""
 
 
@@ -91,7 +91,7 @@ def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
     At most ten quadratic ones for every n; those of higher degree for n up to 6. Raises ValueError on overflow.
     """
     try:
-        return _quadratic(a) | (_higher(a) if 5 <= len(a) <= HIGHEST_N else {})
+        return _quadratic(a) | (_higher(a) if 5 <= len(a) <= MAX_SO_DIMENSION else {})
     except OverflowError:  # fractions beyond the range of floats
         raise ValueError("a power of the entries overflows in an integral; take other units") from None
 
@@ -101,7 +101,7 @@ def _quadratic(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
     n = len(a)
     found: dict[str, Quadratic | Polynomial] = {}
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(1, min(n - 2, HIGHEST_POWER) + 1):
+        for k in range(1, min(n - 2, MAX_TRACE_POWER) + 1):
             form = 2 * (_complete(a, k) if a.ndim == 1 else trace_form(a, k)).astype(np.float64)
             if not np.isfinite(form).all():
                 raise ValueError(f"the power {k} of the entries overflows in an integral; take other units")

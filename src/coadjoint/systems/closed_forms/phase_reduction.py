@@ -12,16 +12,16 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-KEPT_BITS = 96
+PHASE_BITS = 96
 """Bits of a phase below one period."""
 
-MOST_SWEEPS = 24
+MAX_SWEEPS = 24
 
 
 def working_bits(t: Floats, rate: float, period: float) -> int:
     """Return the number of bits needed for phases at times t (k,), from the magnitudes of rate and period."""
     sizes = [float(np.abs(t).max(initial=0.0)), abs(rate), 1.0 / period]
-    return 2 * KEPT_BITS + sum(max(0, math.frexp(size)[1]) for size in sizes if math.isfinite(size))
+    return 2 * PHASE_BITS + sum(max(0, math.frexp(size)[1]) for size in sizes if math.isfinite(size))
 
 
 def remainders(
@@ -72,12 +72,12 @@ def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[lis
         A = [[ball(Fraction(v)) for v in row] for row in M.tolist()]
         Q = [[ball(Fraction(int(i == j))) for j in range(3)] for i in range(3)]
         size = max((abs(fraction_of(v)) for row in A for v in row), default=Fraction(0))
-        for _ in range(MOST_SWEEPS):
+        for _ in range(MAX_SWEEPS):
             if all(abs(fraction_of(A[p][q])) <= size / 2**bits for p, q in ((0, 1), (0, 2), (1, 2))):
                 break
             for p, q in ((0, 1), (0, 2), (1, 2)):
                 if fraction_of(A[p][q]) != 0:
-                    _turn(A, Q, p, q)
+                    _jacobi_rotation(A, Q, p, q)
         moments = [fraction_of(A[i][i]) for i in range(3)]
         axes = [[fraction_of(v) for v in row] for row in Q]
     for i, j in ((0, 1), (0, 2), (1, 2)):
@@ -86,7 +86,7 @@ def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[lis
     return moments, axes
 
 
-def _turn(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> None:
+def _jacobi_rotation(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> None:
     """Make entry (p, q) zero by a Jacobi rotation; radii of balls are discarded."""
     slope = (A[q][q] - A[p][p]) / (2 * A[p][q])
     t = 1 / (abs(slope) + (slope * slope + 1).sqrt())
@@ -101,6 +101,6 @@ def _turn(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> None:
         row[p], row[q] = (c * row[p] - s * row[q]).mid(), (s * row[p] + c * row[q]).mid()
 
 
-def turned_back(axes: Sequence[Sequence[Fraction]], x: Sequence[Fraction]) -> list[Fraction]:
+def components_along(axes: Sequence[Sequence[Fraction]], x: Sequence[Fraction]) -> list[Fraction]:
     """Return the components of a vector along the axes."""
     return [sum((axes[i][c] * x[i] for i in range(3)), Fraction(0)) for c in range(3)]

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 
-def over_sphere(count: int, radius: float = 1.0) -> npt.NDArray[np.float64]:
+def points_on_sphere(count: int, radius: float = 1.0) -> npt.NDArray[np.float64]:
     """Return `count` points, (count, 3), distributed about evenly on a sphere, along a spiral of the golden angle.
 
     Examples
     --------
-    >>> np.linalg.norm(over_sphere(5, 2.0), axis=1)
+    >>> np.linalg.norm(points_on_sphere(5, 2.0), axis=1)
     array([2., 2., 2., 2., 2.])
     """
     k = np.arange(count)

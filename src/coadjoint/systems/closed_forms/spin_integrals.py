@@ -12,9 +12,9 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 Floats = npt.NDArray[np.float64]
 
-LARGEST_SQUARE = 64  # largest number of spins for which the dense |sum S|^2 is given
+MAX_DENSE_SQUARE = 64  # largest number of spins for which the dense |sum S|^2 is given
 # The total spin along n generates rotations of all spins about n; (turn_k)_ab = -eps_kab generates those about axis k.
-TURNS = np.array(
+ROTATION_GENERATORS = np.array(
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
 )
 
@@ -42,7 +42,7 @@ def total_spins(sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform:
             known = np.flatnonzero(axis)
             name = f"S{known[0] + 1}" if len(known) == 1 else f"S along ({', '.join(f'{a:.6g}' for a in axis)})"
             found[f"total {name}"] = Quadratic(np.zeros(3 * sites), linear=np.tile(axis, sites))
-    if isotropic and alike and len(found) < 3 and sites <= LARGEST_SQUARE:
+    if isotropic and alike and len(found) < 3 and sites <= MAX_DENSE_SQUARE:
         found["|total S|^2"] = Quadratic(np.kron(np.full((sites, sites), 2.0), np.eye(3)))
     return found
 
@@ -50,13 +50,17 @@ def total_spins(sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform:
 def _of_tensors(tensors: Floats) -> Floats:
     """Return rows r with r . n = 0 if all tensors commute with the rotation about n."""
     different = np.unique(tensors.reshape(-1, 9), axis=0).reshape(-1, 3, 3)
-    commutators = np.einsum("eab,kbc->eack", different, TURNS) - np.einsum("kab,ebc->eack", TURNS, different)
+    commutators = np.einsum("eab,kbc->eack", different, ROTATION_GENERATORS) - np.einsum(
+        "kab,ebc->eack", ROTATION_GENERATORS, different
+    )
     return _different(commutators.reshape(-1, 3))
 
 
 def _of_vectors(vectors: Floats) -> Floats:
     """Return rows r with r . n = 0 if all vectors are parallel to n."""
-    return _different(np.einsum("kab,eb->eak", TURNS, np.unique(vectors.reshape(-1, 3), axis=0)).reshape(-1, 3))
+    return _different(
+        np.einsum("kab,eb->eak", ROTATION_GENERATORS, np.unique(vectors.reshape(-1, 3), axis=0)).reshape(-1, 3)
+    )
 
 
 def _different(rows: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,13 +35,13 @@ def precession(
 
 def _precess(sites: int, strength: float, B: Floats, x0: Any, t: Any, attitude: Any = False) -> Floats:
     """Rotate all spins about their total, ``S_i' = strength S_i cross S``, and the total about the field."""
-    states_alone(attitude, "spin_lattice")
+    reject_attitude(attitude, "spin_lattice")
     start, times = start_and_times(x0, t, 3 * sites)
     spins = start.reshape(sites, 3)
     with np.errstate(over="ignore", invalid="ignore"):
         about_total = turned(spins, strength * spins.sum(axis=0), times[..., None])
         about_field = turned(about_total, B, times[..., None])
-    return all_finite(about_field.reshape(*times.shape, 3 * sites), start, times)
+    return check_finite_states(about_field.reshape(*times.shape, 3 * sites), start, times)
 
 
 def turned(spins: Floats, axis: Floats, t: Floats) -> Floats:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.elliptic_integrals import amplitude, first_kind
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -107,7 +107,7 @@ def maxwell_bloch(coupling: float = 1.0) -> LiePoissonSystem:
 
 
 def _exact(coupling: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    states_alone(attitude, "maxwell_bloch")
+    reject_attitude(attitude, "maxwell_bloch")
     start, times = start_and_times(x0, t, 3)
     field, polarization, inversion = start.tolist()
     radius = _length(polarization, inversion)
@@ -128,7 +128,7 @@ def _exact(coupling: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
         s, c, v = pendulum((s0, c0, 0.5 * field / pace), k, (gap >= 0, complement), pace * np.atleast_1d(times))
         x = np.stack([2.0 * pace * v, -2.0 * float(radius) * s * c, float(radius) * (s - c) * (s + c)], axis=-1)
     x[np.atleast_1d(times) == 0.0] = start
-    return all_finite(x[0] if times.ndim == 0 else x, start, times)
+    return check_finite_states(x[0] if times.ndim == 0 else x, start, times)
 
 
 def _length(p: float, d: float) -> Fraction:

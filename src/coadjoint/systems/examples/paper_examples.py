@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.systems.bodies.rigid_body import so3_body
-from coadjoint.systems.closed_forms.sphere_points import over_sphere
+from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -79,7 +79,7 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
 
 @ready_made(
     telling=Telling(
-        x0=partial(over_sphere, 18),
+        x0=partial(points_on_sphere, 18),
         t_span=(0.0, 40.0),
         step=0.05,
         says="Eighteen motions on the sphere of the momentum: closed curves around the axes of the largest and of "

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.closed_form import all_finite, first_element, start_and_times
+from coadjoint.systems.closed_forms.closed_form import check_finite_states, initial_group_element, start_and_times
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -95,7 +95,7 @@ def _exact(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
     D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 suffice.
     """
     start, times = start_and_times(x0, t, 3)
-    first = first_element(attitude, 2)
+    first = initial_group_element(attitude, 2)
     p, q, r = u.tolist()
     D = np.array([[q, -2.0 * r, 0.0], [-p, 0.0, r], [0.0, 2.0 * p, -q]])
     rho = np.array([[0.5 * q, r], [p, -0.5 * q]])
@@ -107,5 +107,5 @@ def _exact(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
         Dx = D @ start
         x = start + (even * odd)[..., None] * Dx + (0.5 * odd**2)[..., None] * (D @ Dx)
         g = first @ (even[..., None, None] * np.eye(2) - odd[..., None, None] * rho)
-    all_finite(x, start, times)
-    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, all_finite(g, start, times))
+    check_finite_states(x, start, times)
+    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, check_finite_states(g, start, times))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import start_and_times, states_alone
+from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -81,7 +81,7 @@ def sklyanin(
     >>> system.vector_field([1.0, 1.0, 1.0, 1.0])
     array([-3.5, -2.5,  2. ,  0.5])
     """
-    J, M = (_numbers(given, name, n) for given, name, n in ((anisotropy, "anisotropy", 3), (masses, "masses", 4)))
+    J, M = (_numbers(argument, name, n) for argument, name, n in ((anisotropy, "anisotropy", 3), (masses, "masses", 4)))
     differences = [Fraction(J[a - 2]) - Fraction(J[a - 1]) for a in range(3)]
     constant = sum(Fraction(m) * j for m, j in zip(M[1:], differences, strict=True)) == 0
     try:
@@ -121,15 +121,15 @@ def sklyanin(
     )
 
 
-def _numbers(given: npt.ArrayLike, name: str, n: int) -> tuple[float, ...]:
-    values = read_finite(given, name)
+def _numbers(argument: npt.ArrayLike, name: str, n: int) -> tuple[float, ...]:
+    values = read_finite(argument, name)
     if values.shape != (n,):
         raise ValueError(f"{name} has shape {values.shape}; give {n} finite numbers")
     return tuple(values.tolist())
 
 
 def _exact(body: Floats, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    states_alone(attitude, "sklyanin")
+    reject_attitude(attitude, "sklyanin")
     start, times = start_and_times(x0, t, 4)
     moved = exact_solution(body, -1, start[1:], start[0] * times)
     return np.concatenate([np.full((*times.shape, 1), start[0]), moved], axis=-1)

@@ -12,15 +12,15 @@ import numpy.typing as npt
 from coadjoint.algebra.families.moments import moments
 from coadjoint.algebra.families.products import copies
 from coadjoint.short_repr import short
-from coadjoint.systems.canonical import beside
-from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.canonical import with_canonical_pairs
+from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.decorated_potential import (
-    chain_of,
     check_even,
     energy_polynomial,
+    polynomial_derivatives,
     potential_energy,
-    read_chain,
+    validate_potential,
 )
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -30,18 +30,18 @@ from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
 
-HIGHEST = 20  # degree of a potential
-LARGEST = 1e50
-LARGEST_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
+MAX_POTENTIAL_DEGREE = 20  # degree of a potential
+MAX_COEFFICIENT = 1e50
+MAX_DENSE_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
 
 
-def _places_and_widths(dim: int) -> list[int]:
+def _position_and_width_coordinates(dim: int) -> list[int]:
     """Return the coordinates q and x20 of at most four particles."""
     n = (dim - 1) // 5
     return [*range(n)][:4] + [2 * n + 1 + 3 * a for a in range(n)][:4]
 
 
-def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
+def _centres_and_widths(x: Any, system: Any) -> list[tuple[Any, ...]]:
     """Return the centre and the second moments per mass of each particle, for states (k, n)."""
     found = []
     for a, w in enumerate(system.parameters["weights"]):
@@ -59,8 +59,10 @@ def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
         says="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
         "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
         "area.",
-        pictures=(Picture("phase ellipse", lumps=_lumps, times=7, labels=("position $q$", "velocity $p/w$")),),
-        components=Picture("components", chosen=_places_and_widths, quantity="positions and widths"),
+        pictures=(
+            Picture("phase ellipse", lumps=_centres_and_widths, times=7, labels=("position $q$", "velocity $p/w$")),
+        ),
+        components=Picture("components", chosen=_position_and_width_coordinates, quantity="positions and widths"),
         quantity="state",
     )
 )
@@ -113,8 +115,8 @@ def decorated_particles(
     """
     w = _weights(weights)
     n = len(w)
-    algebra = beside(n, copies(moments(2), n))
-    called = read_chain(external, "external"), read_chain(pair, "pair")
+    algebra = with_canonical_pairs(n, copies(moments(2), n))
+    called = validate_potential(external, "external"), validate_potential(pair, "pair")
     W, U = (None if f else _coefficients(c, what) for f, c, what in zip(called, (external, pair), _NAMES, strict=True))
     if U is not None and np.any(U[1::2]):
         raise ValueError(f"pair is {short(U.tolist())}; the potential of a pair is even, with no odd powers")
@@ -125,7 +127,7 @@ def decorated_particles(
         H: Any = energy_polynomial(algebra.dim, w, W, U)
     else:
         moving = Quadratic(np.r_[1 / w, np.zeros(n)], linear=np.r_[np.zeros(n), np.full(n, 0.5)])
-        chains = [f or chain_of(c) for f, c in zip(called, (W, U), strict=True)]
+        chains = [f or polynomial_derivatives(c) for f, c in zip(called, (W, U), strict=True)]
         resting = potential_energy(w, chains[0], chains[1])
         H = SplitHamiltonian([((*p.tolist(), *(x20 + 2).tolist()), moving), ((*q.tolist(), *x20.tolist()), resting)])
     return LiePoissonSystem(
@@ -154,17 +156,21 @@ def _weights(weights: Any) -> Floats:
     w = read_finite(weights, "weights")
     if w.ndim != 1 or not w.size:
         raise ValueError(f"weights has shape {w.shape}; give one mass for each particle")
-    for a in np.flatnonzero((w <= 1 / LARGEST) | (w > LARGEST))[:1].tolist():
-        raise ValueError(f"weights[{a}] is {w[a]:g}; masses are positive, from {1 / LARGEST:g} to {LARGEST:g}")
+    for a in np.flatnonzero((w <= 1 / MAX_COEFFICIENT) | (w > MAX_COEFFICIENT))[:1].tolist():
+        raise ValueError(
+            f"weights[{a}] is {w[a]:g}; masses are positive, from {1 / MAX_COEFFICIENT:g} to {MAX_COEFFICIENT:g}"
+        )
     return w
 
 
-def _coefficients(given: Any, what: str) -> Floats:
-    c = read_finite(given, what)
-    if c.ndim != 1 or not 0 < c.size <= HIGHEST + 1:
-        raise ValueError(f"{what} has shape {c.shape}; give the coefficients of a polynomial, up to degree {HIGHEST}")
-    if np.abs(c).max() > LARGEST:
-        raise ValueError(f"{what} has coefficients beyond {LARGEST:g}; take other units")
+def _coefficients(argument: Any, what: str) -> Floats:
+    c = read_finite(argument, what)
+    if c.ndim != 1 or not 0 < c.size <= MAX_POTENTIAL_DEGREE + 1:
+        raise ValueError(
+            f"{what} has shape {c.shape}; give the coefficients of a polynomial, up to degree {MAX_POTENTIAL_DEGREE}"
+        )
+    if np.abs(c).max() > MAX_COEFFICIENT:
+        raise ValueError(f"{what} has coefficients beyond {MAX_COEFFICIENT:g}; take other units")
     return c
 
 
@@ -172,7 +178,7 @@ def _integrals(dim: int, w: Floats, W: Floats) -> dict[str, Quadratic]:
     n = len(w)
     if not np.any(W[1:]):
         return {"total momentum": Quadratic(0.0, linear=np.r_[np.zeros(n), np.ones(n), np.zeros(dim - 2 * n)])}
-    if np.any(W[3:]) or _at(W, 1) or n > LARGEST_SQUARE:
+    if np.any(W[3:]) or _at(W, 1) or n > MAX_DENSE_SQUARE:
         return {}
     M = np.zeros((dim, dim))
     M[:n, :n] = 2 * _at(W, 2) * np.outer(w, w) / w.sum()
@@ -186,7 +192,7 @@ def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, at
     The centre of mass follows W; relative positions and widths have the stiffness k + u sum(w). At a value z of the
     central coordinate, positions and momenta evolve in the time z t.
     """
-    states_alone(attitude, "decorated_particles")
+    reject_attitude(attitude, "decorated_particles")
     n = len(w)
     start, times = start_and_times(x0, t, 5 * n + 1)
     q, p, z, x = start[:n], start[n : 2 * n], start[2 * n], start[2 * n + 1 :].reshape(n, 3)
@@ -210,7 +216,7 @@ def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, at
         ).reshape(*times.shape, 3 * n)
     constant = np.broadcast_to(z, (*times.shape, 1))
     found = np.concatenate([centre + apart, w * (speed + faster), constant, widths], axis=-1)
-    return all_finite(found, start, times)
+    return check_finite_states(found, start, times)
 
 
 def _waves(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:

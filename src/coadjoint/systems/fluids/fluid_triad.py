@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.equivalent_rigid_body import body_in_disguise
+from coadjoint.systems.closed_forms.equivalent_rigid_body import rigid_body_equivalent
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -95,7 +95,7 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
             f"first {short(first)} and second {short(second)} leave the range of float64 when squared; take other units"
         )
     quarter = Fraction(1, 4)
-    return body_in_disguise(
+    return rigid_body_equivalent(
         (S, S, S),
         (masses[0], masses[1], masses[2]),
         {"enstrophy": Polynomial({(2, 0, 0): quarter, (0, 2, 0): quarter, (0, 0, 2): quarter})},
@@ -104,8 +104,8 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
     )
 
 
-def _wave(given: npt.ArrayLike, name: str) -> tuple[Fraction, Fraction]:
-    values = read_finite(given, name)
+def _wave(argument: npt.ArrayLike, name: str) -> tuple[Fraction, Fraction]:
+    values = read_finite(argument, name)
     if values.shape != (2,):
         raise ValueError(f"{name} has shape {values.shape}; give a wave vector, two finite numbers")
     x, y = values.tolist()

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.equivalent_rigid_body import body_in_disguise
-from coadjoint.systems.closed_forms.sphere_points import over_sphere
+from coadjoint.systems.closed_forms.equivalent_rigid_body import rigid_body_equivalent
+from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -19,7 +19,7 @@ from coadjoint.validation import read_positive
 
 def _states(count: int) -> npt.NDArray[np.float64]:
     """Return states of equal enstrophy, A^2 + F^2 + 2 G^2 = 1."""
-    return over_sphere(count) * (1.0, 1.0, 0.5**0.5)
+    return points_on_sphere(count) * (1.0, 1.0, 0.5**0.5)
 
 
 @ready_made(
@@ -81,7 +81,7 @@ def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
     if lost:
         raise ValueError(f"the squares of k = {k:g} and l = {l:g} leave the range of float64; take other units")
     quarter = Fraction(1, 4)
-    return body_in_disguise(
+    return rigid_body_equivalent(
         (c, c, 2.0 * c),
         (masses[0], masses[1], masses[2]),
         {"enstrophy": Polynomial({(2, 0, 0): quarter, (0, 2, 0): quarter, (0, 0, 2): 2 * quarter})},

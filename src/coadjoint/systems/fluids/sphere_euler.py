@@ -24,10 +24,10 @@ from coadjoint.systems.matrices.spherical_modes import (
 )
 from coadjoint.systems.matrices.streams import DiagonalSolve
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_number, read_whole
+from coadjoint.validation import read_integer, read_number
 
-FASTEST = 1e100
-LARGEST = 4096
+MAX_ROTATION = 1e100
+MAX_N = 4096
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[np.complex128]
 
@@ -181,7 +181,7 @@ class SphereEuler(FluidSystem):
         return matrix_of_harmonics(sphere_grid.coefficients_of(values, self.algebra.N, points, first))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
-        north, points, east = sphere_grid.recognized(first, second)
+        north, points, east = sphere_grid.grid_orientation(first, second)
         field = np.asarray(values)[..., ::north, ::east]
         return self.from_grid(field, points, float(second[::east][0]))
 
@@ -190,7 +190,7 @@ class SphereEuler(FluidSystem):
         return 4 * pi
 
     @property
-    def complete_degree(self) -> int:
+    def resolved_degree(self) -> int:
         return self.algebra.N - 1
 
     @cached_property
@@ -213,7 +213,7 @@ class SphereEuler(FluidSystem):
         return c
 
     def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
-        return sphere_grid.of_points(places, strengths, self.algebra.N)
+        return sphere_grid.delta_coefficients(places, strengths, self.algebra.N)
 
     def disc_profile(self, radius: float) -> Floats:
         return sphere_grid.cap_profile(radius, self.algebra.N)[:, None]
@@ -321,6 +321,6 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     ((16, 16), ['tr W^2', 'tr W^3'])
     """
     turning = read_number(rotation, "rotation")
-    if abs(turning) > FASTEST:
-        raise ValueError(f"rotation is {turning:g}; give at most {FASTEST:g} in magnitude")
-    return SphereEuler(read_whole(N, "N", 2, LARGEST), turning)
+    if abs(turning) > MAX_ROTATION:
+        raise ValueError(f"rotation is {turning:g}; give at most {MAX_ROTATION:g} in magnitude")
+    return SphereEuler(read_integer(N, "N", 2, MAX_N), turning)

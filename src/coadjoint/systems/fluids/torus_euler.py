@@ -17,9 +17,9 @@ from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
-LARGEST = 1001
+MAX_N = 1001
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[np.complex128]
 
@@ -131,7 +131,7 @@ class TorusEuler(FluidSystem):
         return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
-        x, y = torus_grid.recognized(first, "x"), torus_grid.recognized(second, "y")
+        x, y = torus_grid.grid_orientation(first, "x"), torus_grid.grid_orientation(second, "y")
         w = self.mode_array(self.from_grid(np.asarray(values)[..., ::x, ::y]))
         n = representatives(self.algebra.N)
         # shift, since the first point is not at 0
@@ -143,7 +143,7 @@ class TorusEuler(FluidSystem):
         return (2 * pi) ** 2
 
     @property
-    def complete_degree(self) -> int:
+    def resolved_degree(self) -> int:
         return self.algebra.N // 2
 
     @cached_property
@@ -171,7 +171,7 @@ class TorusEuler(FluidSystem):
         return w
 
     def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
-        return torus_grid.of_points(places, strengths, self.algebra.N)
+        return torus_grid.delta_coefficients(places, strengths, self.algebra.N)
 
     def disc_profile(self, radius: float) -> Floats:
         return torus_grid.disc_profile(radius, np.sqrt(self.eigenvalues))
@@ -238,7 +238,7 @@ def torus_euler(N: int = 33) -> TorusEuler:
     >>> s.shape, bool(np.abs(s.vector_field(W)).max() < 1.0)
     ((9, 9), True)
     """
-    N = read_whole(N, "N", 3, LARGEST)
+    N = read_integer(N, "N", 3, MAX_N)
     if N % 2 == 0:
         raise ValueError(f"N is {N}; the sine bracket needs an odd N")
     n = representatives(N)

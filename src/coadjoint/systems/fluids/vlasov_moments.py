@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.moments import moments, powers_of
-from coadjoint.algebra.polynomials.formulas import read_polynomial
+from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import all_finite, start_and_times, states_alone
+from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -24,7 +24,7 @@ from coadjoint.systems.registry import ready_made
 Floats = npt.NDArray[np.float64]
 Phase = dict[tuple[int, int], Any]  # a polynomial in q and p
 
-MOST_LETTERS = 10_000
+MAX_CHARACTERS = 10_000
 _MOMENT = re.compile(r"\bx([0-9,]+)\b")
 
 
@@ -130,10 +130,10 @@ def _read(text: str, count: int) -> Polynomial:
             raise ValueError(f"potential has {short(found[0])}; the moments of q are {_known([0] * count)}")
         return f"x{power // 2}"
 
-    if len(text) > MOST_LETTERS:
-        raise ValueError(f"potential has {len(text)} characters; give at most {MOST_LETTERS}")
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(f"potential has {len(text)} characters; give at most {MAX_CHARACTERS}")
     try:
-        return read_polynomial(_MOMENT.sub(place, text), count)
+        return parse_polynomial(_MOMENT.sub(place, text), count)
     except ValueError as reason:
         raise ValueError(str(reason) if str(reason).startswith("potential") else f"potential: {reason}") from None
 
@@ -167,7 +167,7 @@ def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> d
 
 def _linear_flow(stiffness: float, powers: list[tuple[int, int]], x0: Any, t: Any, attitude: Any = False) -> Floats:
     """Return the moments under q'' = -stiffness q, where every particle undergoes the same linear map."""
-    states_alone(attitude, "vlasov_moments")
+    reject_attitude(attitude, "vlasov_moments")
     start, times = start_and_times(x0, t, len(powers))
     place = {pair: k for k, pair in enumerate(powers)}
     with np.errstate(over="ignore", invalid="ignore"):
@@ -182,4 +182,4 @@ def _linear_flow(stiffness: float, powers: list[tuple[int, int]], x0: Any, t: An
                 for b in range(j + 1):  # (c q + s p)^i (slope q + c p)^j
                     share = comb(i, a) * comb(j, b) * c ** (a + j - b) * s ** (i - a) * slope**b
                     found[..., k] += share * start[place[a + b, i + j - a - b]]
-    return all_finite(found, start, times)
+    return check_finite_states(found, start, times)

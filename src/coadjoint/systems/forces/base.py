@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
 
-LONGEST = 80
+MAX_PARAMETER_LENGTH = 80
 
 
 class Noise(NamedTuple):
@@ -72,7 +72,7 @@ class Force(ABC):
     def __str__(self) -> str:
         if not is_dataclass(self):
             return self.label
-        shown = [f"{field.name}={short(getattr(self, field.name), LONGEST)}" for field in fields(self)]
+        shown = [f"{field.name}={short(getattr(self, field.name), MAX_PARAMETER_LENGTH)}" for field in fields(self)]
         return f"{type(self).__name__}({', '.join(shown)})"
 
     @abstractmethod

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import shown_fields
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import moves_matrices, sample_states
+from coadjoint.systems.forces.rates import has_matrix_state, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
-from coadjoint.validation import read_flag, read_title
+from coadjoint.validation import read_bool, read_title
 
-MOMENT = 2.0**-12
+DIFFERENCE_TIME = 2.0**-12
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class OwnForce(Force):
         check_arguments(self.function, "the flow of an OwnForce", "x, t, tau")
         object.__setattr__(self, "name", read_title(self.name, "name of a force"))
         for flag in ("keeps_casimirs", "backward"):
-            object.__setattr__(self, flag, read_flag(getattr(self, flag), flag))
+            object.__setattr__(self, flag, read_bool(getattr(self, flag), flag))
 
     def __repr__(self) -> str:
         return shown_fields(self)
@@ -91,7 +91,7 @@ class OwnForce(Force):
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
-                    found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (MOMENT, 0.0))
+                    found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (DIFFERENCE_TIME, 0.0))
             except Exception as error:  # outside its domain a user function may raise anything
                 failure = in_one_line(str(error), 200)
                 continue
@@ -101,7 +101,7 @@ class OwnForce(Force):
                         f"the flow of {self.name} returns {result.dtype} of shape {result.shape}; {system.name} needs "
                         f"{'' if 'c' in kinds else 'real '}numbers of shape {shape}"
                     )
-                if moves_matrices(system) and np.all(np.isfinite(result)):
+                if has_matrix_state(system) and np.all(np.isfinite(result)):
                     system.read(result, f"what the flow of {self.name} returns")
             if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
                 raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x then")
@@ -119,12 +119,13 @@ class OwnForce(Force):
         if not self.backward:
             raise TypeError(f"the field of {self.name} is not known: its flow does not run backward")
         wide, narrow = (
-            (self.flow(system, x, t, tau) - self.flow(system, x, t, -tau)) / (2.0 * tau) for tau in (2 * MOMENT, MOMENT)
+            (self.flow(system, x, t, tau) - self.flow(system, x, t, -tau)) / (2.0 * tau)
+            for tau in (2 * DIFFERENCE_TIME, DIFFERENCE_TIME)
         )
         return np.asarray((4.0 * narrow - wide) / 3.0)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if moves_matrices(system):
+        if has_matrix_state(system):
             return np.asarray(system.to_vector(self.function(system.from_vector(x), t, tau)))
         return np.asarray(self.function(x, t, tau))
 

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.systems.forces.base import Force, ForceReader, Noise
-from coadjoint.systems.forces.rates import applied, check_dimension, read_matrix, root_of
+from coadjoint.systems.forces.rates import apply_metric, check_dimension, metric_root, read_matrix
 from coadjoint.validation import read_number
 
-MOST = 192
-SMALL = 2.0**-40
-MOST_TERMS = 60
+MAX_SUBSTEPS = 192
+SERIES_TOLERANCE = 2.0**-40
+MAX_TERMS = 60
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class DoubleBracketDamping(Force):
             raise ValueError(f"alpha of {name} is {alpha!r}; damping needs zero or a positive number")
         object.__setattr__(self, "alpha", alpha)
         object.__setattr__(self, "metric", read_matrix(self.metric, f"metric of {name}"))
-        root_of(self.metric, f"metric of {name}")
+        metric_root(self.metric, f"metric of {name}")
 
     def check(self, system: Any) -> None:
         name = type(self).__name__
@@ -84,18 +84,18 @@ class DoubleBracketDamping(Force):
         check_dimension(self.metric, f"metric of {name}", system)
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return np.asarray(_product(system, x, self._pull(system, x, t)))
+        return np.asarray(_product(system, x, self._damping_direction(system, x, t)))
 
-    def _pull(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return self.alpha * applied(self.metric, system.vector_field(x, t))
+    def _damping_direction(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        return self.alpha * apply_metric(self.metric, system.vector_field(x, t))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         middle, last = x, np.inf
-        for _ in range(MOST):
-            v = tau * self._pull(system, middle, t + 0.5 * tau)
+        for _ in range(MAX_SUBSTEPS):
+            v = tau * self._damping_direction(system, middle, t + 0.5 * tau)
             before, middle = middle, exponential(system, 0.5 * v, x)
             moved = float(np.sum(np.abs(middle - before)))
-            if moved == 0.0 or (moved >= 0.5 * last and moved <= SMALL * float(np.sum(np.abs(x)))):
+            if moved == 0.0 or (moved >= 0.5 * last and moved <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
                 return exponential(system, v, x)
             last = moved
         raise IntegrationError(
@@ -106,7 +106,7 @@ class DoubleBracketDamping(Force):
         )
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
-        root = root_of(self.metric, "metric")
+        root = metric_root(self.metric, "metric")
         return reader.on_orbit(self.alpha * np.asarray(self.metric), root, self.noise(system))
 
     def noise(self, system: Any) -> Noise | None:
@@ -125,7 +125,7 @@ def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     pieces = max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
     for _ in range(pieces):
         term, total = x, np.zeros_like(x)
-        for k in range(1, MOST_TERMS):
+        for k in range(1, MAX_TERMS):
             term = D @ term / (k * pieces)
             total = total + term
             if not np.any(np.abs(term) > 2.0**-60 * np.abs(x).max(initial=0.0)):

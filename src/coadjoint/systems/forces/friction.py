@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.mode_force import ModeRates, by_scale
+from coadjoint.systems.forces.mode_force import ModeRates, values_by_scale
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import read_number
@@ -53,4 +53,4 @@ class Friction(ModeRates):
         self.read_layer()
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        return by_scale(self.rate, modes.scales(d, numbers), "rate of Friction")
+        return values_by_scale(self.rate, modes.scales(d, numbers), "rate of Friction")

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential
 from coadjoint.systems.forces.normal_deviates import normal_deviates
-from coadjoint.systems.forces.rates import Plain, applied, root_of
-from coadjoint.validation import read_number, read_whole
+from coadjoint.systems.forces.rates import Plain, apply_metric, metric_root
+from coadjoint.validation import read_integer, read_number
 
-LARGEST_SEED = 2**62
+MAX_SEED = 2**62
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class HeatBath(DoubleBracketDamping):
         object.__setattr__(self, "temperature", temperature)
         if self.seed is None:
             raise TypeError("HeatBath needs a seed, a whole number: runs with the same seed have the same noise")
-        object.__setattr__(self, "seed", read_whole(self.seed, "seed of HeatBath", 0, LARGEST_SEED))
-        object.__setattr__(self, "stream", read_whole(self.stream, "stream of HeatBath", 0, LARGEST_SEED))
+        object.__setattr__(self, "seed", read_integer(self.seed, "seed of HeatBath", 0, MAX_SEED))
+        object.__setattr__(self, "stream", read_integer(self.stream, "stream of HeatBath", 0, MAX_SEED))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError("HeatBath is a noise, which has no field; its mean part is that of DoubleBracketDamping")
@@ -108,26 +108,26 @@ class HeatBath(DoubleBracketDamping):
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if tau < 0.0:
             raise ValueError("HeatBath is a noise, which does not run backward")
-        x = self._shaken(system, x, float(t), float(tau), 0)
-        return self._shaken(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
+        x = self._apply_noise(system, x, float(t), float(tau), 0)
+        return self._apply_noise(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
 
-    def _shaken(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
+    def _apply_noise(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
         """Apply half of the noise, set by set; the second half uses the reverse order."""
         noise = self.noise(system)
         if noise is None:
             return x
         deviates = normal_deviates(self.seed, self.stream, t, half, system.dim)
-        root = root_of(self.metric, "metric")
+        root = metric_root(self.metric, "metric")
         for some in reversed(noise.sets) if half else noise.sets:
             chosen = np.zeros(system.dim)
             chosen[list(some)] = deviates[list(some)]
-            x = exponential(system, self.amplitude * np.sqrt(0.5 * tau) * applied(root, chosen), x)
+            x = exponential(system, self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, chosen), x)
         return x
 
 
 def commuting_sets(algebra: Any, metric: Plain) -> tuple[tuple[int, ...], ...]:
     """Partition noise directions into commuting sets: basis elements by first fit, else one column of the root each."""
-    root = root_of(metric, "metric")
+    root = metric_root(metric, "metric")
     if root.ndim == 2:
         return tuple((a,) for a in range(algebra.dim) if np.any(root[:, a]))
     noisy = np.broadcast_to(root, (algebra.dim,)) != 0.0

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.rates import (
-    applied,
+    apply_metric,
     check_dimension,
     check_state,
-    moves_matrices,
-    numbers_of,
+    has_matrix_state,
     read_matrix,
     read_state,
+    state_vector,
 )
 
 
@@ -59,7 +59,7 @@ class LinearDamping(Force):
         object.__setattr__(self, "toward", read_state(self.toward, "toward of LinearDamping", number=True))
 
     def check(self, system: Any) -> None:
-        if moves_matrices(system) and np.ndim(self.rate):
+        if has_matrix_state(system) and np.ndim(self.rate):
             raise ValueError(
                 f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "
                 "Friction for scale-dependent rates"
@@ -68,12 +68,12 @@ class LinearDamping(Force):
         check_state(self.toward, "toward of LinearDamping", system)
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return np.asarray(applied(self.rate, numbers_of(self.toward, system) - x))
+        return np.asarray(apply_metric(self.rate, state_vector(self.toward, system) - x))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         from scipy.linalg import expm
 
-        rate, away = np.asarray(self.rate), np.asarray(x) - numbers_of(self.toward, system)
+        rate, away = np.asarray(self.rate), np.asarray(x) - state_vector(self.toward, system)
         if rate.ndim == 2:
             n = len(rate)
             # The last column of this exponential is the displacement of the state by the flow.
@@ -83,4 +83,4 @@ class LinearDamping(Force):
         return np.asarray(x + np.expm1(-tau * rate) * away)
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
-        return reader.damping(np.asarray(self.rate), numbers_of(self.toward, system))
+        return reader.damping(np.asarray(self.rate), state_vector(self.toward, system))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.matrices.mode_basis import LAYERS, ModeBasis, Numbers, mode_basis_of, place_of_layer
+from coadjoint.systems.matrices.mode_basis import LAYERS, ModeBasis, Numbers, layer_index, mode_basis_of
 from coadjoint.validation import read_choice, read_number
 
 PerMode = list[NDArray[Any]]
@@ -27,11 +27,13 @@ def modes_of(system: Any, what: str) -> ModeBasis:
     return found
 
 
-def by_scale(given: float | Callable[[Any], Any], scales: NDArray[np.float64], what: str) -> NDArray[np.float64]:
+def values_by_scale(
+    argument: float | Callable[[Any], Any], scales: NDArray[np.float64], what: str
+) -> NDArray[np.float64]:
     """Return a number for each mode: a constant, or a validated function of the degrees or wave numbers."""
-    if not callable(given):
-        return np.full(scales.shape, given)
-    found = {scale: read_number(given(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
+    if not callable(argument):
+        return np.full(scales.shape, argument)
+    found = {scale: read_number(argument(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
     return np.array([found[scale] for scale in scales.tolist()])
 
 
@@ -46,7 +48,7 @@ class OnLayer(Force):
 
     def place(self, system: Any) -> int:
         """Return the index of the field in a state."""
-        return place_of_layer(system, self.layer)
+        return layer_index(system, self.layer)
 
     def matrix(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Return the field of a state."""
@@ -71,10 +73,10 @@ class ModeRates(OnLayer):
         """Return the real or complex rates, (k,), of the modes `numbers`, (k,), of diagonal d."""
 
     def check(self, system: Any) -> None:
-        self._chosen(modes_of(system, self.label))
+        self._selected_modes(modes_of(system, self.label))
         self.place(system)
 
-    def _chosen(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
+    def _selected_modes(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
         """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
         numbers, rates = [], []
         for d in range(modes.diagonals):
@@ -84,11 +86,13 @@ class ModeRates(OnLayer):
             rates.append(found[found != 0.0])
         return numbers, rates
 
-    def _acted(self, system: Any, x: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
+    def _scale_modes(
+        self, system: Any, x: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]
+    ) -> NDArray[Any]:
         modes = modes_of(system, self.label)
-        chosen, rates = self._chosen(modes)
+        chosen, rates = self._selected_modes(modes)
         W = self.matrix(system, x)
-        still = self._still(system)
+        still = self._rest_state(system)
         W = W if still is None else W - still
         moved = [
             factor(rate) * modes.coefficients(W, d, numbers)
@@ -96,7 +100,7 @@ class ModeRates(OnLayer):
         ]
         return self.moved(system, modes.matrix(moved, chosen))
 
-    def _still(self, system: Any) -> NDArray[Any] | None:
+    def _rest_state(self, system: Any) -> NDArray[Any] | None:
         """Return the state at rest in the frame, or None if it is zero."""
         absolute = getattr(system, "absolute", None)
         if absolute is None or self.layer != "vorticity":
@@ -105,13 +109,13 @@ class ModeRates(OnLayer):
         return still if np.any(still) else None
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return self._acted(system, x, lambda rate: -rate)
+        return self._scale_modes(system, x, lambda rate: -rate)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        return np.asarray(x + self._acted(system, x, lambda rate: np.expm1(-tau * rate)))
+        return np.asarray(x + self._scale_modes(system, x, lambda rate: np.expm1(-tau * rate)))
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        still = self._still(system)
+        still = self._rest_state(system)
         aim = None if still is None else np.ascontiguousarray(still).view(np.float64).ravel()
-        return reader.mode_rates(modes, *self._chosen(modes), aim, self.place(system))
+        return reader.mode_rates(modes, *self._selected_modes(modes), aim, self.place(system))

@@ -16,12 +16,12 @@ def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int
     """
     from scipy.special import ndtri
 
-    words = words_of(seed, stream, moment, part, count)
+    words = random_words(seed, stream, moment, part, count)
     size = -ndtri((np.asarray(words >> np.uint64(12), dtype=np.float64) + 0.5) * 2.0**-53)
     return np.asarray(np.where(words & np.uint64(1), -size, size))
 
 
-def words_of(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.uint64]:
+def random_words(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.uint64]:
     """Return the random words of the deviates, 64 bits each."""
     (when,) = struct.unpack("<Q", struct.pack("<d", moment + 0.0))
     # NumPy increments the counter before its first block.

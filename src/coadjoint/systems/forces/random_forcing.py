@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import ForceReader
-from coadjoint.systems.forces.heat_bath import LARGEST_SEED
+from coadjoint.systems.forces.heat_bath import MAX_SEED
 from coadjoint.systems.forces.mode_force import OnLayer, PerMode, modes_of
 from coadjoint.systems.forces.normal_deviates import normal_deviates
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
-from coadjoint.validation import read_finite, read_number, read_whole
+from coadjoint.validation import read_finite, read_integer, read_number
 
 
 @dataclass(frozen=True)
@@ -74,16 +74,16 @@ class RandomForcing(OnLayer):
         object.__setattr__(self, "energy_rate", rate)
         object.__setattr__(self, "band", tuple(band.tolist()))
         for name in ("seed", "stream"):
-            object.__setattr__(self, name, read_whole(getattr(self, name), f"{name} of RandomForcing", 0, LARGEST_SEED))
+            object.__setattr__(self, name, read_integer(getattr(self, name), f"{name} of RandomForcing", 0, MAX_SEED))
         self.read_layer()
 
     def check(self, system: Any) -> None:
-        self._chosen(system, modes_of(system, self.label))
+        self._selected_modes(system, modes_of(system, self.label))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError("RandomForcing is a noise, which has no field; it feeds energy in at energy_rate")
 
-    def _chosen(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
+    def _selected_modes(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
         """Return the numbers of the modes in the band, and their amplitudes, by diagonal.
 
         On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
@@ -114,7 +114,7 @@ class RandomForcing(OnLayer):
         if tau < 0.0:
             raise ValueError("RandomForcing is a noise, which does not run backward")
         modes = modes_of(system, self.label)
-        numbers, amplitudes = self._chosen(system, modes)
+        numbers, amplitudes = self._selected_modes(system, modes)
         count = sum(map(len, numbers))
         pairs = normal_deviates(self.seed, self.stream, float(t), 0, 2 * count).reshape(count, 2)
         moved, first = [], 0
@@ -130,4 +130,6 @@ class RandomForcing(OnLayer):
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        return reader.mode_noise(modes, *self._chosen(system, modes), self.seed, self.stream, self.place(system))
+        return reader.mode_noise(
+            modes, *self._selected_modes(system, modes), self.seed, self.stream, self.place(system)
+        )

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.user_functions import sample_points
-from coadjoint.validation import array_given, read_finite
+from coadjoint.validation import read_finite, to_array
 
 Plain = float | tuple[Any, ...]
 
 
-def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
+def read_matrix(argument: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
     """Validate a number, a vector or a square matrix, and return it as floats in nested tuples.
 
     Examples
@@ -23,7 +23,7 @@ def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) 
     >>> read_matrix([1, 2], "rate")
     (1.0, 2.0)
     """
-    found = read_finite(given, what)
+    found = read_finite(argument, what)
     square = found.ndim < 2 or found.shape[0] == found.shape[1]
     if found.ndim not in dimensions or not square or not found.size:
         shapes = " or ".join(("a number", "(n,)", "(n, n)")[k] for k in dimensions)
@@ -32,7 +32,7 @@ def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) 
     return tuple(map(_in_tuples, plain)) if isinstance(plain, list) else float(plain)
 
 
-def read_state(given: Any, what: str, number: bool = False) -> Any:
+def read_state(argument: Any, what: str, number: bool = False) -> Any:
     """Validate a vector or a matrix state (with `number` also a scalar), and return it as nested tuples.
 
     Examples
@@ -40,65 +40,65 @@ def read_state(given: Any, what: str, number: bool = False) -> Any:
     >>> read_state([[0, 1j], [1j, 0]], "torque")
     ((0j, 1j), (1j, 0j))
     """
-    if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # the form used in records
-        given = read_finite(given["real"], what) + 1j * read_finite(given["imaginary"], what)
-    matrix = array_given(given, what, "iufc")
+    if isinstance(argument, Mapping) and argument.keys() == {"real", "imaginary"}:  # the form used in records
+        argument = read_finite(argument["real"], what) + 1j * read_finite(argument["imaginary"], what)
+    matrix = to_array(argument, what, "iufc")
     if matrix.ndim not in (2, 3):
-        return read_matrix(given, what, (0, 1) if number else (1,))
+        return read_matrix(argument, what, (0, 1) if number else (1,))
     if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
         raise ValueError(f"{what} has the shape {matrix.shape}; a matrix must be (N, N), of finite numbers")
     rows = matrix.astype(complex if matrix.dtype.kind == "c" else float).tolist()
     return tuple(tuple(map(_in_tuples, row)) for row in rows)
 
 
-def moves_matrices(system: Any) -> bool:
+def has_matrix_state(system: Any) -> bool:
     """Return whether the state of a system is a matrix."""
     return hasattr(system, "from_vector")
 
 
-def check_state(given: Any, what: str, system: Any) -> None:
+def check_state(argument: Any, what: str, system: Any) -> None:
     """Raise an error if a state does not belong to a system; a scalar must be zero for systems of matrices."""
-    shape = np.shape(given)
-    if moves_matrices(system):
-        if shape or given != 0.0:
-            system.read(given, what)
+    shape = np.shape(argument)
+    if has_matrix_state(system):
+        if shape or argument != 0.0:
+            system.read(argument, what)
     elif len(shape) > 1:
         raise ValueError(f"{what} is a matrix; {system.name} needs ({system.dim},)")
     else:
-        check_dimension(given, what, system)
+        check_dimension(argument, what, system)
 
 
-def numbers_of(given: Any, system: Any) -> NDArray[np.float64]:
+def state_vector(argument: Any, system: Any) -> NDArray[np.float64]:
     """Return a state as a vector of real numbers, (n,)."""
-    if moves_matrices(system) and np.ndim(given):
-        return np.asarray(system.read(given))
-    return np.asarray(np.broadcast_to(np.asarray(given, dtype=np.float64), (system.dim,)))
+    if has_matrix_state(system) and np.ndim(argument):
+        return np.asarray(system.read(argument))
+    return np.asarray(np.broadcast_to(np.asarray(argument, dtype=np.float64), (system.dim,)))
 
 
 def sample_states(system: Any) -> list[NDArray[Any]]:
     """Return seeded sample states of different kinds, in the form in which user functions take them."""
     points = sample_points(system.dim)
-    return [system.algebra.projected(system.from_vector(x)) for x in points] if moves_matrices(system) else points
+    return [system.algebra.projected(system.from_vector(x)) for x in points] if has_matrix_state(system) else points
 
 
 def _in_tuples(entry: Any) -> Any:
     return tuple(entry) if isinstance(entry, list) else entry
 
 
-def check_dimension(given: Plain, what: str, system: Any) -> None:
+def check_dimension(argument: Plain, what: str, system: Any) -> None:
     """Raise an error if a vector or matrix does not have the dimension of a system."""
-    shape = np.shape(given)
+    shape = np.shape(argument)
     if shape and shape[0] != system.dim:
         raise ValueError(f"{what} has the shape {shape}; {system.name} has dimension {system.dim}")
 
 
-def applied(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
+def apply_metric(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
     """Return the product of a number, a diagonal or a matrix with y."""
     array = np.asarray(matrix)
     return array @ y if array.ndim == 2 else array * y
 
 
-def root_of(metric: Plain, what: str) -> NDArray[np.float64]:
+def metric_root(metric: Plain, what: str) -> NDArray[np.float64]:
     """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor of fixed order of summation.
 
     Raises ValueError unless P is symmetric positive semidefinite.

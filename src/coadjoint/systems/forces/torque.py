@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import shown_fields
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import check_state, moves_matrices, numbers_of, read_state, sample_states
+from coadjoint.systems.forces.rates import check_state, has_matrix_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
 from coadjoint.validation import read_numbers
 
@@ -84,7 +84,7 @@ class Torque(Force):
             except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
                 failure = in_one_line(str(reason), 200)
                 continue
-            if moves_matrices(system):
+            if has_matrix_state(system):
                 system.read(value, "what the torque returns")
                 return
             found = read_numbers(value, "what the torque returns")
@@ -95,15 +95,15 @@ class Torque(Force):
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if not callable(self.torque):
-            return numbers_of(self.torque, system)
-        if moves_matrices(system):
+            return state_vector(self.torque, system)
+        if has_matrix_state(system):
             found = self.torque(*_given(self._arguments(), system.from_vector(x), t))
             return np.asarray(system.to_vector(found))
         return np.asarray(self.torque(*_given(self._arguments(), x, t)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if not callable(self.torque):
-            return np.asarray(x + tau * numbers_of(self.torque, system))
+            return np.asarray(x + tau * state_vector(self.torque, system))
         if self._arguments() == "t":
             pairs = zip(NODES, WEIGHTS, strict=True)
             return np.asarray(
@@ -118,7 +118,7 @@ class Torque(Force):
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
             return reader.function(self.torque, self._arguments())
-        return reader.constant(numbers_of(self.torque, system))
+        return reader.constant(state_vector(self.torque, system))
 
 
 def _given(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:

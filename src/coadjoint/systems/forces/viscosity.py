@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.forces.mode_force import ModeRates
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
-from coadjoint.validation import read_flag, read_number, read_whole
+from coadjoint.validation import read_bool, read_integer, read_number
 
-HIGHEST = 32
+MAX_POWER = 32
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Viscosity(ModeRates):
         if nu < 0.0:
             raise ValueError(f"nu of Viscosity is {nu!r}; it must be zero or positive")
         object.__setattr__(self, "nu", nu)
-        object.__setattr__(self, "power", read_whole(self.power, "power of Viscosity", 1, HIGHEST))
-        object.__setattr__(self, "rotation", read_flag(self.rotation, "rotation of Viscosity"))
+        object.__setattr__(self, "power", read_integer(self.power, "power of Viscosity", 1, MAX_POWER))
+        object.__setattr__(self, "rotation", read_bool(self.rotation, "rotation of Viscosity"))
         self.read_layer()
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:

@@ -10,38 +10,38 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.user_functions import callable_when_compiled, check_derivative
+from coadjoint.systems.user_functions import callable_from_compiled, check_derivative
 
 Floats = npt.NDArray[np.float64]
-Chain = tuple[Callable[..., Any], ...]  # a function of one number and its first three derivatives
+DerivativeFunctions = tuple[Callable[..., Any], ...]  # a function of one number and its first three derivatives
 
-BYTES = 16  # memory of a monomial, for each coordinate
+BYTES_PER_COORDINATE_POWER = 16  # memory of a monomial, for each coordinate
 
 
-def read_chain(given: Any, what: str) -> Chain | None:
-    """Validate a function and its first three derivatives; None if `given` is not callables.
+def validate_potential(argument: Any, what: str) -> DerivativeFunctions | None:
+    """Validate a function and its first three derivatives; None if `argument` is not callables.
 
     Examples
     --------
-    >>> read_chain((0.0, 1.0), "pair") is None
+    >>> validate_potential((0.0, 1.0), "pair") is None
     True
     """
-    if callable(given) or (isinstance(given, tuple | list) and any(callable(f) for f in given)):
-        if callable(given) or len(given) != 4 or not all(callable(f) for f in given):
-            raise TypeError(f"{what} is {short(given)}; give a function and its first three derivatives")
+    if callable(argument) or (isinstance(argument, tuple | list) and any(callable(f) for f in argument)):
+        if callable(argument) or len(argument) != 4 or not all(callable(f) for f in argument):
+            raise TypeError(f"{what} is {short(argument)}; give a function and its first three derivatives")
         names = [f"{what}[{k}]" for k in range(4)]
         for k in range(3):
             pair = (names[k], names[k + 1])
-            check_derivative(given[k], given[k + 1], names=pair, shapes=((), ()), n=None, timed=False)
-        return tuple(given)
+            check_derivative(argument[k], argument[k + 1], names=pair, shapes=((), ()), n=None, timed=False)
+        return tuple(argument)
     return None
 
 
-def check_even(chain: Chain, what: str) -> None:
+def check_even(chain: DerivativeFunctions, what: str) -> None:
     """Raise ValueError if a potential is not even.
 
     Examples
@@ -63,8 +63,8 @@ def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
     0.5*x4 + 0.5*x6 + 0.5*x1^2 + 0.5*x2^2
     """
     n = len(w)
-    check_room(
-        BYTES * dim * n * (len(W) + n * len(U) ** 2),
+    check_available_memory(
+        BYTES_PER_COORDINATE_POWER * dim * n * (len(W) + n * len(U) ** 2),
         f"the potentials of {n} particles as a polynomial",
         "give the potentials as functions",
     )
@@ -98,12 +98,12 @@ def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
     return Polynomial(total, dim=dim)
 
 
-def chain_of(coefficients: Floats | None) -> Chain:
+def polynomial_derivatives(coefficients: Floats | None) -> DerivativeFunctions:
     """Return a polynomial and its first three derivatives as functions of one number; zero for None.
 
     Examples
     --------
-    >>> [float(f(2.0)) for f in chain_of(np.array([1.0, 0.0, 3.0]))]
+    >>> [float(f(2.0)) for f in polynomial_derivatives(np.array([1.0, 0.0, 3.0]))]
     [13.0, 12.0, 6.0, 0.0]
     """
 
@@ -124,11 +124,11 @@ def chain_of(coefficients: Floats | None) -> Chain:
     return tuple(found)
 
 
-def potential_energy(w: Floats, external: Chain, pair: Chain) -> Hamiltonian:
+def potential_energy(w: Floats, external: DerivativeFunctions, pair: DerivativeFunctions) -> Hamiltonian:
     """Return the potential energy as a function of (q_1, ..., q_n, x20_1, ..., x20_n); see `decorated_particles`."""
     n = len(w)
-    W0, W1, W2, W3 = map(callable_when_compiled, external)
-    U0, U1, U2, U3 = map(callable_when_compiled, pair)
+    W0, W1, W2, W3 = map(callable_from_compiled, external)
+    U0, U1, U2, U3 = map(callable_from_compiled, pair)
 
     def value(y: Any) -> Any:
         total = 0.0 * y[0]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.user_functions import callable_when_compiled
+from coadjoint.systems.user_functions import callable_from_compiled
 
 
 @lru_cache(maxsize=64)
@@ -39,7 +39,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
                     found[i, j] += x[3 * i + k] * y[3 * j + k]
         return found
 
-    products = callable_when_compiled(products)
+    products = callable_from_compiled(products)
 
     def value(x: Any) -> Any:
         D = products(x, x)
@@ -63,7 +63,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         by_r = -2 * c * (D[2, 3] + u) - 2 * X * (c * e * t1 * t2 / r - (d + c * c) * r * V)
         return r, e, t1, t2, u, Z, X, V, w1, w2, by_r
 
-    common = callable_when_compiled(common)
+    common = callable_from_compiled(common)
 
     def sums(D: Any) -> Any:
         """Return twice the derivative of 2 d T by each square, and the derivative by each other product."""
@@ -86,7 +86,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
                     found[3 * i + k] += half * S[min(i, j), max(i, j)] * x[3 * j + k]
         return found
 
-    sums, applied = callable_when_compiled(sums), callable_when_compiled(applied)
+    sums, applied = callable_from_compiled(sums), callable_from_compiled(applied)
 
     def gradient(x: Any) -> Any:
         D = products(x, x)
@@ -146,7 +146,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
             found[up] -= 0.5 * weight * dA / A
         return found
 
-    change = callable_when_compiled(change)
+    change = callable_from_compiled(change)
 
     def hessian(x: Any) -> Any:
         found = np.zeros((len(x), len(x)), dtype=x.dtype)

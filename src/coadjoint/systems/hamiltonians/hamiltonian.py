@@ -12,17 +12,17 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.product_sums import Coefficient
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.hamiltonians.user_hamiltonian_check import MEMBERS, check_own
+from coadjoint.systems.hamiltonians.user_hamiltonian_check import REQUIRED_ATTRIBUTES, check_user_hamiltonian
 from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
-MOST_REMEMBERED = 64  # monomials of cached polynomials
+MAX_CACHED_MONOMIALS = 64  # monomials of cached polynomials
 BYTES_PER_COORDINATE = 200  # at the sample points
 
 
@@ -107,12 +107,14 @@ class Hamiltonian(Summable):
         ValueError
             A shape is wrong, or a derivative disagrees with a finite difference.
         """
-        n = read_whole(n, "the dimension")
+        n = read_integer(n, "the dimension")
         if self.dim is not None and self.dim != n:
             raise ValueError(f"the Hamiltonian is bound to dimension {self.dim}, not {short(n)}; make a new one")
         if self.dim == n:
             return self
-        check_room(BYTES_PER_COORDINATE * n, f"a Hamiltonian of {short(n)} coordinates, checked at sample points,")
+        check_available_memory(
+            BYTES_PER_COORDINATE * n, f"a Hamiltonian of {short(n)} coordinates, checked at sample points,"
+        )
         functions, derivatives = [("value", self._value), ("gradient", self._gradient)], [("gradient", self._gradient)]
         if self._hessian is not None:
             derivatives.append(("hessian", self._hessian))
@@ -242,13 +244,13 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
         if H.degree > 2:
             return PolynomialHamiltonian(H)
         monomials = H.monomials
-        if len(monomials) > MOST_REMEMBERED:
+        if len(monomials) > MAX_CACHED_MONOMIALS:
             return Quadratic.from_polynomial(H)
         return _quadratic(H, tuple(map(type, monomials.values())))
     if isinstance(H, type) or not isinstance(H, HamiltonianLike):
-        lacking = [name for name in MEMBERS if not hasattr(H, name)]
+        lacking = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
         what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
-        almost = not isinstance(H, type) and 0 < len(lacking) < len(MEMBERS) - 1
+        almost = not isinstance(H, type) and 0 < len(lacking) < len(REQUIRED_ATTRIBUTES) - 1
         own = f" (as a kind of your own it lacks {', '.join(lacking)})" if almost else ""
         if isinstance(H, str):
             raise TypeError(
@@ -262,5 +264,5 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
         H.check_dimension(n, owner)
     bound = H.bind(n)
     if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
-        check_own(bound, n)
+        check_user_hamiltonian(bound, n)
     return bound

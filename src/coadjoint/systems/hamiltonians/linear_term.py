@@ -19,9 +19,9 @@ from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
 from coadjoint.systems.system_checks import System
 
 Floats = npt.NDArray[np.float64]
-Moved = TypeVar("Moved", bound=System)
+SystemT = TypeVar("SystemT", bound=System)
 
-PRESENT = 2.0**-300
+PLACEHOLDER_COEFFICIENT = 2.0**-300
 """Placeholder for a zero coefficient that may change later; products with it vanish."""
 
 
@@ -59,7 +59,7 @@ def _has_linear(H: HamiltonianLike) -> bool:
     return isinstance(H, Quadratic | PolynomialHamiltonian | SplitHamiltonian)
 
 
-def with_linear(system: Moved, linear: Floats) -> Moved:
+def with_linear(system: SystemT, linear: Floats) -> SystemT:
     """Return the system with another linear term in its Hamiltonian; closed form, integrals and parameters are dropped.
 
     Raises TypeError if the Hamiltonian has no linear term to replace, and ValueError if several pieces of a
@@ -67,7 +67,7 @@ def with_linear(system: Moved, linear: Floats) -> Moved:
     """
     changed = copy.copy(system)
     fields: dict[str, Any] = {
-        "hamiltonian": _other(system.hamiltonian, np.asarray(linear, dtype=np.float64)),
+        "hamiltonian": _replace_linear(system.hamiltonian, np.asarray(linear, dtype=np.float64)),
         "_exact": None,
         "_parameters": None,
         "_integrals": {},
@@ -78,18 +78,19 @@ def with_linear(system: Moved, linear: Floats) -> Moved:
     return changed
 
 
-def with_all_present(system: Moved, coordinates: Sequence[int]) -> Moved:
-    """Return the system with `PRESENT` in place of those of the given linear coefficients that are zero.
+def with_placeholders(system: SystemT, coordinates: Sequence[int]) -> SystemT:
+    """Return the system with `PLACEHOLDER_COEFFICIENT` in place of those of the given linear coefficients that are
+    zero.
 
     Its Hamiltonian then has every part that it can have for any values of them.
     """
     linear, chosen = linear_of(system.hamiltonian, system.dim), np.array(coordinates, dtype=np.int64)
     absent = chosen[linear[chosen] == 0.0]
-    linear[absent] = PRESENT
+    linear[absent] = PLACEHOLDER_COEFFICIENT
     return with_linear(system, linear) if len(absent) else system
 
 
-def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
+def _replace_linear(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
     if isinstance(H, Quadratic):
         return H.with_linear(linear)
     if isinstance(H, PolynomialHamiltonian):
@@ -99,29 +100,29 @@ def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
             monomials[tuple(int(i == k) for i in range(n))] = float(linear[k])
         return PolynomialHamiltonian(Polynomial(monomials, dim=n))
     if isinstance(H, SplitHamiltonian):
-        return _other_split(H, linear)
+        return _replace_linear_in_split(H, linear)
     if isinstance(H, SumOfHamiltonians):
-        return _other_sum(H, linear)
+        return _replace_linear_in_sum(H, linear)
     if isinstance(H, Separable):
         pieces = []
         for term in H.functions():
             given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
             pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
-        return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
+        return _replace_linear_in_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
     raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace")
 
 
-def _other_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianLike:
+def _replace_linear_in_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianLike:
     """Replace the linear term of the `Quadratic` or polynomial of a sum, its first summand; add one if missing."""
     first, n = H.summands[0], len(linear)
     if not isinstance(first, Quadratic | PolynomialHamiltonian):
         first = Quadratic(np.zeros(n))
         H = SumOfHamiltonians([first, *H.summands])
     elsewhere = linear_of(H, n) - linear_of(first, n)
-    return SumOfHamiltonians([_other(first, linear - elsewhere), *H.summands[1:]])
+    return SumOfHamiltonians([_replace_linear(first, linear - elsewhere), *H.summands[1:]])
 
 
-def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
+def _replace_linear_in_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
     changed = np.flatnonzero(linear != linear_of(H, len(linear))).tolist()
     found = list(zip(H.coordinates, H.pieces, strict=True))
     for k in changed:
@@ -137,7 +138,7 @@ def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
         where, piece = found[able[0]]
         own = linear_of(piece, len(where))
         own[where.index(k)] = linear[k]
-        found[able[0]] = where, _other(piece, own)
+        found[able[0]] = where, _replace_linear(piece, own)
     return SplitHamiltonian(found).bind(len(linear))
 
 

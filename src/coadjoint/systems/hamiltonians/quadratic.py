@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.product_sums import Coefficient
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET, matching, point, scatter
+from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, point, scatter
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
-from coadjoint.validation import array_given, read_finite, read_number, read_whole
+from coadjoint.validation import read_finite, read_integer, read_number, to_array
 
 
 class Entries(NamedTuple):
@@ -280,9 +280,9 @@ class Quadratic(Summable):
         ValueError
             M is for another dimension.
         """
-        n = read_whole(n, "the dimension")
+        n = read_integer(n, "the dimension")
         if self._scalar is not None:
-            check_room(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
+            check_available_memory(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
             kind = object if not isinstance(self._scalar, float) else np.float64
             return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
         self.check_dimension(n)
@@ -290,7 +290,7 @@ class Quadratic(Summable):
 
     def check_dimension(self, n: int, owner: str = "the system") -> None:
         """Raise ValueError if the dimension of M is not n, that of `owner`; a number as M has any dimension."""
-        if self.dim not in (None, read_whole(n, "the dimension")):
+        if self.dim not in (None, read_integer(n, "the dimension")):
             raise ValueError(f"{self._size()}; {owner} has dimension {n}; give {n}")
 
     def _size(self) -> str:
@@ -326,9 +326,9 @@ class Quadratic(Summable):
         >>> Quadratic([1.0, 2.0]).times(0.5)
         Quadratic([0.5, 1.0])
         """
-        from coadjoint.systems.hamiltonians.quadratic_sums import multiplied
+        from coadjoint.systems.hamiltonians.quadratic_sums import scale_quadratic
 
-        return cast(Self, multiplied(self, factor))
+        return cast(Self, scale_quadratic(self, factor))
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
         """Return the same bound Hamiltonian with another linear part; M is shared.
@@ -371,7 +371,7 @@ class Quadratic(Summable):
         y = point(x, self.dim)
         return (self if self.dim is not None else self.bind(y.size)), y
 
-    @QUIET
+    @ignore_overflow
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return ``x . M x / 2 + linear . x + constant``."""
         bound, y = self._at(x)
@@ -379,19 +379,19 @@ class Quadratic(Summable):
         half = bound._product(y)
         if y.dtype != object:
             return (0.5 * (half @ y) + linear @ y + float(bound._constant)).item()
-        constant = matching(np.array([bound._constant], dtype=object), y)[0]
+        constant = lossless_coefficients(np.array([bound._constant], dtype=object), y)[0]
         return (half @ y) / 2 + linear @ y + constant
 
     def __call__(self, x: npt.ArrayLike) -> Any:
         """Return the value at a state (n,), or the values at states (..., n), like other invariants."""
-        array = array_given(x, "x", "iufc")
+        array = to_array(x, "x", "iufc")
         width = array.shape[-1] if array.ndim > 1 else 0
         if width == 0 or self.dim not in (None, width):  # one state, or states of another dimension
             return self.value(array)
         rows = array.reshape(-1, width)
         return np.array([self.value(row) for row in rows]).reshape(array.shape[:-1])
 
-    @QUIET
+    @ignore_overflow
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return ``M x + linear``, shape (n,)."""
         bound, y = self._at(x)
@@ -400,7 +400,7 @@ class Quadratic(Summable):
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return M as a dense array, shape (n, n)."""
         bound, y = self._at(x)
-        check_room(8 * y.size**2, f"M as a dense {y.size} x {y.size} array")
+        check_available_memory(8 * y.size**2, f"M as a dense {y.size} x {y.size} array")
         entries = bound._numbers(bound._entries, y)
         dense = np.zeros((y.size, y.size), dtype=entries.dtype)
         dense[bound._rows, bound._indices] = entries
@@ -408,7 +408,7 @@ class Quadratic(Summable):
 
     @staticmethod
     def _numbers(stored: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return matching(stored, x) if x.dtype == object else stored.astype(np.float64)
+        return lossless_coefficients(stored, x) if x.dtype == object else stored.astype(np.float64)
 
     def _linear_part(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return self._numbers(self._linear if self._linear is not None else np.zeros(x.size), x)

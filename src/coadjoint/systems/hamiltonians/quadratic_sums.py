@@ -8,19 +8,19 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.product_sums import Coefficient
-from coadjoint.memory import check_room
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.memory import check_available_memory
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY
 
 
-@QUIET
-def added(first: Quadratic, second: Quadratic) -> Quadratic:
+@ignore_overflow
+def add_quadratics(first: Quadratic, second: Quadratic) -> Quadratic:
     """Return the sum of two quadratic Hamiltonians; raise ValueError on different dimensions or overflow.
 
     Examples
     --------
-    >>> added(Quadratic([1.0, 2.0]), Quadratic([[0.0, 1.0], [1.0, 0.0]], linear=[3.0, 0.0]))
+    >>> add_quadratics(Quadratic([1.0, 2.0]), Quadratic([[0.0, 1.0], [1.0, 0.0]], linear=[3.0, 0.0]))
     Quadratic([[1.0, 1.0], [1.0, 2.0]], linear=[3.0, 0.0])
     """
     dim = first.dim if first.dim is not None else second.dim
@@ -30,7 +30,7 @@ def added(first: Quadratic, second: Quadratic) -> Quadratic:
         raise ValueError(f"Hamiltonians of {dim} and {second.dim} coordinates cannot be added")
     one, other = first.bind(dim).as_given(), second.bind(dim).as_given()
     count = len(one.entries) + len(other.entries)
-    check_room(BYTES_PER_ENTRY * count, f"a sum of matrices with {count} entries")
+    check_available_memory(BYTES_PER_ENTRY * count, f"a sum of matrices with {count} entries")
     rows, columns = np.r_[one.rows, other.rows], np.r_[one.columns, other.columns]
     entries = np.concatenate([one.entries, other.entries])
     order = np.lexsort((columns, rows))
@@ -43,8 +43,8 @@ def added(first: Quadratic, second: Quadratic) -> Quadratic:
     )
 
 
-@QUIET
-def multiplied(H: Quadratic, factor: Coefficient) -> Quadratic:
+@ignore_overflow
+def scale_quadratic(H: Quadratic, factor: Coefficient) -> Quadratic:
     """Return a multiple of a quadratic Hamiltonian, bound or not; raise ValueError on overflow."""
     if H.dim is None:
         return Quadratic(H.scalar * factor, constant=H.constant * factor)

@@ -16,9 +16,9 @@ from coadjoint.systems.evaluation import point
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
-MOST_COORDINATES = 2**32 - 1
+MAX_COORDINATES = 2**32 - 1
 
 
 class Separable(Summable):
@@ -56,7 +56,7 @@ class Separable(Summable):
         self.dim: int | None = None
         self._terms: list[FunctionTerm] = []
         for key in functions:
-            i = read_whole(key, "a coordinate of Separable", 0, MOST_COORDINATES)
+            i = read_integer(key, "a coordinate of Separable", 0, MAX_COORDINATES)
             given = functions[key]
             if not isinstance(given, tuple | list) or len(given) not in (2, 3):
                 raise TypeError(f"coordinate {i} has {short(given)}; give (H_i, dH_i) or (H_i, dH_i, d2H_i)")
@@ -85,7 +85,7 @@ class Separable(Summable):
         ValueError
             A coordinate does not exist, or a derivative disagrees with a finite difference.
         """
-        n = read_whole(n, "the dimension")
+        n = read_integer(n, "the dimension")
         if self.dim == n:
             return self
         if self.dim is not None:

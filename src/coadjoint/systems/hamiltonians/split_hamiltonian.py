@@ -13,10 +13,10 @@ from coadjoint.algebra.polynomials.product_sums import Coefficient
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.hamiltonians.separable import MOST_COORDINATES
+from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import Term
-from coadjoint.validation import read_list, read_whole
+from coadjoint.validation import read_integer, read_list
 
 
 class SplitHamiltonian(Summable):
@@ -68,7 +68,7 @@ class SplitHamiltonian(Summable):
                 raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)")
             where, H = piece
             listed = read_list(where, f"where piece {number} acts", "give (coordinates, Hamiltonian)")
-            chosen = tuple(read_whole(i, f"a coordinate of piece {number}", 0, MOST_COORDINATES) for i in listed)
+            chosen = tuple(read_integer(i, f"a coordinate of piece {number}", 0, MAX_COORDINATES) for i in listed)
             if not chosen or len(set(chosen)) != len(chosen):
                 raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
             try:
@@ -99,7 +99,7 @@ class SplitHamiltonian(Summable):
         ValueError
             A piece has a coordinate that does not exist.
         """
-        n = read_whole(n, "the dimension")
+        n = read_integer(n, "the dimension")
         for number, chosen in enumerate(self.coordinates):
             if max(chosen) >= n:
                 raise ValueError(

@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomials.product_sums import Coefficient
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.quadratic_sums import added
+from coadjoint.systems.hamiltonians.quadratic_sums import add_quadratics
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import Term
@@ -93,30 +93,30 @@ def sum_of(first: Any, second: Any) -> Any:
     return SumOfHamiltonians([as_hamiltonian(one, one.dim) if isinstance(one, Polynomial) else one for one in found])
 
 
-def _each(given: Iterable[Any]) -> Iterable[Any]:
+def _each(argument: Iterable[Any]) -> Iterable[Any]:
     """Yield the summands, a number as a Quadratic and a polynomial unchanged."""
-    for one in given:
+    for one in argument:
         if is_real(one):
             yield Quadratic(0.0, constant=one)
         elif isinstance(one, SumOfHamiltonians):
             yield from _each(one.summands)
         elif isinstance(one, PolynomialHamiltonian):
             yield one.polynomial
-        elif isinstance(one, Polynomial | Summable) or _of_a_user(one):
+        elif isinstance(one, Polynomial | Summable) or _is_user_defined(one):
             yield one
         else:
             raise TypeError(f"{short(one)} is not a Hamiltonian and cannot be added to one; give one, or a number")
 
 
-def _of_a_user(given: Any) -> bool:
+def _is_user_defined(argument: Any) -> bool:
     """Return whether it is a Hamiltonian of a user-defined type."""
-    own = type(given).__module__.partition(".")[0] != __name__.partition(".")[0]
-    return own and not isinstance(given, type) and isinstance(given, HamiltonianLike)
+    own = type(argument).__module__.partition(".")[0] != __name__.partition(".")[0]
+    return own and not isinstance(argument, type) and isinstance(argument, HamiltonianLike)
 
 
 def _simple_sum(first: Quadratic | Polynomial, second: Quadratic | Polynomial) -> Quadratic | Polynomial:
     if isinstance(first, Quadratic) and isinstance(second, Quadratic):
-        return added(first, second)
+        return add_quadratics(first, second)
     dim = first.dim if isinstance(first, Polynomial) else second.dim
     assert dim is not None
     one, other = (H if isinstance(H, Polynomial) else H.bind(dim).to_polynomial() for H in (first, second))

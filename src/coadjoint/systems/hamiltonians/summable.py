@@ -55,10 +55,10 @@ class Summable(ABC):
         return self * (1.0 / below if isinstance(below, float) else Fraction(1, 1) / below)
 
 
-def _factor(given: Any) -> Coefficient:
-    if not is_real(given):
+def _factor(argument: Any) -> Coefficient:
+    if not is_real(argument):
         raise TypeError(
-            f"a Hamiltonian is multiplied by {short(given)}; the factor must be a number (products of coordinates are "
-            "those of Polynomial)"
+            f"a Hamiltonian is multiplied by {short(argument)}; the factor must be a number (products of coordinates "
+            "are those of Polynomial)"
         )
-    return read_coefficient(given, "the factor of a Hamiltonian")
+    return read_coefficient(argument, "the factor of a Hamiltonian")

@@ -12,10 +12,10 @@ from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_derivative, evaluate, sample_points
 
-MEMBERS = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
+REQUIRED_ATTRIBUTES = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
 
 
-def check_own(H: Any, n: int) -> None:
+def check_user_hamiltonian(H: Any, n: int) -> None:
     """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree.
 
     Compiled loops use the terms; Python code uses the functions.

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import array_given, read_choice, read_flag, read_list, read_whole
+from coadjoint.validation import read_bool, read_choice, read_integer, read_list, to_array
 
 Integers = npt.NDArray[np.int64]
 
@@ -39,7 +39,7 @@ CELLS: Mapping[str, Cell] = {
 NAMES = (*CELLS, "complete", "ring")
 
 
-MOST_SITES = 2**30  # three coordinates per site, with 32-bit indices
+MAX_SITES = 2**30  # three coordinates per site, with 32-bit indices
 
 
 def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
@@ -49,20 +49,20 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by their first cell.
     """
     if not isinstance(lattice, str):
-        count = read_whole(shape, "shape, the number of sites where edges are given,", 1, MOST_SITES)
+        count = read_integer(shape, "shape, the number of sites where edges are given,", 1, MAX_SITES)
         read_flags(periodic, 1)
         edges = _given(lattice, count)
     elif read_choice(lattice, "lattice", NAMES) == "complete":
-        count = read_whole(shape, "shape of a complete graph, its number of sites,", 1, MOST_SITES)
+        count = read_integer(shape, "shape of a complete graph, its number of sites,", 1, MAX_SITES)
         read_flags(periodic, 1)
-        check_room(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
+        check_available_memory(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
         edges = np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
     else:
         cell, around = (CELLS["chain"], True) if lattice == "ring" else (CELLS[lattice], periodic)
         axes = len(cell.bonds[0][2])
         sizes = _sizes(shape, axes, lattice)
         count = cell.sites * math.prod(sizes)
-        check_room(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
+        check_available_memory(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
         edges = _of_cells(cell, sizes, read_flags(around, axes))
     _check_once(edges, count, lattice, shape)
     return count, edges
@@ -73,7 +73,7 @@ def _sizes(shape: Any, axes: int, lattice: str) -> tuple[int, ...]:
     given = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, "shape", rule)
     if len(given) != axes:
         raise ValueError(f"shape is {short(shape)}; {rule} for a lattice that is {lattice}")
-    return tuple(read_whole(size, f"shape[{axis}]") for axis, size in enumerate(given))
+    return tuple(read_integer(size, f"shape[{axis}]") for axis, size in enumerate(given))
 
 
 def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
@@ -85,10 +85,10 @@ def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
     (True, True)
     """
     if not isinstance(periodic, tuple | list):
-        return (read_flag(periodic, "periodic"),) * axes
+        return (read_bool(periodic, "periodic"),) * axes
     if len(periodic) != axes:
         raise ValueError(f"periodic is {short(periodic)}; give one truth value, or {axes} of them")
-    return tuple(read_flag(flag, f"periodic[{axis}]") for axis, flag in enumerate(periodic))
+    return tuple(read_bool(flag, f"periodic[{axis}]") for axis, flag in enumerate(periodic))
 
 
 def _of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
@@ -107,7 +107,7 @@ def _of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) ->
 
 
 def _given(edges: Any, count: int) -> Integers:
-    array = array_given(edges, "lattice")
+    array = to_array(edges, "lattice")
     if array.size == 0:
         return np.zeros((0, 2), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
@@ -115,7 +115,7 @@ def _given(edges: Any, count: int) -> Integers:
             f"lattice is {short(edges, 60)}; give pairs of sites, whole numbers of shape (edges, 2), or one of "
             f"{', '.join(NAMES)}"
         )
-    check_room(BYTES_PER_EDGE * len(array), f"a graph of {len(array)} edges")
+    check_available_memory(BYTES_PER_EDGE * len(array), f"a graph of {len(array)} edges")
     outside = np.argwhere((array < 0) | (array >= count))
     if outside.size:
         edge, end = outside[0].tolist()

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.spin_integrals import total_spins
 from coadjoint.systems.closed_forms.spin_precession import precession
@@ -21,25 +21,25 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lattices.neighbours import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import array_given, read_finite
+from coadjoint.validation import read_finite, to_array
 
 Floats = npt.NDArray[np.float64]
 
 BYTES_PER_SPIN, BYTES_PER_EDGE = 1000, 500  # peak, during construction
-MOST_KEPT = 2**16  # largest number of values stored as parameters
-LARGEST = 1e100
-MOST_FOLLOWED = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`
+MAX_STORED_VALUES = 2**16  # largest number of values stored as parameters
+MAX_COUPLING = 1e100
+MAX_RECORDED_SPINS = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`
 LEVI_CIVITA = np.zeros((3, 3, 3))
 LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 
-SIDE = 18
+EXAMPLE_SIDE = 18
 
 
 def _vortices() -> Floats:
     """Return spins in the plane that rotate once around each of two sites, and point up there."""
-    x, y = np.indices((SIDE, SIDE)) - 0.5 * (SIDE - 1)
+    x, y = np.indices((EXAMPLE_SIDE, EXAMPLE_SIDE)) - 0.5 * (EXAMPLE_SIDE - 1)
     turned, tilt = 0.5 * np.pi, np.zeros_like(x)
     for side in (-3.5, 3.5):
         turned = turned + np.arctan2(y, x - side)
@@ -69,7 +69,7 @@ def _named(dim: int) -> tuple[str, ...]:
         "components in the plane, colours the component perpendicular to it.",
         pictures=(Picture("spins", at=0.0), Picture("spins", at=1.0)),
         components=Picture("components", functions=_MEANS, quantity="mean spin"),
-        parameters={"lattice": "square", "shape": (SIDE, SIDE), "tensor": (1.0, 1.0, 0.85)},
+        parameters={"lattice": "square", "shape": (EXAMPLE_SIDE, EXAMPLE_SIDE), "tensor": (1.0, 1.0, 0.85)},
         coordinates=_named,
         quantity="spin",
     )
@@ -94,8 +94,8 @@ def spin_lattice(
     ----------
     lattice : str or (edges, 2) array of int
         ``"chain"``, ``"ring"``, ``"square"``, ``"triangular"``, ``"honeycomb"``, ``"kagome"``, ``"cubic"`` or
-        ``"complete"``; or pairs of sites, from 0, each pair once. ``coadjoint.systems.lattices.neighbours.graph`` returns the
-        edges in order.
+        ``"complete"``; or pairs of sites, from 0, each pair once. ``coadjoint.systems.lattices.neighbours.graph``
+        returns the edges in order.
     shape : int or tuple of int
         Number of cells along each axis; number of sites for a complete graph, and if edges are given.
     periodic : bool or tuple of bool
@@ -141,7 +141,7 @@ def spin_lattice(
     ['total S3']
     """
     sites, edges = graph(lattice, shape, periodic)
-    check_room(BYTES_PER_SPIN * sites + BYTES_PER_EDGE * len(edges), f"a lattice of {short(sites)} spins")
+    check_available_memory(BYTES_PER_SPIN * sites + BYTES_PER_EDGE * len(edges), f"a lattice of {short(sites)} spins")
     J = _numbers(exchange, "exchange", ((), (len(edges),)))
     T = _matrices(tensor, "tensor", len(edges))
     D = _numbers(dm, "dm", ((3,), (len(edges), 3)))
@@ -159,13 +159,13 @@ def spin_lattice(
     )
     if driven:
         H = Driven(H, field, sites, 3, "field")
-    kept = None if driven else _kept(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
+    kept = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
     turns = None if driven or np.any(D) else precession(sites, edges, J, T, K, B)
     return LiePoissonSystem(
         _spins(sites) if sites <= 8 else copies(catalogue.so(3), sites),
         H,
         sign=+1,
-        casimirs=None if sites <= MOST_FOLLOWED else {"sum of |x|^2": Quadratic(np.full(3 * sites, 2.0))},
+        casimirs=None if sites <= MAX_RECORDED_SPINS else {"sum of |x|^2": Quadratic(np.full(3 * sites, 2.0))},
         name="spin_lattice",
         parameters=kept,
         exact=turns,
@@ -180,20 +180,20 @@ def _spins(sites: int) -> LieAlgebra:
     return copies(catalogue.so(3), sites)
 
 
-def _numbers(given: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:
-    array = read_finite(given, what)
+def _numbers(argument: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:
+    array = read_finite(argument, what)
     if array.shape not in shapes:
         wanted = " or ".join(str(shape) for shape in shapes).replace("()", "one number")
         raise ValueError(f"{what} has shape {array.shape}; give {wanted}")
-    if np.abs(array).max(initial=0.0) > LARGEST:
+    if np.abs(array).max(initial=0.0) > MAX_COUPLING:
         raise ValueError(
-            f"{what} has numbers beyond {LARGEST:g}, whose products leave the range of float64; take larger units"
+            f"{what} has numbers beyond {MAX_COUPLING:g}, whose products leave the range of float64; take larger units"
         )
     return array
 
 
-def _matrices(given: Any, what: str, count: int, symmetric: bool = False) -> Floats:
-    array = _numbers(given, what, ((3,), (3, 3), (count, 3, 3)))
+def _matrices(argument: Any, what: str, count: int, symmetric: bool = False) -> Floats:
+    array = _numbers(argument, what, ((3,), (3, 3), (count, 3, 3)))
     matrices = np.diag(array) if array.ndim == 1 else array
     wrong = np.argwhere(matrices != np.swapaxes(matrices, -1, -2)) if symmetric else np.zeros(0)
     if wrong.size:
@@ -219,20 +219,20 @@ def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site:
     return scipy.sparse.coo_matrix((entries, places), shape=(3 * sites, 3 * sites))
 
 
-def _kept(lattice: Any, *others: Any) -> dict[str, Any] | None:
+def _plain_parameters(lattice: Any, *others: Any) -> dict[str, Any] | None:
     """Return the parameters as plain numbers and tuples; None if they are too many."""
     names = ("shape", "periodic", "exchange", "tensor", "dm", "field", "on_site")
-    edges = lattice if isinstance(lattice, str) else array_given(lattice, "lattice")
-    if sum(np.size(given) for given in (edges, *others)) > MOST_KEPT:
+    edges = lattice if isinstance(lattice, str) else to_array(lattice, "lattice")
+    if sum(np.size(argument) for argument in (edges, *others)) > MAX_STORED_VALUES:
         return None
     return {
         "lattice": lattice if isinstance(lattice, str) else _plain(np.asarray(edges).tolist()),
         **{
-            name: _plain(np.asarray(given, dtype=np.float64 if k > 1 else None).tolist())
-            for k, (name, given) in enumerate(zip(names, others, strict=True))
+            name: _plain(np.asarray(argument, dtype=np.float64 if k > 1 else None).tolist())
+            for k, (name, argument) in enumerate(zip(names, others, strict=True))
         },
     }
 
 
-def _plain(given: Any) -> Any:
-    return tuple(map(_plain, given)) if isinstance(given, list) else given
+def _plain(argument: Any) -> Any:
+    return tuple(map(_plain, argument)) if isinstance(argument, list) else argument

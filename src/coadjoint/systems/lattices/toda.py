@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.constants import check_room_of_algebra
+from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import start_and_times, states_alone
+from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
 from coadjoint.systems.gallery_entry import Picture, Telling
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_whole
+from coadjoint.validation import read_integer
 
 Floats = npt.NDArray[np.float64]
 
-LONGEST_POLYNOMIALS = 64  # largest number of sites with dense polynomial invariants
-COMPLETE = 8  # largest number of sites with all traces; for more only those of L^3 and L^4
-MOST_BITS = 2**20
+MAX_POLYNOMIAL_SITES = 64  # largest number of sites with dense polynomial invariants
+MAX_SITES_WITH_ALL_TRACES = 8  # largest number of sites with all traces; for more only those of L^3 and L^4
+MAX_PRECISION_BITS = 2**20
 
 
 def _names(springs_less: int, dim: int) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ def toda(sites: int = 4) -> LiePoissonSystem:
     >>> bool(np.allclose(late[:3], np.linalg.eigvalsh(L)[::-1], atol=1e-14))
     True
     """
-    return _lattice(read_whole(sites, "sites", 2), ring=False)
+    return _lattice(read_integer(sites, "sites", 2), ring=False)
 
 
 @ready_made(
@@ -174,13 +174,13 @@ def toda_ring(sites: int = 4) -> LiePoissonSystem:
     >>> list(system.casimirs)
     ['tr L', 'product of a']
     """
-    return _lattice(read_whole(sites, "sites", 2), ring=True)
+    return _lattice(read_integer(sites, "sites", 2), ring=True)
 
 
 def _lattice(n: int, ring: bool) -> LiePoissonSystem:
     name = "toda_ring" if ring else "toda"
     bonds = n if ring else n - 1
-    check_room_of_algebra(f"{name}({short(n)})", n + bonds, 2 * bonds)
+    check_algebra_memory(f"{name}({short(n)})", n + bonds, 2 * bonds)
     left = np.arange(bonds)
     right = (left + 1) % n
     rows = np.concatenate([left, right])
@@ -189,7 +189,7 @@ def _lattice(n: int, ring: bool) -> LiePoissonSystem:
     # [e_b, e_a] = +-e_a, the b before the a
     algebra = LieAlgebra(np.column_stack([rows, a, a, constants]), dim=n + bonds, name=f"{name}({n})")
     casimirs: dict[str, Any] = {"tr L": Quadratic(np.zeros(n + bonds), linear=np.repeat([1.0, 0.0], [n, bonds]))}
-    if ring and n <= LONGEST_POLYNOMIALS:
+    if ring and n <= MAX_POLYNOMIAL_SITES:
         casimirs["product of a"] = Polynomial({(0,) * n + (1,) * n: 1})
     elif ring:
         casimirs["log of the product of a"] = Invariant(_log_product, _log_product_gradient)
@@ -223,7 +223,7 @@ def traces(n: int, ring: bool) -> dict[str, Polynomial]:
 
     The trace of L^k is the sum over closed walks of k steps on the lattice of the product of entries of L.
     """
-    if n > LONGEST_POLYNOMIALS:
+    if n > MAX_POLYNOMIAL_SITES:
         return {}
     bonds = n if ring else n - 1
     steps: list[list[tuple[int, int]]] = [[(i, i)] for i in range(n)]
@@ -231,7 +231,7 @@ def traces(n: int, ring: bool) -> dict[str, Polynomial]:
         j = (i + 1) % n
         steps[i].append((j, n + i))
         steps[j].append((i, n + i))
-    highest = n if n <= COMPLETE else 4
+    highest = n if n <= MAX_SITES_WITH_ALL_TRACES else 4
     totals = [Counter[tuple[int, ...]]() for _ in range(highest + 1)]
     for start in range(n):
         walks = Counter[tuple[int, tuple[int, ...]]]({(start, ()): 1})
@@ -260,7 +260,7 @@ def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
     >>> open_lattice(2, [0.0, 0.0, 1.0], 0.5)  # b = (tanh, -tanh)(2 t), a = sech(2 t)
     array([ 0.76159416, -0.76159416,  0.64805427])
     """
-    states_alone(attitude, "toda")
+    reject_attitude(attitude, "toda")
     start, times = start_and_times(x0, t, 2 * n - 1)
     states = np.array([_at(n, start, time) for time in np.atleast_1d(times).tolist()]).reshape(-1, 2 * n - 1)
     return states[0] if times.ndim == 0 else states
@@ -274,22 +274,22 @@ def _at(n: int, start: Floats, time: float) -> Floats:
     if time == 0.0 or size == 0.0:
         return start.copy()
     turns = 12.0 * math.log2(math.e) * size * abs(time)  # |L| <= 3 size, and exp(2 t L) has both signs of it
-    if not turns < MOST_BITS / 4:
+    if not turns < MAX_PRECISION_BITS / 4:
         raise ValueError(
             f"t is {time:g}, too long for the closed form from so large a state; integrate, or start later"
         )
     bits = 96 + int(turns / 8)  # usually sufficient, otherwise doubled
-    while bits <= MOST_BITS:
+    while bits <= MAX_PRECISION_BITS:
         with ctx.workprec(bits):
             state = _by_cholesky(n, [arb(v) for v in start.tolist()], arb(time))
             small = 2.0**-60 * size
-            if state and all(q.rad() < small for q in state[:n]) and all(_known(q) for q in state[n:]):
+            if state and all(q.rad() < small for q in state[:n]) and all(_is_accurate(q) for q in state[n:]):
                 return np.array([float(q.mid()) for q in state])
         bits *= 2
     raise ValueError(f"t is {time:g}, too long for the closed form from this state; integrate, or start later")
 
 
-def _known(q: Any) -> bool:
+def _is_accurate(q: Any) -> bool:
     """Return whether a ball is accurate to 60 bits, or exact."""
     return bool(q.is_exact() or q.rel_accuracy_bits() > 60)
 

@@ -69,7 +69,7 @@ class FluidSystem(MatrixSystem):
 
     @property
     @abstractmethod
-    def complete_degree(self) -> int:
+    def resolved_degree(self) -> int:
         """Largest degree, or wave number, of which every mode is resolved."""
 
     @property

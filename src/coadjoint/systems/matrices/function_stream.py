@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import array_given
+from coadjoint.validation import to_array
 
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[Any]
@@ -77,7 +77,7 @@ class FunctionStream:
             Another shape, or another type of numbers than that of W.
         """
         right = "iufc" if np.iscomplexobj(W) else "iuf"
-        found = array_given(P, "what the stream returns", right)
+        found = to_array(P, "what the stream returns", right)
         if found.shape != W.shape or found.dtype.kind not in right:
             kind = "complex" if right == "iufc" else "real"
             raise TypeError(f"the stream returns {short(P)}; it must return a {kind} matrix of shape {W.shape}")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.vorticity_files import read_field
-from coadjoint.validation import read_finite, read_number, read_positive, read_whole
+from coadjoint.validation import read_finite, read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
     from coadjoint.systems.matrices.fluid_system import FluidSystem
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-WIDEST = 1e100
+MAX_WIDTH = 1e100
 """Upper limit of widths, whose squares would overflow; the smoothing is already complete."""
-USUAL = (2, 10)
+DEFAULT_DEGREES = (2, 10)
 """First and last degree of a random field by default."""
 
 
@@ -72,7 +72,7 @@ def random(
     >>> (E[2:6] * l[2:6] ** 3.0 / E[2] / 27).round(12), round(float(E.sum()), 12)
     (array([1., 1., 1., 1.]), 2.0)
     """
-    generator = np.random.default_rng(read_whole(seed, "seed", 0))
+    generator = np.random.default_rng(read_integer(seed, "seed", 0))
     first, last = _read_degrees(degrees, spectrum, system)
     modes = system.random_modes(generator, last)
     if spectrum is None:
@@ -160,7 +160,7 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     >>> bool(np.ptp(s.to_grid(W)) < 2.01 and np.ptp(s.to_grid(W)) > 1.99)
     True
     """
-    sigma = np.pi / system.complete_degree if edge is None else read_number(edge, "edge")
+    sigma = np.pi / system.resolved_degree if edge is None else read_number(edge, "edge")
     if sigma < 0.0:
         raise ValueError(f"edge is {sigma:g}; give a width of at least 0")
     names = "patches", "vorticities", "radii"
@@ -215,31 +215,32 @@ def _sum_about_points(
     """Return the modes of fields about points; `sizes` are the widths of blobs or the radii of patches."""
     points = system.read_places(places, f"places of {names[0]}")
     factors, extents = (
-        _one_each(given, len(points), name) for given, name in zip((strengths, sizes), names[1:], strict=True)
+        _one_per_point(argument, len(points), name)
+        for argument, name in zip((strengths, sizes), names[1:], strict=True)
     )
     if not (extents > 0.0).all():
         raise ValueError(f"{names[2]} is {short(sizes)}; give positive numbers")
     total = np.zeros(system.degrees.shape, dtype=np.complex128)
     for extent in np.unique(extents):
         chosen = extents == extent
-        smoothing = np.exp(-system.eigenvalues * min(extent if edge is None else edge, WIDEST) ** 2 / 2)
+        smoothing = np.exp(-system.eigenvalues * min(extent if edge is None else edge, MAX_WIDTH) ** 2 / 2)
         total += system.point_modes(points[chosen], factors[chosen]) * profile(float(extent)) * smoothing
     total[system.degrees < 1] = 0.0
     return total
 
 
-def _one_each(given: Any, count: int, what: str) -> Floats:
-    numbers = read_finite(given, what)
+def _one_per_point(argument: Any, count: int, what: str) -> Floats:
+    numbers = read_finite(argument, what)
     if numbers.shape not in ((), (count,)):
         raise ValueError(f"{what} has the shape {numbers.shape}; give one number, or one for each of {count} places")
     return np.array(np.broadcast_to(numbers, (count,)))
 
 
 def _read_degrees(degrees: Any, spectrum: Any, system: FluidSystem) -> tuple[int, int]:
-    complete = system.complete_degree
+    complete = system.resolved_degree
     if degrees is None:
         if spectrum is None:
-            return min(USUAL[0], complete), min(USUAL[1], complete)
+            return min(DEFAULT_DEGREES[0], complete), min(DEFAULT_DEGREES[1], complete)
         listed = complete if callable(spectrum) else np.size(read_finite(spectrum, "spectrum")) - 1
         if listed > complete:
             raise ValueError(f"spectrum goes to the degree {listed}; N resolves those up to {complete}")
@@ -248,8 +249,8 @@ def _read_degrees(degrees: Any, spectrum: Any, system: FluidSystem) -> tuple[int
         first, last = degrees
     except (TypeError, ValueError):
         raise TypeError(f"degrees is {short(degrees)}; give the first and the last one, such as (2, 10)") from None
-    first = read_whole(first, "degrees[0]", 1, complete)
-    return first, read_whole(last, "degrees[1]", first, complete)
+    first = read_integer(first, "degrees[0]", 1, complete)
+    return first, read_integer(last, "degrees[1]", first, complete)
 
 
 def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
@@ -263,10 +264,10 @@ def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
         if found.shape != (last + 1 - first,):
             raise ValueError(f"spectrum returns the shape {found.shape}; it must return one number for each degree")
     else:
-        given = read_finite(spectrum, "spectrum")
-        if given.ndim != 1 or len(given) <= last:
-            raise ValueError(f"spectrum has the shape {given.shape}; give the energy of the degrees 0, ..., {last}")
-        found = given[first : last + 1]
+        argument = read_finite(spectrum, "spectrum")
+        if argument.ndim != 1 or len(argument) <= last:
+            raise ValueError(f"spectrum has the shape {argument.shape}; give the energy of the degrees 0, ..., {last}")
+        found = argument[first : last + 1]
     if (found < 0.0).any() or not found.any():
         raise ValueError("spectrum must be positive or zero, and not zero at all degrees")
     return found

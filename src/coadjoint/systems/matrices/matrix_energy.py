@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import QUIET
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
 from coadjoint.validation import is_real
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
-ROUNDED = 1e-12
+ROUNDING_TOLERANCE = 1e-12
 """Times N: relative tolerance for round-off in identities."""
-DIFFERENCE = 2.0**-17
+DIFFERENCE_STEP = 2.0**-17
 AGREEMENT = 2.0**-24
 """Relative tolerance of a central difference, for truncation and round-off."""
 
@@ -84,14 +84,14 @@ def samples(system: MatrixSystem) -> list[Matrix]:
     return [one / (np.abs(one).max(initial=0.0) or 1.0) for one in found]
 
 
-@QUIET
+@ignore_overflow
 def check_stream(system: MatrixSystem) -> None:
     """Raise ValueError if, at sample matrices, the stream leaves the algebra or is inconsistent with the energy.
 
     Without a function for the energy the stream must be linear and symmetric; otherwise it must be its gradient.
     """
     A, B = samples(system)
-    P, rounded, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDED * system.algebra.N, system.algebra
+    P, rounded, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
     size = float(np.abs(P).max(initial=0.0))
     if not float(np.abs(P - algebra.projected(P)).max(initial=0.0)) <= rounded * size:
         raise ValueError(f"the stream leaves {algebra}: its values at sample matrices are not {algebra.says}")
@@ -114,8 +114,8 @@ def _check_slope(system: MatrixSystem, A: Matrix, B: Matrix) -> None:
     energy = system.energy_function
     assert energy is not None
     time = (SAMPLE_TIME,) if system.timed else ()
-    ahead, behind = (_number(energy(A + side * DIFFERENCE * B, *time)) for side in (1.0, -1.0))
-    seen = (ahead - behind) / (2.0 * DIFFERENCE)
+    ahead, behind = (_number(energy(A + side * DIFFERENCE_STEP * B, *time)) for side in (1.0, -1.0))
+    seen = (ahead - behind) / (2.0 * DIFFERENCE_STEP)
     P = system.slope_of(A, SAMPLE_TIME)
     declared = system.energy_sign * float(system.algebra.pairing(P, B))
     size = float(np.sum(np.abs(P) * np.abs(B.T))) + abs(ahead)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.matrix_algebra import SPARED, MatrixAlgebra
-from coadjoint.memory import check_room
+from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
-from coadjoint.systems.closed_forms.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.closed_forms.closed_form import checked_closed_form, checked_parameters, require_closed_form
 from coadjoint.systems.evaluation import checked_sign
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
@@ -21,15 +21,15 @@ from coadjoint.systems.matrices.function_stream import FunctionStream
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, checked_energy
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of, values_of
-from coadjoint.validation import array_given, check_finite, no_numbers, read_numbers, read_title, read_whole
+from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 POWERS = 5
 """Number of powers of W whose traces are recorded: the first that do not vanish."""
-MOST_POWERS = 64
-DIGITS = 1e-9
+MAX_POWERS = 64
+DEGENERACY_TOLERANCE = 1e-9
 """Relative to the largest eigenvalue: real parts that differ by less are treated as equal in sorting."""
 
 
@@ -114,8 +114,8 @@ class MatrixSystem:
         self.energy_function = checked_energy(energy, self.timed)
         self.energy_sign = checked_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
-        self.parameters, self._exact = checked_parameters(parameters), checked_exact(exact)
-        self.powers = read_whole(powers, "powers", 0, MOST_POWERS)
+        self.parameters, self._exact = checked_parameters(parameters), checked_closed_form(exact)
+        self.powers = read_integer(powers, "powers", 0, MAX_POWERS)
         self.shape: tuple[int, ...] = algebra.shape
         self.dim = (1 + self.complex) * algebra.N**2
         self.linear = None if linear is None else algebra.read(linear, "linear")
@@ -220,7 +220,7 @@ class MatrixSystem:
 
     def structure_matrix(self, x: Any) -> Floats:
         """Return J, (n, n), of a state as a vector: x' = J(x) grad H(x) on the algebra, zero on its complement."""
-        check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
+        check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
         moved = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
         return self.energy_sign * self.to_vector(moved).T
@@ -248,13 +248,13 @@ class MatrixSystem:
         if self.algebra.skew:
             return np.asarray(np.linalg.eigvalsh(-1j * W), dtype=np.float64)
         found = np.linalg.eigvals(W).astype(np.complex128)
-        size = DIGITS * (np.abs(found).max(axis=-1, keepdims=True, initial=0.0) + np.finfo(float).tiny)
+        size = DEGENERACY_TOLERANCE * (np.abs(found).max(axis=-1, keepdims=True, initial=0.0) + np.finfo(float).tiny)
         order = np.lexsort((found.imag, np.round(found.real / size)), axis=-1)
         return np.take_along_axis(found, order, axis=-1)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the closed-form solution; raise TypeError if none is known."""
-        return np.asarray(solution_of(self._exact, self.name)(x0, t))
+        return np.asarray(require_closed_form(self._exact, self.name)(x0, t))
 
     def to_vector(self, W: Any) -> Floats:
         """Return matrices (..., N, N) as vectors: entry by entry, real and imaginary parts."""
@@ -269,7 +269,7 @@ class MatrixSystem:
 
     def is_in_numbers(self, x: Any) -> bool:
         """Return whether states are vectors rather than matrices."""
-        shape = array_given(x, "a state", "iufc").shape
+        shape = to_array(x, "a state", "iufc").shape
         return len(shape) > 0 and shape[-1] == self.dim
 
     def matrices(self, x: Any) -> Matrix:
@@ -281,8 +281,8 @@ class MatrixSystem:
             Not numbers, or the wrong shape.
         """
         if self.is_in_numbers(x):
-            return self.algebra.projected(self.from_vector(x), spared=SPARED)
-        W = array_given(x, "a state", "iufc")
+            return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
+        W = to_array(x, "a state", "iufc")
         if W.shape[-2:] != self.algebra.shape:
             raise ValueError(f"a state has the shape {W.shape}; it must be {self.algebra.shape}, or ({self.dim},)")
         if W.dtype.kind == "c" and not self.complex:
@@ -290,7 +290,7 @@ class MatrixSystem:
         try:
             return W.astype(np.complex128 if self.complex else np.float64, copy=False)
         except (TypeError, ValueError, OverflowError):
-            raise no_numbers(x, "a state") from None
+            raise not_numbers_error(x, "a state") from None
 
     def read(self, given: Any, what: str = "x0") -> Floats:
         """Validate initial states, and return them as vectors: one for a state, several for members."""
@@ -300,7 +300,7 @@ class MatrixSystem:
         if rows.ndim not in (1, 2) or rows.shape[-1] != self.dim:
             raise ValueError(f"{what} has the shape {rows.shape}; it must be ({self.dim},) or (members, {self.dim})")
         check_finite(rows, what)
-        return self.to_vector(self.algebra.projected(self.from_vector(rows), spared=SPARED))
+        return self.to_vector(self.algebra.projected(self.from_vector(rows), spared=TRACE_TOLERANCE))
 
     def states(self, rows: Floats) -> Matrix:
         """Return vectors as states of this system, which are matrices."""

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.systems.matrices.hoppe_yau import laplacian
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse
 from coadjoint.systems.matrices.torus_modes import representatives
@@ -111,7 +111,9 @@ class Harmonics(ModeBasis):
 
     def table(self, chosen: Sequence[Numbers]) -> Floats:
         count = sum(len(numbers) * ((self.N - d + 1) // 2) for d, numbers in enumerate(chosen))
-        check_room(8.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees")
+        check_available_memory(
+            8.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees"
+        )
         found, filled = np.empty(count), 0
         for d, numbers in enumerate(chosen):
             if len(numbers):
@@ -171,7 +173,7 @@ LAYERS = ("vorticity", "carried")
 """Fields of a two-layer system: the vorticity, and the field carried by the flow."""
 
 
-def place_of_layer(system: Any, layer: str) -> int:
+def layer_index(system: Any, layer: str) -> int:
     """Return the index of a layer in a state; raise an error if the system does not have it."""
     if len(system.shape) == 3:
         return 1 - LAYERS.index(layer)

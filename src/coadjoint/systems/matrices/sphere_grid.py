@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import need
 from coadjoint.short_repr import short
-from coadjoint.validation import array_given, check_finite, read_choice, read_finite, read_numbers, read_whole
+from coadjoint.validation import check_finite, read_choice, read_finite, read_integer, read_numbers, to_array
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
 """Rows of latitude: equally spaced with the poles, equally spaced without them, Gauss-Legendre nodes."""
-LARGEST = 2**16
+MAX_GRID_SIZE = 2**16
 
 
 def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tuple[int, int]:
@@ -35,7 +35,9 @@ def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tu
         rows, columns = shape
     except (TypeError, ValueError):
         raise TypeError(f"shape is {short(shape)}; give two whole numbers, such as {usual}") from None
-    return read_whole(rows, "shape[0]", least[0], LARGEST), read_whole(columns, "shape[1]", least[1], LARGEST)
+    return read_integer(rows, "shape[0]", least[0], MAX_GRID_SIZE), read_integer(
+        columns, "shape[1]", least[1], MAX_GRID_SIZE
+    )
 
 
 def usual_shape(N: int) -> tuple[int, int]:
@@ -75,7 +77,9 @@ def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
     from ducc0.sht import synthesis_2d
 
     N, lead = c.shape[-1], c.shape[:-2]
-    check_room(8 * (2 + int(np.prod(lead))) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
+    check_available_memory(
+        8 * (2 + int(np.prod(lead))) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points"
+    )
     rows, columns = _triangle(N - 1, N - 1)
     found = np.empty((*lead, *shape))
     for index in np.ndindex(lead):
@@ -103,7 +107,9 @@ def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Com
         raise ValueError(f"values has {rows} rows of latitude; a grid of this kind needs at least {rows - least + 1}")
     l_most, m_most = least, min(least, (columns - 1) // 2)
     lead = field.shape[:-2]
-    check_room(16 * (int(np.prod(lead)) * N * N + l_most * m_most), f"coefficients up to the degree {l_most}")
+    check_available_memory(
+        16 * (int(np.prod(lead)) * N * N + l_most * m_most), f"coefficients up to the degree {l_most}"
+    )
     l, m = _triangle(l_most, m_most)
     kept = l < N
     c = np.zeros((*lead, N, N), dtype=np.complex128)
@@ -116,14 +122,14 @@ def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Com
 
 def read_values(values: Any, what: str = "values") -> Floats:
     """Validate real, finite values on a grid, (..., rows, columns)."""
-    field = read_numbers(array_given(values, what), what)
+    field = read_numbers(to_array(values, what), what)
     if field.ndim < 2:
         raise ValueError(f"{what} has the shape {field.shape}; give (..., rows, columns)")
     check_finite(field, what)
     return field
 
 
-def of_points(places: Floats, strengths: Floats, N: int) -> Complexes:
+def delta_coefficients(places: Floats, strengths: Floats, N: int) -> Complexes:
     """Return c (N, N) of a sum of delta functions at points (k, 2), latitudes and longitudes, with strengths (k,)."""
     need("fields about points on the sphere", "ducc0")
     from ducc0.sht import adjoint_synthesis_general
@@ -175,7 +181,7 @@ def read_places(places: Any, what: str) -> Floats:
     return found
 
 
-def recognized(rows: Floats, columns: Floats) -> tuple[int, str, int]:
+def grid_orientation(rows: Floats, columns: Floats) -> tuple[int, str, int]:
     """Return the direction of rows (1 from north to south, else -1), the kind of points, and the direction of columns.
 
     Raises ValueError if the rows are those of none of the `GRIDS`, or the columns not equally spaced around the sphere.

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.hoppe_yau import generators
 from coadjoint.systems.matrices.spherical_modes import harmonics_of_matrix, scale
-from coadjoint.validation import read_finite, read_number, read_positive, read_whole
+from coadjoint.validation import read_finite, read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
     from coadjoint.systems.fluids.sphere_euler import SphereEuler
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-ROUNDED = 1e-12
+ROUNDING_TOLERANCE = 1e-12
 """Relative to the largest coefficient: smaller ones are treated as round-off."""
 BUMP = (1 / 3, 1 / 15)
 """Widths of the perturbation of the jet in longitude and latitude, in radians."""
@@ -65,8 +65,8 @@ def rossby_haurwitz(
     >>> bool(np.abs(s.exact(W, 2.0) - turned).max() < 1e-12)
     True
     """
-    l = read_whole(degree, "degree", 2, system.algebra.N - 1)
-    m = read_whole(order, "order", 0, l)
+    l = read_integer(degree, "degree", 2, system.algebra.N - 1)
+    m = read_integer(order, "order", 0, l)
     c = np.zeros(system.shape, dtype=np.complex128)
     c[1, 0] = 2 * read_number(zonal, "zonal") * sqrt(4 * pi / 3)
     size = read_number(wave, "wave") * sqrt(2 * pi if m else 4 * pi)
@@ -151,8 +151,8 @@ def exact_motion(W: Complexes, t: Any, rotation: float) -> Complexes:
         raise ValueError(f"x0 has the shape {W.shape} and t {times.shape}; give ({N}, {N}), and one time or several")
     c = harmonics_of_matrix(W)
     size = np.abs(c).max(initial=0.0)
-    degrees = [l for l in range(2, N) if np.abs(c[l]).max() > ROUNDED * size]
-    if np.abs(c[:, 1:]).max(initial=0.0) <= ROUNDED * size:
+    degrees = [l for l in range(2, N) if np.abs(c[l]).max() > ROUNDING_TOLERANCE * size]
+    if np.abs(c[:, 1:]).max(initial=0.0) <= ROUNDING_TOLERANCE * size:
         return np.broadcast_to(W, (*times.shape, N, N)).copy()
     if len(degrees) > 1:
         raise ValueError(

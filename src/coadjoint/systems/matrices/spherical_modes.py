@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import available, check_room
+from coadjoint.memory import available, check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_complex
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-KEPT = 2**32
+MAX_CACHE_BYTES = 2**32
 """Cache size in bytes for matrix harmonics, about N^3/6 numbers for N; beyond it they are recomputed on each use."""
 
 
@@ -40,7 +40,7 @@ def scale(N: int) -> float:
     return sqrt(N * (N * N - 1) / (16 * pi))
 
 
-class _Shelf:
+class _HarmonicsCache:
     """Cache of the most recent harmonics, of a single N, by order."""
 
     def __init__(self) -> None:
@@ -55,13 +55,13 @@ class _Shelf:
             with self._lock:
                 if self._N != N:
                     self._N, self._bytes, self._made = N, 0, {}
-                if self._bytes + found.nbytes <= KEPT and found.nbytes < available() // 4:
+                if self._bytes + found.nbytes <= MAX_CACHE_BYTES and found.nbytes < available() // 4:
                     self._bytes += found.nbytes
                     self._made[m] = found
         return found
 
 
-_SHELF = _Shelf()
+_HARMONICS_CACHE = _HarmonicsCache()
 
 
 def harmonics(N: int, m: int) -> Floats:
@@ -71,7 +71,7 @@ def harmonics(N: int, m: int) -> Floats:
     with l. Such a recurrence is stable from either end up to the maximum.
     """
     n, m2 = N - m, m * m
-    check_room(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
+    check_available_memory(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
     half = n - n // 2
     places: Floats = np.asarray((n - 1) / 2 - np.arange(half), dtype=np.float64)
     l = np.arange(m + 1, N, dtype=float)
@@ -109,14 +109,14 @@ def _recurrence(places: Floats, beside: Floats) -> Floats:
 
 def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:
     """Return the entries (i, i + m) of sum over l of c_l T_lm, from c of shape (..., N - m)."""
-    V, n = _SHELF.get(N, m), N - m
+    V, n = _HARMONICS_CACHE.get(N, m), N - m
     even, odd = _times(c[..., ::2], V[::2]), _times(c[..., 1::2], V[1::2])
     return np.concatenate([even + odd, (even - odd)[..., : n // 2][..., ::-1]], axis=-1)
 
 
 def along_diagonal(d: Complexes, N: int, m: int) -> Complexes:
     """Return c of entries (i, i + m); inverse of `diagonal_of`."""
-    V, n = _SHELF.get(N, m), N - m
+    V, n = _HARMONICS_CACHE.get(N, m), N - m
     half = n - n // 2
     upper, lower = d[..., :half], d[..., ::-1][..., :half]
     total = upper + lower
@@ -163,7 +163,7 @@ def harmonics_of_matrix(W: Any) -> Complexes:
     return c
 
 
-def read_harmonics(given: Any, N: int) -> Complexes:
+def read_harmonics(argument: Any, N: int) -> Complexes:
     """Validate a mapping of (l, m) to a coefficient, or an array, and return c (..., N, N).
 
     A missing coefficient of -m is ``(-1)^m`` times the conjugate. Raises ValueError if the field would not be real.
@@ -173,10 +173,10 @@ def read_harmonics(given: Any, N: int) -> Complexes:
     >>> complex(read_harmonics({(1, -1): 1 + 2j}, 3)[1, 1])
     (-1+2j)
     """
-    if not isinstance(given, Mapping):
-        return _read_array(given, N)
+    if not isinstance(argument, Mapping):
+        return _read_array(argument, N)
     c = np.zeros((N, N), dtype=np.complex128)
-    for mode, value in given.items():
+    for mode, value in argument.items():
         try:
             l, m = (int(k) for k in mode)
             number = complex(value)
@@ -195,7 +195,7 @@ def read_harmonics(given: Any, N: int) -> Complexes:
             )
         mirrored = (-1) ** m * number.conjugate()
         try:
-            other = complex(given.get((l, -m), mirrored))
+            other = complex(argument.get((l, -m), mirrored))
         except (TypeError, ValueError, OverflowError):
             continue  # reported at its own key
         if abs(other - mirrored) > 1e-12 * abs(number):
@@ -206,8 +206,8 @@ def read_harmonics(given: Any, N: int) -> Complexes:
     return c
 
 
-def _read_array(given: Any, N: int) -> Complexes:
-    c = read_complex(given, "modes")
+def _read_array(argument: Any, N: int) -> Complexes:
+    c = read_complex(argument, "modes")
     if c.ndim < 2 or c.shape[-2:] != (N, N):
         raise ValueError(
             f"modes has the shape {c.shape}; give a mapping of (l, m) to a coefficient, or (..., {N}, {N})"

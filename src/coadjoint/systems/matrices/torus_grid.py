@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_room
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.validation import read_finite
@@ -40,7 +40,7 @@ def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
     array([ 1.,  0., -1.,  0.])
     """
     lead = w.shape[:-2]
-    check_room(48 * int(np.prod(lead)) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
+    check_available_memory(48 * int(np.prod(lead)) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
     n = representatives(w.shape[-1])
     folded = np.zeros((*lead, *shape), dtype=np.complex128)
     # modes that alias on a coarse grid have the same values there
@@ -59,7 +59,7 @@ def modes_of(values: Floats, N: int) -> Complexes:
     return np.where(x[:, None] & y[None, :], w, 0.0)
 
 
-def of_points(places: Floats, strengths: Floats, N: int) -> Complexes:
+def delta_coefficients(places: Floats, strengths: Floats, N: int) -> Complexes:
     """Return w (N, N) of a sum of delta functions at points (k, 2) with strengths (k,)."""
     n = representatives(N)
     along = np.exp(-1j * np.multiply.outer(places[:, 0], n)) * strengths[:, None]
@@ -91,7 +91,7 @@ def read_places(places: Any, what: str) -> Floats:
     return found
 
 
-def recognized(first: Floats, name: str) -> int:
+def grid_orientation(first: Floats, name: str) -> int:
     """Return 1 for a coordinate increasing in equal steps once around, -1 if decreasing; else raise ValueError."""
     if first.ndim == 1 and len(first) > 1:
         step = 2 * pi / len(first) * (1 if first[-1] > first[0] else -1)

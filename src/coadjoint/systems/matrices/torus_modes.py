@@ -46,7 +46,7 @@ def modes_of_matrix(W: Complexes) -> Complexes:
     return np.fft.fft(along, axis=-2) / N / (-1j * N / (4 * pi))
 
 
-def read_modes(given: Any, N: int) -> Complexes:
+def read_modes(argument: Any, N: int) -> Complexes:
     """Validate modes, a mapping of (n1, n2) to w or an array (..., N, N); missing ones of -n are added as conjugates.
 
     Examples
@@ -54,11 +54,11 @@ def read_modes(given: Any, N: int) -> Complexes:
     >>> complex(read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0])
     (0.5-1j)
     """
-    if not isinstance(given, Mapping):
-        return _read_array(given, N)
+    if not isinstance(argument, Mapping):
+        return _read_array(argument, N)
     w, half = np.zeros((N, N), dtype=np.complex128), N // 2
     seen: dict[tuple[int, int], complex] = {}
-    for mode, value in given.items():
+    for mode, value in argument.items():
         try:
             n1, n2 = (int(n) for n in mode)
             number = complex(value)
@@ -80,8 +80,8 @@ def read_modes(given: Any, N: int) -> Complexes:
     return w
 
 
-def _read_array(given: Any, N: int) -> Complexes:
-    w = read_complex(given, "modes")
+def _read_array(argument: Any, N: int) -> Complexes:
+    w = read_complex(argument, "modes")
     if w.ndim < 2 or w.shape[-2:] != (N, N):
         raise ValueError(f"modes has the shape {w.shape}; give a mapping of (n1, n2) to w, or (..., {N}, {N})")
     if not np.isfinite(w).all():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.validation import read_number, read_positive, read_whole
+from coadjoint.validation import read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
     from coadjoint.systems.fluids.torus_euler import TorusEuler
@@ -51,7 +51,7 @@ def zonal_jet(
     if thickness > 0.5:
         raise ValueError(f"width is {thickness:g}; give at most 0.5, so that the jets do not overlap")
     part = read_number(perturbation, "perturbation")
-    along = read_whole(waves, "waves", 1, system.complete_degree)
+    along = read_integer(waves, "waves", 1, system.resolved_degree)
     x, y = system.grid((4 * along, max(256, 4 * system.algebra.N)))
     field = np.zeros((len(x), len(y)))
     for sign, middle in ((1, pi / 2), (-1, 3 * pi / 2)):

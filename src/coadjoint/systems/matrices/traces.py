@@ -72,10 +72,10 @@ def traces_of(algebra: MatrixAlgebra, count: int, matrices: Any, numbers: Any) -
     for number, (place, block, kind) in enumerate(algebra.parts, 1):
         which = f"W{number}" if algebra.blocks else "W"
         first, each = (2, 2) if kind.even else (1 + kind.traceless, 1)
-        for k in range(min(count, kind.rank(block.N) // (1 + kind.twofold))):
+        for k in range(min(count, kind.rank(block.N) // (1 + kind.has_complex_traces))):
             power = first + each * k
             trace = f"tr {which}^{power}" if power > 1 else f"tr {which}"
-            for part in ("Re ", "Im ") if kind.twofold else ("",):
+            for part in ("Re ", "Im ") if kind.has_complex_traces else ("",):
                 name = part + trace
                 found[name] = Trace(name, place, kind, power, part == "Im ", matrices, numbers)
     return found

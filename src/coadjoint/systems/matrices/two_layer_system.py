@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.matrix_algebra import SPARED, MatrixAlgebra
-from coadjoint.memory import check_room
+from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of
-from coadjoint.validation import array_given, title
+from coadjoint.validation import title, to_array
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -163,7 +163,7 @@ class TwoLayerSystem(MatrixSystem):
         return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
 
     def structure_matrix(self, x: Any) -> Floats:
-        check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
+        check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
         return self.energy_sign * self.to_vector(self.bracket(slopes, self.matrices(x))).T
 
@@ -180,7 +180,7 @@ class TwoLayerSystem(MatrixSystem):
     def matrices(self, x: Any) -> Matrix:
         """Return states (..., 2, N, N) unchanged, and vectors as the nearest states."""
         if np.shape(x)[-1:] == (self.dim,):
-            return self.algebra.projected(self.from_vector(x), spared=SPARED)
+            return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
         X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
         if X.shape[-3:] != self.shape:
             raise ValueError(f"a state has the shape {X.shape}; it must be {self.shape}, or ({self.dim},)")
@@ -191,7 +191,7 @@ class TwoLayerSystem(MatrixSystem):
         return self.from_vector(rows)
 
     def read(self, given: Any, what: str = "x0") -> Floats:
-        found = array_given(given, what, "iufc")
+        found = to_array(given, what, "iufc")
         if found.shape[-3:] != self.shape or found.ndim > 4:
             raise ValueError(
                 f"{what} has the shape {found.shape}; it must be {self.shape}, the carried field and the vorticity, or "

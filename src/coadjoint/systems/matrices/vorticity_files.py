@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.optional_packages import need
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_whole
+from coadjoint.validation import read_finite, read_integer
 
 if TYPE_CHECKING:
     import xarray
@@ -65,7 +65,7 @@ def _read_dataset(
         if axis not in field.dims:
             raise ValueError(f"{chosen} of {name} has no axis {short(axis)}; choose from {short(list(field.dims))}")
         size = field.sizes[axis]
-        field = field.isel({axis: read_whole(place, f"select[{axis!r}]", -size, size - 1)})
+        field = field.isel({axis: read_integer(place, f"select[{axis!r}]", -size, size - 1)})
     axes = [_axis(field, known, name) for known in (FIRST, SECOND)]
     rest = [axis for axis in field.dims if axis not in axes]
     long = [axis for axis in rest if field.sizes[axis] > 1]
