@@ -43,28 +43,28 @@ def test_an_interrupt_that_python_drops_ends_the_process(name, said):
     status = 128 + getattr(signal, name)
     for inside in ("pass", "raise ValueError"):
         code = f"""
-with raising():
+with raise_on_interrupt():
     Dropping(signal.{name})
     print("continued")
     {inside}
 print("not reached")
 """
-        assert child(code) == (status, "dropped Told\ncontinued\n", f"coadjoint: {said}\n")
+        assert child(code) == (status, "dropped Interrupted\ncontinued\n", f"coadjoint: {said}\n")
 
 
 def test_the_first_interrupt_raises_and_the_second_ends_the_process():
     code = """
 for number in (signal.SIGTERM, signal.SIGINT):  # a second context raises as well
     try:
-        with raising():
+        with raise_on_interrupt():
             signal.raise_signal(number)
-    except Told as told:
+    except Interrupted as told:
         print(told.number == number, told.said, told.partial)
-with raising():
+with raise_on_interrupt():
     print("begun")
     try:
         signal.raise_signal(signal.SIGTERM)
-    except Told:
+    except Interrupted:
         signal.raise_signal(signal.SIGHUP)
     print("not reached")
 """
@@ -73,7 +73,7 @@ with raising():
 
 
 def test_behind_a_context_an_interrupt_ends_the_process():
-    code = "with raising():\n    pass\nprint('behind')\nsignal.raise_signal(signal.SIGTERM)\nprint('not reached')"
+    code = "with raise_on_interrupt():\n    pass\nprint('behind')\nsignal.raise_signal(signal.SIGTERM)\nprint('not reached')"
     assert child(code) == (128 + signal.SIGTERM, "behind\n", "coadjoint: terminated\n")
 
 
@@ -86,9 +86,9 @@ def act(name, error=None):
         print(name)
         if error is not None:
             raise error
-    begin(acting)
+    register_cleanup(acting)
     return acting
-act("first"), act("second", ValueError()), act("third", OSError()), end(act("fourth")), act("fifth")
+act("first"), act("second", ValueError()), act("third", OSError()), unregister_cleanup(act("fourth")), act("fifth")
 signal.raise_signal(signal.SIGTERM)
 """
     assert child(code) == (128 + signal.SIGTERM, "fifth\nthird\nsecond\nfirst\n", "coadjoint: terminated\n")
@@ -98,7 +98,7 @@ signal.raise_signal(signal.SIGTERM)
 def test_ignored_signals_stay_ignored(name):
     code = f"""
 signal.signal(signal.{name}, signal.SIG_IGN)
-hear()
+install_handlers()
 signal.raise_signal(signal.{name})
 print("alive")
 others = {{signal.SIGINT, signal.SIGTERM, signal.SIGHUP}} - {{signal.{name}}}

@@ -135,7 +135,7 @@ def test_the_command_ends_in_one_line_while_it_prepares_a_run(tmp_path):
         [
             REPORTING,
             "import sys",
-            "from coadjoint.program import decompose",
+            "from coadjoint.program.parts import decompose",
             "split = decompose.split",
             "decompose.split = lambda *given: [split(*given) for _ in iter(int, 1)]",  # endless
             "report('coadjoint.program.parts.decompose', 'split', 1)",

@@ -61,13 +61,13 @@ def test_no_layer_reaches_back(drawn):
                     continue
                 if layer == "runs" and other in drawn.IMPORTED_LATE and deferred:
                     late.add(other)
-                elif (layer, other) in drawn.NOISE_BINS and deferred:
+                elif (layer, other) in drawn.NEIGHBOURS and deferred:
                     neighbours.add((layer, other))
                 else:
                     wrong.append(f"{path.relative_to(PACKAGE)} imports from {other}")
     assert wrong == []
     assert late == set(drawn.IMPORTED_LATE)
-    assert neighbours == set(drawn.NOISE_BINS)
+    assert neighbours == set(drawn.NEIGHBOURS)
 
 
 def test_the_picture_can_be_drawn(drawn, tmp_path):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint import long_operations as long_operation
+from coadjoint import long_operations
 from coadjoint.algebra.invariants import casimirs
 from coadjoint.long_operations import LongWait, at, warn_if_long
 
@@ -24,7 +24,7 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
 def clock(monkeypatch):
     """A clock that a test moves on."""
     now = [0.0]
-    monkeypatch.setattr(long_operation.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(long_operations.time, "monotonic", lambda: now[0])
     return now
 
 
@@ -37,7 +37,7 @@ def said(action):
 
 
 def test_what_takes_seconds_is_told_beforehand():
-    assert said(lambda: warn_if_long("to make it ready", long_operation.WARNING_SECONDS)) == []
+    assert said(lambda: warn_if_long("to make it ready", long_operations.WARNING_SECONDS)) == []
     assert said(lambda: warn_if_long("to make it ready", 42.0, "take rk4")) == [
         "to make it ready takes about 42 s; take rk4"
     ]
@@ -45,8 +45,8 @@ def test_what_takes_seconds_is_told_beforehand():
 
 def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
     def work():
-        with long_operation.long_operation("certify"):
-            for now in (2.0, long_operation.WARNING_SECONDS, 6.0, 60.0):
+        with long_operations.long_operation("certify"):
+            for now in (2.0, long_operations.WARNING_SECONDS, 6.0, 60.0):
                 clock[0] = now
                 at("the long run", now / 24.0)
 
@@ -57,10 +57,10 @@ def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
 
 def test_the_outer_of_two_speaks_for_both(clock):
     def work():
-        with long_operation.long_operation("certify"):
+        with long_operations.long_operation("certify"):
             clock[0] = 4.0
             for _ in range(2):
-                with long_operation.long_operation("choose"):
+                with long_operations.long_operation("choose"):
                     clock[0] += 4.0
                     at("a pilot run")
 
@@ -71,7 +71,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
     """Nested, one after the other, and in two threads of which the first to begin is the first to end."""
     entered = [threading.Event(), threading.Event()]
 
-    @long_operation.long_operation("choose")
+    @long_operations.long_operation("choose")
     def work(depth):
         if depth:
             work(depth - 1)
@@ -81,7 +81,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
     for _ in range(2):
         assert [one.partition(" so far")[0] for one in said(lambda: work(1))] == ["choose has taken 6 s"]
 
-    @long_operation.long_operation("choose")
+    @long_operations.long_operation("choose")
     def beside(number):
         entered[number].set()
         assert entered[1 - number].wait(timeout=60)
@@ -97,7 +97,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
 
 def test_outside_of_any_work_nothing_is_said(clock):
     def work():
-        with long_operation.long_operation("certify"):
+        with long_operations.long_operation("certify"):
             pass
         clock[0] = 100.0
         at("nothing")
@@ -107,7 +107,7 @@ def test_outside_of_any_work_nothing_is_said(clock):
 
 def test_work_that_fails_is_over(clock):
     def work():
-        with pytest.raises(ValueError, match="wrong"), long_operation.long_operation("certify"):
+        with pytest.raises(ValueError, match="wrong"), long_operations.long_operation("certify"):
             raise ValueError("wrong")
         clock[0] = 100.0
         at("nothing")
@@ -131,10 +131,10 @@ def test_the_command_tells_it_at_once():
     code = "\n".join(
         [
             "import sys, warnings",
-            "from coadjoint import commands, waiting",
+            "from coadjoint import commands, long_operations",
             "def performed(arguments):",
             "    warnings.warn('of another kind', UserWarning)",
-            "    waiting.tell('to make it ready', 42.0)",
+            "    long_operations.warn_if_long('to make it ready', 42.0)",
             "    print('ready', file=sys.stderr)",
             "    return 0, ''",
             "commands._performed = performed",
@@ -198,8 +198,8 @@ def test_the_time_that_is_left_follows_from_the_part(clock, part):
     """Nothing is known of it at the start; times that are no longer than the limit are not told."""
 
     def work():
-        with long_operation.long_operation("certify"):
-            for now in (0.0, long_operation.WARNING_SECONDS, 8.0):
+        with long_operations.long_operation("certify"):
+            for now in (0.0, long_operations.WARNING_SECONDS, 8.0):
                 clock[0] = now
                 at("the long run", part)
 
