@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import coadjoint as co
-from coadjoint.systems.registry import ready_made_systems, telling_of
+from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 SAMPLED_PARTS = 8
 SPAN_STEPS = 800  # of the step that the system itself suggests
@@ -171,7 +171,7 @@ def main() -> None:
     given = parser.parse_args()
     rows = {}
     for name, make in sorted(ready_made_systems().items()):
-        told = telling_of(name)
+        told = gallery_entry_of(name)
         if told is not None and (not given.only or name in given.only):
             rows[name] = errors(problem_of(make, told), given.rounds)
     print(table(rows))

@@ -73,7 +73,9 @@ with raise_on_interrupt():
 
 
 def test_behind_a_context_an_interrupt_ends_the_process():
-    code = "with raise_on_interrupt():\n    pass\nprint('behind')\nsignal.raise_signal(signal.SIGTERM)\nprint('not reached')"
+    code = (
+        "with raise_on_interrupt():\n    pass\nprint('behind')\nsignal.raise_signal(signal.SIGTERM)\nprint('reached')"
+    )
     assert child(code) == (128 + signal.SIGTERM, "behind\n", "coadjoint: terminated\n")
 
 

@@ -283,10 +283,10 @@ def _show_system(name: str, mapping: str | None) -> None:
     import json
 
     from coadjoint.files.output.output_files import TEXTS, check_target, write_text
-    from coadjoint.runs.system_summary import system_text, told_of
+    from coadjoint.runs.system_summary import summarize_system, system_text
 
     target = None if mapping is None else check_target(mapping, TEXTS)
-    told = told_of(name)
+    told = summarize_system(name)
     click.echo(system_text(told))
     if target is not None:
         write_text(json.dumps(told, indent=1), target)
@@ -411,12 +411,12 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
     """
     from coadjoint.files.output.output_files import write_figure, write_page
-    from coadjoint.systems.registry import told_systems
+    from coadjoint.systems.registry import gallery_systems
 
     need("a gallery", "matplotlib")
     from coadjoint.pictures.scenes import SCENES
 
-    known = told_systems()
+    known = gallery_systems()
     wanted = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
         need("a gallery of all systems", "numba", "ducc0")

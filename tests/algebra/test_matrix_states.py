@@ -68,13 +68,13 @@ def test_members_are_paired_one_by_one(g):
 
 
 def test_descriptions():
-    for g, says in (
+    for g, caption in (
         (G("so", 5, 2), "real and skew, times the signs of 3 and 2"),
         (G("su", 3, 1), "skew-Hermitian, of trace zero, times the signs of 2 and 1"),
         (G("u", 3), "skew-Hermitian"),
         (G.sum(G("so", 3, 1), G("gl", 2)), "block by block of so(2, 1), of gl(2, R), and zero beside"),
     ):
-        assert g.says == says and g.name == str(g)
+        assert g.description == caption and g.name == str(g)
 
 
 def test_forms_of_any_signature():
@@ -151,8 +151,8 @@ def test_the_first_of_several_wrong_members_is_named(g, wrong):
     with pytest.raises(ValueError, match="is not a matrix of") as refused:
         g.read(members, "W")
     assert str(refused.value) == (
-        f"W[{wrong[0]}] is not a matrix of {g}: it must be {g.says}, but differs by {away:.2g} where its largest entry "
-        f"is {size:.2g}"
+        f"W[{wrong[0]}] is not a matrix of {g}: it must be {g.description}, but differs by {away:.2g} where its "
+        f"largest entry is {size:.2g}"
     )
     with pytest.raises(ValueError, match=r"^W is not a matrix of"):
         g.read(one, "W")

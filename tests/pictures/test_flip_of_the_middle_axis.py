@@ -10,7 +10,7 @@ import pytest
 import coadjoint as co
 from coadjoint.analysis.periods import period
 from coadjoint.pictures.sign_changes import flips
-from coadjoint.runs.example_run import telling_run
+from coadjoint.runs.example_run import run_example
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,7 +55,7 @@ def test_the_flip_comes_after_half_the_period_of_the_elliptic_functions(inertia,
 
 
 def test_the_picture_says_the_time_between_flips():
-    run = telling_run("rigid_body")
+    run = run_example("rigid_body")
     assert run.system.parameters == {"inertia": (1.0, 2.0, 3.0)}
     _, components, orbit, axis = run.plot().axes
     (said,) = [text.get_text() for text in components.texts if text.get_text()]

@@ -328,7 +328,7 @@ def test_large_crowds_of_matrices_are_not_copied(ball):
 
 def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
     scene = SCENES["decaying_turbulence"]
-    short = Scene(lambda: decaying_turbulence(N=12, end=2.0, step=0.1), scene.pictures, scene.summary, scene.says)
+    short = Scene(lambda: decaying_turbulence(N=12, end=2.0, step=0.1), scene.pictures, scene.summary, scene.caption)
     monkeypatch.setitem(SCENES, "decaying_turbulence", short)
     made = piece("decaying_turbulence")
     panels = [axes for axes in made.figure.axes if axes.get_label() != "<colorbar>"]

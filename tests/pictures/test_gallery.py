@@ -1,4 +1,4 @@
-"""Every system has a telling run, whose pictures show it."""
+"""Every ready-made system has an example run, whose plots show it."""
 
 import html
 import re
@@ -11,9 +11,9 @@ import coadjoint as co
 from coadjoint.pictures.gallery import gallery
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, kind, kinds, read_picture
-from coadjoint.runs.example_run import telling_run
-from coadjoint.systems.gallery_entry import Picture, Telling
-from coadjoint.systems.registry import telling_of, told_systems
+from coadjoint.runs.example_run import run_example
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.registry import gallery_entry_of, gallery_systems
 from group_elements import random_element
 from long import long_where
 
@@ -35,8 +35,8 @@ def inside(figure: Figure) -> list[str]:
 
 
 def test_every_ready_made_system_says_what_is_seen_first():
-    assert set(co.systems.names()) == set(told_systems())
-    shown = {picture.kind for name in co.systems.names() for picture in telling_of(name).pictures}
+    assert set(co.systems.names()) == set(gallery_systems())
+    shown = {picture.kind for name in co.systems.names() for picture in gallery_entry_of(name).pictures}
     assert shown <= set(kinds())
 
 
@@ -47,7 +47,7 @@ SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cos
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", long_where(SLOW, co.systems.names()))
 def test_the_telling_run_is_true_and_can_be_shown(name):
-    run, told = telling_run(name), telling_of(name)
+    run, told = run_example(name), gallery_entry_of(name)
     size = np.abs(run.energy).max() + np.ptp(run.energy)
     if not getattr(run.system.hamiltonian, "timed", False):
         assert run.drift()["energy"] <= 1e-5 * size
@@ -57,7 +57,7 @@ def test_the_telling_run_is_true_and_can_be_shown(name):
     for picture in (told.components, *told.pictures):
         found, read = read_picture(picture)
         found.prepare(drawn, **read.options)
-    assert told.says.endswith(".") and len(told.says) > 60
+    assert told.caption.endswith(".") and len(told.caption) > 60
 
 
 # One system at least for each kind of picture that systems declare
@@ -70,9 +70,9 @@ def test_the_telling_run_is_true_and_can_be_shown(name):
     ),
 )
 def test_nothing_reaches_out_of_the_picture(name):
-    figure = telling_run(name).plot()
+    figure = run_example(name).plot()
     panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
-    assert len(panels) == 2 + len(telling_of(name).pictures)
+    assert len(panels) == 2 + len(gallery_entry_of(name).pictures)
     assert inside(figure) == []
     for axes in panels:
         assert axes.get_title()
@@ -90,13 +90,13 @@ def test_the_page_shows_every_picture_and_says_it_in_words():
     assert said == ["1 of 2: lagrange_top", "2 of 2: riccati"]
     pictures = re.findall(r'<img src="([^"]+)" alt="([^"]+)">', page)
     assert [file for file, _ in pictures] == list(drawn)
-    assert [html.unescape(text) for _, text in pictures] == [telling_of(name).says for name in names]
+    assert [html.unescape(text) for _, text in pictures] == [gallery_entry_of(name).caption for name in names]
     assert "http" not in page and "<script" not in page and 'lang="en"' in page
 
 
 def test_pictures_that_need_an_attitude_are_left_out_without_one():
     top = co.systems.lagrange_top()
-    x0, span = telling_of("lagrange_top").start(), (0.0, 4.0)
+    x0, span = gallery_entry_of("lagrange_top").start(), (0.0, 4.0)
     bare = co.integrate(top, x0, span, 0.05)
     assert [axes.get_xlabel() for axes in bare.plot().axes] == ["", "time $t$"]
     with pytest.raises(CannotShow, match="attitude=True"):
@@ -110,7 +110,7 @@ def test_a_run_read_back_shows_what_its_system_declares():
     from coadjoint.files.datasets.export import dataset_of, solution_inputs
 
     top = co.systems.lagrange_top(lever=0.5)
-    run = co.integrate(top, telling_of("lagrange_top").start(), (0.0, 4.0), 0.05, attitude=True)
+    run = co.integrate(top, gallery_entry_of("lagrange_top").start(), (0.0, 4.0), 0.05, attitude=True)
     again = co.integrate(**solution_inputs(dataset_of(run)))
     assert [axes.get_title() for axes in again.plot().axes] == [axes.get_title() for axes in run.plot().axes]
 
@@ -154,7 +154,7 @@ def test_other_sizes_than_the_gallerys_are_drawn(system):
 
 def test_lagranges_top_turns_as_its_momenta_say():
     """Azimuth' = (m.gamma - m3 cos) / (I1 sin^2), by the momenta alone; inclination from gamma3."""
-    run = telling_run("lagrange_top")
+    run = run_example("lagrange_top")
     (axes,) = run.plot([Picture("nutation", axis=2, up=(3, 4, 5), turns=100.0)]).axes
     azimuth, inclination = axes.lines[0].get_data()
     cosine = run.x[:, 5]
@@ -228,6 +228,6 @@ def test_a_kind_and_a_telling_of_ones_own():
     finally:
         del register._FOUND["speed over time"]
     with pytest.raises(TypeError, match="picture"):
-        Telling((1.0, 0.0, 0.0), (0.0, 1.0), 0.1, "It moves.", pictures=["drift"])
+        GalleryEntry((1.0, 0.0, 0.0), (0.0, 1.0), 0.1, "It moves.", pictures=["drift"])
     with pytest.raises(ValueError, match="step"):
-        Telling((1.0, 0.0, 0.0), (0.0, 1.0), -0.1, "It moves.")
+        GalleryEntry((1.0, 0.0, 0.0), (0.0, 1.0), -0.1, "It moves.")

@@ -16,7 +16,7 @@ from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.site_positions import places_of_sites, sites_of_row
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.lattices.neighbours import CELLS, graph
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.registry import gallery_entry_of
 
 
 def shown(run, picture):
@@ -219,7 +219,7 @@ def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error()
         work={"damping": halves[0], "damping 2": halves[1]},
     )
     drawn = PlottedRun(run)
-    assert drawn.telling is telling_of("rigid_body") and drawn.close
+    assert drawn.gallery_entry is gallery_entry_of("rigid_body") and drawn.close
     axes = Figure().add_subplot()
     kinds()["drift"].prepare(drawn)(axes)
     assert "change of the energy $H$ and the Casimirs" in axes.get_title() and "drift" not in axes.get_title()
@@ -285,10 +285,10 @@ def test_the_vorticity_is_that_of_the_waves_and_moves_by_its_equation():
     """w_t = -u . grad w, kept to the waves: by finite differences on the plane, not by the bracket."""
     triad = co.systems.fluid_triad(first=(1.0, 0.0), second=(0.0, 2.0))
     run = co.integrate(triad, (0.4, 0.9, -0.3), (0.0, 1.0), 0.125)
-    telling = telling_of("fluid_triad").pictures[0].options
+    gallery_entry = gallery_entry_of("fluid_triad").pictures[0].options
     edge = 2.0 * np.pi * np.arange(64) / 64
-    waves = telling["modes"](triad, *np.meshgrid(edge, edge))
-    assert telling["width"](triad) == pytest.approx(4.0 * np.pi)
+    waves = gallery_entry["modes"](triad, *np.meshgrid(edge, edge))
+    assert gallery_entry["width"](triad) == pytest.approx(4.0 * np.pi)
     x = run.x[-1]
     w = np.tensordot(x, waves, axes=1)
     # stream function: w = Laplace psi, each wave divided by -k^2; u = (-psi_y, psi_x)
@@ -303,7 +303,7 @@ def test_the_vorticity_is_that_of_the_waves_and_moves_by_its_equation():
     rate = psi_y * w_x - psi_x * w_y
     kept = [2.0 * np.mean(rate * wave) for wave in waves]
     np.testing.assert_allclose(kept, triad.vector_field(x), atol=1e-12)
-    axes = shown(run, Picture("field", **telling))
+    axes = shown(run, Picture("field", **gallery_entry))
     assert axes.get_title() == "vorticity at $t$ = 0" and axes.get_aspect() == 1.0
     other = co.integrate(co.systems.toda(2), np.ones(3), (0, 1), 0.5)
     with pytest.raises(CannotShow, match="1 modes"):

@@ -20,7 +20,7 @@ from coadjoint.pictures.movie import frames_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.registry import gallery_entry_of
 
 SMALL = {"size": (96, 64)}
 
@@ -86,7 +86,7 @@ def telling_short(name):
     if name == "torus_euler":
         s = co.systems.torus_euler(N=9)
         return co.integrate(s, s.random(2, degrees=(1, 3)), (0.0, 1.0), 0.1, co.IsospectralGauss())
-    told = telling_of(name)
+    told = gallery_entry_of(name)
     return co.integrate(co.systems.get(name), told.start(), (0.0, 1.0), 0.1)
 
 
@@ -103,7 +103,7 @@ def test_every_kind_that_moves_is_tried():
 def test_another_time_in_the_same_picture_is_the_picture_of_that_time(name):
     run = MOVING[name]()
     options = {"sphere field": {"values": values}}.get(name, {})
-    declared = next((p for p in telling_of(run.system.name).pictures if p.kind == name), Picture(name))
+    declared = next((p for p in gallery_entry_of(run.system.name).pictures if p.kind == name), Picture(name))
     options = {**declared.options, **options}
     drawn, (kind, _) = PlottedRun(run), read_picture(Picture(name, **options))
     moved, direct = (Figure().add_subplot() for _ in range(2))

@@ -8,14 +8,14 @@ import pytest
 import coadjoint as co
 from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.methods.suggested_scheme import suggested_scheme
-from coadjoint.runs.system_summary import system_text, told_of
+from coadjoint.runs.system_summary import summarize_system, system_text
 from long import long_between
 
 
 @pytest.mark.thinned(5)
 @pytest.mark.parametrize("name", long_between(2, co.systems.names()))
 def test_what_is_said_is_what_the_system_is(name):
-    told, system = told_of(name), co.systems.get(name)
+    told, system = summarize_system(name), co.systems.get(name)
     assert json.loads(json.dumps(told)) == told
     assert (told["dimension"], told["sign"]) == (system.dim, system.sign)
     J = system.structure_matrix(np.random.default_rng(8).normal(size=system.dim))

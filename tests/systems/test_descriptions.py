@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.systems.description import MAX_FORMULA_LENGTH, description
-from coadjoint.systems.registry import ready_made_systems, telling_of
+from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 NAMES = co.systems.names()
 
@@ -94,9 +94,13 @@ def test_what_it_says_of_the_system(name):
         assert np.array_equal(np.asarray(told["default"], dtype=object), default)
     assert found["summary"].endswith(".") and "`" not in found["summary"]
     assert_sections_are_those_of_the_docstring(ready_made_systems()[name], found)
-    telling = telling_of(name)
-    assert found["telling"] == {"says": telling.says, "t_span": list(telling.t_span), "step": telling.step}
-    assert found["coordinates"] == list(telling.names(system.dim) or [f"x{k + 1}" for k in range(system.dim)])
+    gallery_entry = gallery_entry_of(name)
+    assert found["gallery"] == {
+        "caption": gallery_entry.caption,
+        "t_span": list(gallery_entry.t_span),
+        "step": gallery_entry.step,
+    }
+    assert found["coordinates"] == list(gallery_entry.names(system.dim) or [f"x{k + 1}" for k in range(system.dim)])
     if system.algebra is None:
         assert found["algebra"] is None and found["attitude"] == "none"
     elif hasattr(system.algebra, "triples"):

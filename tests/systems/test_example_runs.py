@@ -8,30 +8,33 @@ import pytest
 import coadjoint as co
 from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
 from coadjoint.systems.coordinate_names import coordinate_names
-from coadjoint.systems.gallery_entry import Picture, Telling
-from coadjoint.systems.registry import ready_made, telling_of
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.registry import gallery_entry_of, ready_made
 
 
 def example(name):
     """Return the system of an example run and its declaration."""
-    telling = telling_of(name)
-    return co.systems.get(name, **telling.parameters), telling
+    gallery_entry = gallery_entry_of(name)
+    return co.systems.get(name, **gallery_entry.parameters), gallery_entry
 
 
 @pytest.mark.parametrize("name", co.systems.names())
 def test_starts_and_names_fit_the_system(name):
-    system, telling = example(name)
+    system, gallery_entry = example(name)
     shape = getattr(system, "shape", (system.dim,))
-    start = telling.start()
+    start = gallery_entry.start()
     assert start.shape[-len(shape) :] == shape and start.ndim - len(shape) in (0, 1)
-    assert np.isfinite(start).all() and telling.start() is not start
-    names = telling.names(system.dim)
+    assert np.isfinite(start).all() and gallery_entry.start() is not start
+    names = gallery_entry.names(system.dim)
     assert len(set(names)) == len(names) and len(names) in (0, system.dim)
-    assert telling.names(system.dim + 1) == () or callable(telling.coordinates)
+    assert gallery_entry.names(system.dim + 1) == () or callable(gallery_entry.coordinates)
     if len(shape) == 1:
         shown = coordinate_names(system, system.dim)
         assert len(set(shown)) == system.dim and (not names or shown == names)
-    assert telling.t_span[0] < telling.t_span[1] and 0.0 < telling.step < telling.t_span[1] - telling.t_span[0]
+    assert (
+        gallery_entry.t_span[0] < gallery_entry.t_span[1]
+        and 0.0 < gallery_entry.step < gallery_entry.t_span[1] - gallery_entry.t_span[0]
+    )
 
 
 def test_names_of_coordinates():
@@ -66,9 +69,9 @@ def test_points_over_a_sphere(count, radius):
 
 
 def test_a_satellite_librates_on_a_circle():
-    system, telling = example("satellite")
-    x = telling.start()
-    (pitch,) = telling.components.options["functions"].values()
+    system, gallery_entry = example("satellite")
+    x = gallery_entry.start()
+    (pitch,) = gallery_entry.components.options["functions"].values()
     L, p, r = x[:3], x[3:6], x[6:9]
     mass, gravity = system.parameters["mass"], system.parameters["gravity"]
     assert np.linalg.norm(r) == pytest.approx(5.0) and abs(r @ p) < 1e-15 * 5.0 * np.linalg.norm(p)
@@ -84,9 +87,9 @@ def test_a_satellite_librates_on_a_circle():
 
 
 def test_the_tipping_angle_changes_by_the_field():
-    system, telling = example("maxwell_bloch")
-    tipping = telling.pictures[0].options["across"]
-    starts = telling.start()
+    system, gallery_entry = example("maxwell_bloch")
+    tipping = gallery_entry.pictures[0].options["across"]
+    starts = gallery_entry.start()
     assert starts.shape == (12, 3) and not starts[:, 1].any() and (starts[:, 2] == -1.0).all()
     assert (np.diff(starts[:9, 0]) > 0.0).all() and (starts[:9, 0] > 0.0).all() and (starts[9:, 0] < 0.0).all()
     # Above 2 sqrt(coupling R) the field turns all the way round.
@@ -101,7 +104,7 @@ def test_the_tipping_angle_changes_by_the_field():
 @pytest.mark.parametrize(("v", "w"), [(0.4, -1.5), (5.5, -5.5), (-2.0, 0.25), (7.0, 1.0), (-7.0, -1.0)])
 @pytest.mark.parametrize("factor", [1.0, 2.5, -0.5])
 def test_roots_drawn_for_the_riccati_equation(v, w, factor):
-    functions = telling_of("riccati").components.options["functions"]
+    functions = gallery_entry_of("riccati").components.options["functions"]
     x = factor * np.array([1.0, (v + w) / 2, -v * w])
     found = sorted(float(f(x)) for f in functions.values())
     wanted = sorted(root if abs(root) < 6.0 else np.nan for root in (v, w))
@@ -117,7 +120,7 @@ def test_roots_drawn_for_the_riccati_equation(v, w, factor):
 
 def test_waves_of_an_oblique_triad():
     """k1 + k2 + k3 = 0; the width is twice the longest wavelength, whichever wave has it."""
-    options = telling_of("fluid_triad").pictures[0].options
+    options = gallery_entry_of("fluid_triad").pictures[0].options
     X, Y = np.random.default_rng(5).uniform(-4.0, 4.0, (2, 6, 7))
     k1, k2, k3 = np.array([[1.0, 0.75], [0.5, -2.0], [-1.5, 1.25]])
     for first, second in ((k1, k2), (k2, k3), (k3, k1)):
@@ -129,26 +132,26 @@ def test_waves_of_an_oblique_triad():
 
 
 def test_lorenz_starts_have_one_enstrophy():
-    system, telling = example("lorenz_1960")
-    starts = telling.start()
+    system, gallery_entry = example("lorenz_1960")
+    starts = gallery_entry.start()
     np.testing.assert_allclose(system.casimirs["enstrophy"](starts), 0.25, rtol=1e-14)
     assert starts.shape == (14, 3) and np.linalg.matrix_rank(starts) == 3
 
 
 def test_a_double_pendulum_starts_with_unit_directions():
-    system, telling = example("double_spherical_pendulum")
-    x = telling.start()
+    system, gallery_entry = example("double_spherical_pendulum")
+    x = gallery_entry.start()
     values = {name: float(F.value(x)) for name, F in system.integrals.items()}
     assert values["|q1|^2"] == values["|q2|^2"] == 1.0 and x[12] == 1.0 and x[:3] @ x[3:6] == 0.0
-    assert (x[[2, 5]] == 0.0).all() and telling.components.options["chosen"] == (2, 5)
-    assert telling.names(13)[5:7] == ("q6", "p1")
+    assert (x[[2, 5]] == 0.0).all() and gallery_entry.components.options["chosen"] == (2, 5)
+    assert gallery_entry.names(13)[5:7] == ("q6", "p1")
 
 
 def test_two_vortices_of_one_sense():
     """In the plane the spins turn once round each center, twice round the edge; in each center they point up."""
-    system, telling = example("spin_lattice")
+    system, gallery_entry = example("spin_lattice")
     side = system.parameters["shape"][0]
-    S = telling.start().reshape(side, side, 3)
+    S = gallery_entry.start().reshape(side, side, 3)
     np.testing.assert_allclose(np.sum(S**2, axis=-1), 1.0, rtol=1e-14)
     angle = np.arctan2(S[..., 1], S[..., 0])
 
@@ -166,7 +169,7 @@ def test_two_vortices_of_one_sense():
     assert turns(0, side // 2 - 1, (0, last)) == turns(side // 2, last, (0, last)) == 1
     up = np.argwhere(S[..., 2] > 0.6)
     assert set(up[:, 1].tolist()) == {side // 2 - 1, side // 2} and np.abs(S[..., 2]).min() < 1e-3
-    means = telling.components.options["functions"]
+    means = gallery_entry.components.options["functions"]
     several = np.stack([S.ravel(), 2.0 * S[::-1].ravel()])
     for axis, name in enumerate(("S1", "S2", "S3")):
         np.testing.assert_allclose(means[name](several), [S[..., axis].mean(), 2 * S[..., axis].mean()], atol=1e-14)
@@ -174,7 +177,7 @@ def test_two_vortices_of_one_sense():
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6])
 def test_positions_and_widths_of_at_most_four_particles(count):
-    chosen = telling_of("decorated_particles").components.options["chosen"](5 * count + 1)
+    chosen = gallery_entry_of("decorated_particles").components.options["chosen"](5 * count + 1)
     system = co.systems.decorated_particles(np.ones(count))
     names = [coordinate_names(system, system.dim)[k] for k in chosen]
     shown = min(count, 4)
@@ -183,19 +186,19 @@ def test_positions_and_widths_of_at_most_four_particles(count):
     assert len(set(names)) == len(names)
 
 
-GIVEN = {"x0": (1.0, 0.0, 0.0), "t_span": (0.0, 1.0), "step": 0.1, "says": "It moves."}
+GIVEN = {"x0": (1.0, 0.0, 0.0), "t_span": (0.0, 1.0), "step": 0.1, "caption": "It moves."}
 
 
 def test_declarations_are_validated():
-    plain = Telling(**GIVEN)
+    plain = GalleryEntry(**GIVEN)
     assert (plain.pictures, plain.components, plain.quantity) == ((), Picture("components"), "momentum")
     assert (plain.attitude, plain.save_every, plain.names(3), dict(plain.parameters)) == (False, 1, (), {})
     np.testing.assert_array_equal(plain.start(), [1.0, 0.0, 0.0])
-    whole = Telling(**GIVEN | {"t_span": [np.float32(0.5), 2], "coordinates": ["a", "b"], "x0": lambda: [1j, 2.0]})
+    whole = GalleryEntry(**GIVEN | {"t_span": [np.float32(0.5), 2], "coordinates": ["a", "b"], "x0": lambda: [1j, 2.0]})
     assert whole.t_span == (0.5, 2.0) and type(whole.t_span[1]) is float
     assert whole.names(2) == ("a", "b") and whole.names(3) == ()
     np.testing.assert_array_equal(whole.start(), [1j, 2.0])
-    named = Telling(**GIVEN | {"coordinates": lambda dim: [f"y{k}" for k in range(dim)]})
+    named = GalleryEntry(**GIVEN | {"coordinates": lambda dim: [f"y{k}" for k in range(dim)]})
     assert named.names(2) == ("y0", "y1")
     for wrong, message in (
         ({"t_span": 3.0}, "t_span is 3.0; give a list"),
@@ -206,15 +209,15 @@ def test_declarations_are_validated():
         ({"pictures": Picture("drift")}, r"pictures is Picture\('drift'\); give a list"),
         ({"pictures": [Picture("drift"), "error"]}, "a picture is 'error'; give a Picture"),
         ({"components": "components"}, "a picture is 'components'"),
-        ({"says": ""}, "says is ''; give a string"),
+        ({"caption": ""}, "caption is ''; give a string"),
         ({"quantity": None}, "quantity is None; give a string"),
     ):
         with pytest.raises((TypeError, ValueError), match=message):
-            Telling(**GIVEN | wrong)
+            GalleryEntry(**GIVEN | wrong)
     with pytest.raises(ValueError, match=r"x0\[1\] is nan"):
-        Telling(**GIVEN | {"x0": (1.0, np.nan)}).start()
+        GalleryEntry(**GIVEN | {"x0": (1.0, np.nan)}).start()
     with pytest.raises(TypeError, match="kind of a picture must be a nonempty string, not 3"):
         Picture(3)
-    with pytest.raises(TypeError, match=r"telling is \(1, 2\); give a"):
-        ready_made(telling=(1, 2))
-    assert telling_of("none of them") is None
+    with pytest.raises(TypeError, match=r"gallery_entry is \(1, 2\); give a"):
+        ready_made(gallery_entry=(1, 2))
+    assert gallery_entry_of("none of them") is None

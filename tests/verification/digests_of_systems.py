@@ -17,7 +17,7 @@ import numpy as np
 
 import coadjoint as co
 from coadjoint.methods.suggested_scheme import suggested_scheme
-from coadjoint.systems.registry import ready_made_systems, telling_of
+from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 from random_runs.cases import case_of
 from random_runs.comparisons import run
 
@@ -38,13 +38,18 @@ def digest(*arrays: Any) -> str:
 def ready_made(every: int) -> Iterator[tuple[str, co.Solution]]:
     """Run the ready-made systems of vectors from their own starts, rounded, since NumPy computed those."""
     for name, made in [*ready_made_systems().items()][::every]:
-        telling = telling_of(name)
-        assert telling is not None, name
-        system = made(**telling.parameters)
+        gallery_entry = gallery_entry_of(name)
+        assert gallery_entry is not None, name
+        system = made(**gallery_entry.parameters)
         if isinstance(system, co.LiePoissonSystem | co.PoissonSystem):
-            x0 = np.round(np.atleast_2d(telling.start())[:3], 3)
-            span, method = (0.0, STEPS * telling.step), suggested_scheme(system)
-            yield name, co.integrate(system, x0, span, telling.step, method, attitude=telling.attitude, save_every=8)
+            x0 = np.round(np.atleast_2d(gallery_entry.start())[:3], 3)
+            span, method = (0.0, STEPS * gallery_entry.step), suggested_scheme(system)
+            yield (
+                name,
+                co.integrate(
+                    system, x0, span, gallery_entry.step, method, attitude=gallery_entry.attitude, save_every=8
+                ),
+            )
 
 
 def digests(every: int) -> dict[str, str]:

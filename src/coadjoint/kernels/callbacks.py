@@ -82,10 +82,10 @@ def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
 def numba_error_text(error: Exception) -> str:
     """Return the informative lines of a Numba error, joined to one line."""
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
-    telling = [
+    gallery_entry = [
         line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
     ]
-    return " ".join(telling[:3])[:400]
+    return " ".join(gallery_entry[:3])[:400]
 
 
 def _numbers(inner: Any, size: int, results: int) -> Callable[..., None]:

@@ -12,10 +12,10 @@ import numpy as np
 
 from coadjoint.optional_packages import need
 from coadjoint.pictures.scenes import SCENES
-from coadjoint.runs.example_run import telling_run
+from coadjoint.runs.example_run import run_example
 from coadjoint.runs.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.registry import ready_made_systems, telling_of
+from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 PAGE = "index.html"
 DOTS_PER_INCH = 110  # per inch
@@ -35,7 +35,7 @@ class Piece:
     name: str
     figure: Any
     summary: str
-    says: str
+    caption: str
     run: str
 
 
@@ -45,7 +45,7 @@ def piece(name: str) -> Piece:
     Parameters
     ----------
     name : str
-        One of `coadjoint.systems.registry.told_systems`, or of `coadjoint.pictures.scenes.SCENES`.
+        One of `coadjoint.systems.registry.gallery_systems`, or of `coadjoint.pictures.scenes.SCENES`.
 
     Returns
     -------
@@ -61,14 +61,14 @@ def piece(name: str) -> Piece:
         scene = SCENES[name]
         run = scene.run()
         told = f"{_caption(run)}; {run.stats.seconds:.0f} s"
-        return Piece(name, run.plot(scene.pictures), scene.summary, scene.says, told)
-    solution = telling_run(name)
-    telling = telling_of(name)
-    assert telling is not None
+        return Piece(name, run.plot(scene.pictures), scene.summary, scene.caption, told)
+    solution = run_example(name)
+    gallery_entry = gallery_entry_of(name)
+    assert gallery_entry is not None
     first = (ready_made_systems()[name].__doc__ or "").partition("\n\n")[0]
     words = " ".join(first.split()).removeprefix("Return ").replace("``", "")
     summary = words[:1].upper() + words[1:]
-    return Piece(name, solution.plot(), summary, telling.says, _caption(solution))
+    return Piece(name, solution.plot(), summary, gallery_entry.caption, _caption(solution))
 
 
 def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callable[[str], None] = print) -> str:
@@ -130,10 +130,10 @@ def _page(pieces: Sequence[Piece]) -> str:
 
 
 def _section(p: Piece) -> str:
-    name, says = html.escape(p.name), html.escape(p.says, quote=True)
+    name, caption = html.escape(p.name), html.escape(p.caption, quote=True)
     return (
         f'<h2 id="{name}">{name}</h2>\n<p>{html.escape(p.summary)}</p>\n'
-        f'<figure><img src="{html.escape(file_of(p.name))}" alt="{says}">'
-        f'<figcaption aria-hidden="true">{says}</figcaption></figure>\n'
+        f'<figure><img src="{html.escape(file_of(p.name))}" alt="{caption}">'
+        f'<figcaption aria-hidden="true">{caption}</figcaption></figure>\n'
         f"<p><code>{html.escape(p.run)}</code></p>\n"
     )

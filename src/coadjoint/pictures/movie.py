@@ -11,7 +11,7 @@ from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_integer, read_list
 
 MAX_FRAMES = 5000
@@ -87,9 +87,9 @@ def declared_picture(name: str) -> Picture:
     >>> declared_picture("spin_lattice").kind
     'spins'
     """
-    telling = telling_of(name)
+    gallery_entry = gallery_entry_of(name)
     moving = _moving_kinds()
-    found = next((p for p in (telling.pictures if telling else ()) if p.kind in moving), None)
+    found = next((p for p in (gallery_entry.pictures if gallery_entry else ()) if p.kind in moving), None)
     if found is None:
         raise CannotShow(f"{name} declares no picture that a movie can show; give one: {', '.join(moving)}")
     return found
@@ -103,8 +103,8 @@ def _moving(drawn: PlottedRun, wanted: Any) -> tuple[Kind, Picture]:
     """Return the picture of a movie and its kind, at the start."""
     if wanted is None:
         wanted = declared_picture(drawn.family.name)
-    elif isinstance(wanted, str) and drawn.telling is not None:
-        wanted = next((p for p in drawn.telling.pictures if p.kind == wanted), wanted)
+    elif isinstance(wanted, str) and drawn.gallery_entry is not None:
+        wanted = next((p for p in drawn.gallery_entry.pictures if p.kind == wanted), wanted)
     kind, read = read_picture(wanted)
     if not kind.moves:
         moving = ", ".join(_moving_kinds())

@@ -20,8 +20,8 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.gallery_entry import Telling
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.gallery_entry import GalleryEntry
+from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.systems.system_checks import shape_of
 from coadjoint.validation import read_choice, read_integer, read_list, read_number
 
@@ -43,8 +43,8 @@ MAX_AXIS_TURN = 0.26  # radians between points of the path of an axis: 24 points
 class PlottedRun:
     """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
 
-    `members` selects members by number. `family` is the system without its forces, `telling` its gallery metadata or
-    None, `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
+    `members` selects members by number. `family` is the system without its forces, `gallery_entry` its gallery metadata
+    or None, `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
     """
 
     def __init__(self, solution: Solution, members: Any = None) -> None:
@@ -55,7 +55,7 @@ class PlottedRun:
             self.system = solution.system[0 if chosen is None else int(chosen[0])]
         # A system with forces wraps the one that has a name and parameters.
         self.family: Any = getattr(self.system, "system", self.system)
-        self.telling: Telling | None = telling_of(self.family.name)
+        self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.family.name)
         self.single = solution.failed is None
         # Complex matrices are drawn as interleaved real and imaginary parts.
         states = np.ascontiguousarray(solution.x)
@@ -164,7 +164,7 @@ class PlottedRun:
     @property
     def quantity(self) -> str:
         """Physical quantity of the coordinates."""
-        return "momentum" if self.telling is None else self.telling.quantity
+        return "momentum" if self.gallery_entry is None else self.gallery_entry.quantity
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ class Scene:
     run: Callable[[], Solution]
     pictures: tuple[Picture, ...]
     summary: str
-    says: str
+    caption: str
 
 
 def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> Solution:
@@ -49,7 +49,7 @@ SCENES = {
         ),
         summary="Decaying turbulence of an ideal fluid on the sphere, from random vorticity of the degrees 3 to 8, "
         "seed 1: one to three minutes.",
-        says="Vortices of like sign merge, and two of each sign are left, which keep moving. Above, the vorticity, "
+        caption="Vortices of like sign merge, and two of each sign are left, which keep moving. Above, the vorticity, "
         "which is stretched into filaments and fine structure. Below, its large-scale part, which is constant along "
         "streamlines.",
     )

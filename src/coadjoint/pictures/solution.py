@@ -81,13 +81,13 @@ def _components(drawn: PlottedRun, chosen: Any) -> Picture:
         if not listed:
             raise ValueError(f"components is empty; {rule}")
         return Picture("components", chosen=listed)
-    return Picture("components") if drawn.telling is None else drawn.telling.components
+    return Picture("components") if drawn.gallery_entry is None else drawn.gallery_entry.components
 
 
 def _declared(drawn: PlottedRun, plain: Picture) -> list[tuple[Kind, Paint]]:
     """Return drift, components and observed quantities, and the declared pictures that this run can show."""
-    wanted = () if drawn.telling is None else drawn.telling.pictures
-    own = drawn.telling is not None and plain is drawn.telling.components
+    wanted = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
+    own = drawn.gallery_entry is not None and plain is drawn.gallery_entry.components
     # The declared coordinates may not exist for these parameters of the system.
     series = (_shown(drawn, (plain,)) if own else []) or [_prepared(drawn, Picture("components") if own else plain)]
     first = _shown(drawn, (Picture("drift"),)) + series + _shown(drawn, (Picture("observed"),))
@@ -118,7 +118,7 @@ def _requested(drawn: PlottedRun, panels: Any, plain: Picture) -> list[tuple[Kin
 
 def _as_declared(drawn: PlottedRun, plain: Picture, panel: Any) -> Any:
     """Replace a kind given by name by the picture that the system declares of it, if any."""
-    told = () if drawn.telling is None else drawn.telling.pictures
+    told = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
     return next((p for p in (plain, *told) if isinstance(panel, str) and p.kind == panel), panel)
 
 

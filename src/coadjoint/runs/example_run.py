@@ -7,10 +7,10 @@ import importlib
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.registry import gallery_entry_of
 
 
-def telling_run(name: str) -> Solution:
+def run_example(name: str) -> Solution:
     """Run a ready-made system over the span of its gallery entry, by the suggested scheme.
 
     Parameters
@@ -21,7 +21,7 @@ def telling_run(name: str) -> Solution:
     Returns
     -------
     Solution
-        ``telling_run(name).plot()`` is its figure in the gallery.
+        ``run_example(name).plot()`` is its figure in the gallery.
 
     Raises
     ------
@@ -30,22 +30,23 @@ def telling_run(name: str) -> Solution:
 
     Examples
     --------
-    >>> telling_run("rigid_body").system.parameters
+    >>> run_example("rigid_body").system.parameters
     {'inertia': (1.0, 2.0, 3.0)}
     """
     systems = importlib.import_module("coadjoint.systems")
-    telling = telling_of(name)
-    system = systems.get(name, **({} if telling is None else telling.parameters))
-    if telling is None:
+    gallery_entry = gallery_entry_of(name)
+    system = systems.get(name, **({} if gallery_entry is None else gallery_entry.parameters))
+    if gallery_entry is None:
         raise ValueError(
-            f"{name} declares no start, span and step of a run; give @ready_made a Telling, as docs/gallery.md shows"
+            f"{name} declares no start, span and step of a run; give @ready_made a GalleryEntry, as docs/gallery.md "
+            "shows"
         )
     return integrate(
         system,
-        telling.start(),
-        telling.t_span,
-        telling.step,
+        gallery_entry.start(),
+        gallery_entry.t_span,
+        gallery_entry.step,
         suggested_scheme(system),
-        save_every=telling.save_every,
-        attitude=telling.attitude,
+        save_every=gallery_entry.save_every,
+        attitude=gallery_entry.attitude,
     )

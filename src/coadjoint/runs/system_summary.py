@@ -9,7 +9,7 @@ from typing import Any
 
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.systems.description import description
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.registry import gallery_entry_of
 
 LINE_WIDTH = 100
 MOST_NAMED = 30
@@ -21,7 +21,7 @@ ATTITUDES = {
 }
 
 
-def told_of(name: str) -> dict[str, Any]:
+def summarize_system(name: str) -> dict[str, Any]:
     """Return the description of a ready-made system with a suggested scheme and step.
 
     Parameters
@@ -42,16 +42,16 @@ def told_of(name: str) -> dict[str, Any]:
 
     Examples
     --------
-    >>> told = told_of("rigid_body")
+    >>> told = summarize_system("rigid_body")
     >>> told["scheme"], told["command"]
     ('Splitting(order=4...)', 'coadjoint gallery --out gallery rigid_body')
     """
     told = description(name)
-    telling = telling_of(name)
+    gallery_entry = gallery_entry_of(name)
     system = importlib.import_module("coadjoint.systems").get(name)
     told["scheme"] = str(suggested_scheme(system))
-    told["step"] = None if telling is None else telling.step
-    told["command"] = None if telling is None else f"coadjoint gallery --out gallery {name}"
+    told["step"] = None if gallery_entry is None else gallery_entry.step
+    told["command"] = None if gallery_entry is None else f"coadjoint gallery --out gallery {name}"
     return told
 
 
@@ -61,7 +61,7 @@ def system_text(told: Mapping[str, Any]) -> str:
     Parameters
     ----------
     told : mapping
-        From `told_of`.
+        From `summarize_system`.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def system_text(told: Mapping[str, Any]) -> str:
 
     Examples
     --------
-    >>> print(system_text(told_of("riccati")).splitlines()[0])
+    >>> print(system_text(summarize_system("riccati")).splitlines()[0])
     riccati(constant=1.0, linear=0.0, quadratic=1.0)
     """
     return "\n".join(_lines(told))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from coadjoint.systems.registry import telling_of
+from coadjoint.systems.registry import gallery_entry_of
 
 
 def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
@@ -17,8 +17,8 @@ def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
     >>> coordinate_names(rigid_body((1, 2, 3)), 3)
     ('x1', 'x2', 'x3')
     """
-    telling = telling_of(system.name)
-    told = () if telling is None else telling.names(count)
+    gallery_entry = gallery_entry_of(system.name)
+    told = () if gallery_entry is None else gallery_entry.names(count)
     if told:
         return told
     basis = getattr(system.algebra, "basis", ())

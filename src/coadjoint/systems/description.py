@@ -13,7 +13,7 @@ import numpy as np
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.registry import ready_made_systems, telling_of
+from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 MAX_FORMULA_LENGTH = 120
 _HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
@@ -52,8 +52,8 @@ def description(name: str) -> dict[str, Any]:
     sections = _sections(inspect.getdoc(builder) or "")
     equations = sections[""].partition("\n\n")[2]
     words = documented_parameters(builder)
-    telling = telling_of(name)
-    coordinates = () if telling is None else telling.names(system.dim)
+    gallery_entry = gallery_entry_of(name)
+    coordinates = () if gallery_entry is None else gallery_entry.names(system.dim)
     return {
         "name": name,
         "summary": summary_of(builder),
@@ -73,9 +73,9 @@ def description(name: str) -> dict[str, Any]:
         "exact": system.closed_form is not None,
         "attitude": _attitude(system),
         "coordinates": list(coordinates) or [f"x{i + 1}" for i in range(system.dim)],
-        "telling": None
-        if telling is None
-        else {"says": telling.says, "t_span": list(telling.t_span), "step": telling.step},
+        "gallery": None
+        if gallery_entry is None
+        else {"caption": gallery_entry.caption, "t_span": list(gallery_entry.t_span), "step": gallery_entry.step},
     }
 
 

@@ -44,7 +44,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Telling:
+class GalleryEntry:
     """Gallery metadata of a ready-made system: an example run and its pictures.
 
     Parameters
@@ -55,7 +55,7 @@ class Telling:
         Start and end.
     step : float
         A step with which the suggested scheme resolves the motion.
-    says : str
+    caption : str
         Caption of one or two sentences that describes the picture, also used as its alternative text.
     pictures : sequence of Picture
         Pictures that `Solution.plot` draws besides components and drift. Those that a run cannot show, because of its
@@ -80,14 +80,14 @@ class Telling:
 
     Examples
     --------
-    >>> Telling((0.0, 1.0, 0.01), (0.0, 10.0), 0.1, "A flip.", [Picture("body axis", axis=1)]).t_span
+    >>> GalleryEntry((0.0, 1.0, 0.01), (0.0, 10.0), 0.1, "A flip.", [Picture("body axis", axis=1)]).t_span
     (0.0, 10.0)
     """
 
     x0: npt.ArrayLike | Callable[[], npt.ArrayLike]
     t_span: tuple[float, float]
     step: float
-    says: str
+    caption: str
     pictures: tuple[Picture, ...] = ()
     components: Picture = Picture("components")
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -107,7 +107,7 @@ class Telling:
             if not isinstance(picture, Picture):
                 raise TypeError(f"a picture is {short(picture)}; give a Picture, such as Picture('body axis', axis=1)")
         keep(self, "pictures", pictures)
-        for text, what in ((self.says, "says"), (self.quantity, "quantity")):
+        for text, what in ((self.caption, "caption"), (self.quantity, "quantity")):
             if not isinstance(text, str) or not text:
                 raise TypeError(f"{what} is {short(text)}; give a string")
 

@@ -10,14 +10,14 @@ from typing import Any, TypeVar, overload
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.systems.gallery_entry import Telling
+from coadjoint.systems.gallery_entry import GalleryEntry
 
 Builder = TypeVar("Builder", bound=Callable[..., Any])
 
 FOLDERS = ("bodies", "fluids", "lattices", "examples")
 
 _REGISTRY: dict[str, Callable[..., Any]] = {}
-_GALLERY_ENTRIES: dict[str, Telling] = {}
+_GALLERY_ENTRIES: dict[str, GalleryEntry] = {}
 
 
 @overload
@@ -25,37 +25,37 @@ def ready_made(function: Builder) -> Builder: ...
 
 
 @overload
-def ready_made(*, telling: Telling) -> Callable[[Builder], Builder]: ...
+def ready_made(*, gallery_entry: GalleryEntry) -> Callable[[Builder], Builder]: ...
 
 
-def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
+def ready_made(function: Any = None, *, gallery_entry: GalleryEntry | None = None) -> Any:
     """Register a function that makes a system, under its own name.
 
     Parameters
     ----------
     function : callable
         The decorated function.
-    telling : Telling, optional
+    gallery_entry : GalleryEntry, optional
         Example run and pictures of the system, used by `Solution.plot` and ``coadjoint gallery``.
 
     Returns
     -------
     callable
-        The function itself; with only `telling`, a decorator.
+        The function itself; with only `gallery_entry`, a decorator.
 
     Raises
     ------
     TypeError
-        `telling` is not a `Telling`.
+        `gallery_entry` is not a `GalleryEntry`.
     """
-    if not isinstance(telling, Telling | None):
-        raise TypeError(f"telling is {short(telling)}; give a coadjoint.systems.gallery_entry.Telling")
+    if not isinstance(gallery_entry, GalleryEntry | None):
+        raise TypeError(f"gallery_entry is {short(gallery_entry)}; give a coadjoint.systems.gallery_entry.GalleryEntry")
 
     def register(builder: Builder) -> Builder:
         made = suggest_keywords(builder)
         _REGISTRY[made.__name__] = made
-        if telling is not None:
-            _GALLERY_ENTRIES[made.__name__] = telling
+        if gallery_entry is not None:
+            _GALLERY_ENTRIES[made.__name__] = gallery_entry
         return made
 
     return register if function is None else register(function)
@@ -70,7 +70,7 @@ def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
     return MappingProxyType(_REGISTRY)
 
 
-def telling_of(name: str) -> Telling | None:
+def gallery_entry_of(name: str) -> GalleryEntry | None:
     """Return the example run and pictures of a ready-made system, or None if it declares none.
 
     Parameters
@@ -80,18 +80,18 @@ def telling_of(name: str) -> Telling | None:
 
     Returns
     -------
-    Telling or None
+    GalleryEntry or None
 
     Examples
     --------
-    >>> telling_of("rigid_body").attitude, telling_of("a system of mine")
+    >>> gallery_entry_of("rigid_body").attitude, gallery_entry_of("a system of mine")
     (True, None)
     """
     ready_made_systems()
     return _GALLERY_ENTRIES.get(name)
 
 
-def told_systems() -> tuple[str, ...]:
+def gallery_systems() -> tuple[str, ...]:
     """Return the names of the ready-made systems that declare an example run and pictures, sorted.
 
     Returns
@@ -100,7 +100,7 @@ def told_systems() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> "rigid_body" in told_systems()
+    >>> "rigid_body" in gallery_systems()
     True
     """
-    return tuple(name for name in sorted(ready_made_systems()) if telling_of(name) is not None)
+    return tuple(name for name in sorted(ready_made_systems()) if gallery_entry_of(name) is not None)

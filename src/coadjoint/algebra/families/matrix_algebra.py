@@ -280,15 +280,15 @@ class MatrixAlgebra:
             one = wrong[0]
             which = f"{what}[{one}]" if A.ndim == 3 else what
             raise ValueError(
-                f"{which} is not a matrix of {self}: it must be {self.says}, but differs by {away[one]:.2g} where "
-                f"its largest entry is {size[one]:.2g}"
+                f"{which} is not a matrix of {self}: it must be {self.description}, but differs by {away[one]:.2g} "
+                f"where its largest entry is {size[one]:.2g}"
             )
         return near
 
     @property
-    def says(self) -> str:
+    def description(self) -> str:
         """Description of its matrices, for messages."""
         if self.blocks:
             return "block by block " + ", ".join(f"of {block}" for block in self.blocks) + ", and zero beside"
         signs = f", times the signs of {self.N - self.q} and {self.q}" if self.q else ""
-        return KINDS[self.kind].says + signs
+        return KINDS[self.kind].description + signs

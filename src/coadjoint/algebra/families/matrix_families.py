@@ -14,14 +14,14 @@ class Kind(NamedTuple):
     """A family of matrix Lie algebras: A with ``adjoint(A) = -A``, of trace zero if `traceless`.
 
     `form` is "diagonal" (signs on the diagonal), "symplectic", or "" for all matrices; `conjugate`: the adjoint
-    conjugates entries; `complex`: entries are complex; `says`: description for messages.
+    conjugates entries; `complex`: entries are complex; `description`: for messages.
     """
 
     complex: bool
     form: str
     conjugate: bool
     traceless: bool
-    says: str
+    description: str
 
     @property
     def even(self) -> bool:

@@ -10,18 +10,18 @@ import numpy.typing as npt
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.bodies.heavy_top import rigid_motions
 from coadjoint.systems.bodies.inertia import inverse_inertia, read_vector
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.6, 0.4, 1.0, 0.5, 0.3, 0.2),
         t_span=(0.0, 60.0),
         step=0.05,
-        says="An integrable body in a fluid: its path winds regularly about the direction of its impulse. Middle, "
+        caption="An integrable body in a fluid: its path winds regularly about the direction of its impulse. Middle, "
         "the path, with the first axis of the body; right, the impulse, seen from the body.",
         pictures=(
             Picture("path in space", axis=0),

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.heisenberg import heisenberg
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.double_pendulum_energy import pendulum_energy
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -25,11 +25,11 @@ def _swinging() -> npt.NDArray[np.float64]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_swinging,
         t_span=(0.0, 20.0),
         step=0.02,
-        says="Two pendulums, one at the end of the other, pulled aside and pushed sideways. The picture shows the "
+        caption="Two pendulums, one at the end of the other, pulled aside and pushed sideways. The picture shows the "
         "directions of both rods on one sphere. The motion is chaotic, and the vertical angular momentum is "
         "constant.",
         pictures=(

@@ -8,17 +8,17 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.heavy_top import top_under_gravity
 from coadjoint.systems.bodies.inertia import moments_of, read_vector
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
         t_span=(0.0, 60.0),
         step=0.02,
-        says="Without angular momentum about the vertical the top is integrable: the vertical, seen from the body "
+        caption="Without angular momentum about the vertical the top is integrable: the vertical, seen from the body "
         "(right), moves within a band of its sphere.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),

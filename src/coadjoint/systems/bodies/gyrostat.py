@@ -21,7 +21,7 @@ from coadjoint.systems.closed_forms.closed_form import (
 )
 from coadjoint.systems.closed_forms.free_rigid_body import fixed_axis
 from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -30,11 +30,11 @@ Floats = npt.NDArray[np.float64]
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=partial(points_on_sphere, 16),
         t_span=(0.0, 60.0),
         step=0.05,
-        says="Sixteen motions with the same length of the momentum. Without rotors their curves would be symmetric "
+        caption="Sixteen motions with the same length of the momentum. Without rotors their curves would be symmetric "
         "about the planes of the principal axes. The rotors shift the equilibria, and there are fewer of them.",
         pictures=(
             Picture(

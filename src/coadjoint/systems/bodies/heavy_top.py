@@ -13,7 +13,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.inertia import axis_of_symmetry, inverse_inertia, momentum_along, read_vector
 from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.closed_forms.kovalevskaya_integral import kovalevskaya_integral
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -22,11 +22,11 @@ Floats = npt.NDArray[np.float64]
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
         t_span=(0.0, 40.0),
         step=0.02,
-        says="A top without symmetry, with its center of mass off every axis: the path of its third axis has no "
+        caption="A top without symmetry, with its center of mass off every axis: the path of its third axis has no "
         "repeating pattern. Middle, the axis in space; right, the vertical, seen from the body.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),

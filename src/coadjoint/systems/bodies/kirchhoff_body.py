@@ -8,7 +8,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.heavy_top import rigid_motions
 from coadjoint.systems.bodies.inertia import inverse_inertia, inverse_of, plain, principal
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -18,11 +18,11 @@ Floats = npt.NDArray[np.float64]
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.5, 1.5, 1.0, 0.8, 0.1, 0.1),
         t_span=(0.0, 40.0),
         step=0.02,
-        says="A body pushed through a fluid along its light axis turns broadside on: it flutters and tumbles about "
+        caption="A body pushed through a fluid along its light axis turns broadside on: it flutters and tumbles about "
         "the direction of its impulse. Middle, its path, with its first axis; right, that axis in space, the "
         "impulse upward.",
         pictures=(

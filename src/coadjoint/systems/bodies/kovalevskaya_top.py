@@ -7,17 +7,17 @@ import numpy.typing as npt
 
 from coadjoint.systems.bodies.heavy_top import top_under_gravity
 from coadjoint.systems.bodies.inertia import moments_of, read_vector
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
         t_span=(0.0, 60.0),
         step=0.02,
-        says="Integrable, and yet intricate: the motion is quasi-periodic on a torus of two dimensions, which the "
+        caption="Integrable, and yet intricate: the motion is quasi-periodic on a torus of two dimensions, which the "
         "paths of the third axis in space (middle) and of the vertical, seen from the body (right), begin to fill.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),

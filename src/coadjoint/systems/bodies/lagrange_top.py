@@ -7,18 +7,18 @@ import numpy as np
 from coadjoint.systems.bodies.heavy_top import top_under_gravity
 from coadjoint.systems.bodies.inertia import moments_of
 from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_number
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
         t_span=(0.0, 24.0),
         step=0.02,
-        says="Released with its axis at rest, inclined by 60 degrees: the axis falls, turns sideways and comes "
+        caption="Released with its axis at rest, inclined by 60 degrees: the axis falls, turns sideways and comes "
         "back to rest in a cusp, over and over, while it precesses about the vertical.",
         pictures=(
             Picture("nutation", axis=2, up=(3, 4, 5)),

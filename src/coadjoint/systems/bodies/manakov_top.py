@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.bodies.inertia import read_vector
 from coadjoint.systems.closed_forms.manakov_integrals import halves_of_so4, manakov_integrals, planes, rotations
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -15,11 +15,11 @@ from coadjoint.validation import read_finite
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
         t_span=(0.0, 60.0),
         step=0.05,
-        says="An integrable energy on so(4), which is two copies of so(3): the momentum is two vectors of constant "
+        caption="An integrable energy on so(4), which is two copies of so(3): the momentum is two vectors of constant "
         "lengths, each on a sphere of its own (both drawn on one), and the paths fill bands with sharp edges.",
         pictures=(
             Picture(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, MatrixAlgebra
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.registry import ready_made
@@ -34,11 +34,11 @@ def _in_all_planes() -> npt.NDArray[np.float64]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_in_all_planes,
         t_span=(0.0, 60.0),
         step=0.05,
-        says="A body of five dimensions turns in all planes at once, with several frequencies. Its momentum is a "
+        caption="A body of five dimensions turns in all planes at once, with several frequencies. Its momentum is a "
         "matrix that turns, so its eigenvalues are constant.",
         pictures=(Picture("eigenvalues"),),
         components=Picture("components", chosen=_above_the_diagonal),

@@ -13,18 +13,18 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.inertia import inverse_inertia
 from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.01, 1.0, 0.01),
         t_span=(0.0, 90.0),
         step=0.05,
-        says="A body that spins about its middle axis flips over, again and again: left, the component along that "
+        caption="A body that spins about its middle axis flips over, again and again: left, the component along that "
         "axis changes its sign after equal times; middle, the momentum goes from one pole of its sphere to "
         "the other along the separatrix; right, the axis itself in space, from up to down and back.",
         pictures=(

@@ -17,7 +17,7 @@ from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.kepler import kepler
 from coadjoint.systems.closed_forms.spin_precession import turned
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -45,11 +45,11 @@ def _pitch(x: Any) -> Any:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_librating,
         t_span=(0.0, 300.0),
         step=0.1,
-        says="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
+        caption="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
         "center, and the axis swings to and fro about this direction. Right, the directions of the radius and of the "
         "orbital momentum, seen from the body.",
         pictures=(

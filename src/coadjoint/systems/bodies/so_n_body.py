@@ -20,7 +20,7 @@ from coadjoint.systems.closed_forms.manakov_integrals import (
     rotations,
     trace_form,
 )
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -30,11 +30,11 @@ BYTES_PER_ENTRY = 500  # for a matrix of fractions with its inverse
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
         t_span=(0.0, 200.0),
         step=0.1,
-        says="A body of four dimensions: so(4) is two copies of so(3), so its momentum is two vectors of constant "
+        caption="A body of four dimensions: so(4) is two copies of so(3), so its momentum is two vectors of constant "
         "lengths, each on a sphere of its own (both drawn on one). Together they fill a torus: the motion is "
         "integrable.",
         pictures=(

@@ -14,7 +14,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.elliptic_integrals import amplitude, first_kind
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -35,11 +35,11 @@ def _tipping(x: Any) -> Any:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=partial(_portrait, 9),
         t_span=(0.0, 14.0),
         step=0.05,
-        says="The pendulum in disguise: swings about the ground state of the atoms, around the separatrix on which "
+        caption="The pendulum in disguise: swings about the ground state of the atoms, around the separatrix on which "
         "one pulse of light excites all atoms and is given back, and beyond it pulses that never end. Right, "
         "the same motions on the cylinder of constant Bloch vector.",
         pictures=(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.systems.bodies.rigid_body import so3_body
 from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -25,11 +25,11 @@ def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 1.0, 1.0),
         t_span=(0.0, 20.0),
         step=0.01,
-        says="Every orbit spirals on the surface of its Casimir from one equilibrium on the third axis to the "
+        caption="Every orbit spirals on the surface of its Casimir from one equilibrium on the third axis to the "
         "other: the third component falls, and the other two swing up and die away.",
         pictures=(Picture("coadjoint orbit"),),
         quantity="state",
@@ -78,11 +78,11 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=partial(points_on_sphere, 18),
         t_span=(0.0, 40.0),
         step=0.05,
-        says="Eighteen motions on the sphere of the momentum: closed curves around the axes of the largest and of "
+        caption="Eighteen motions on the sphere of the momentum: closed curves around the axes of the largest and of "
         "the smallest moment of inertia, and between them the separatrix through the middle axis, which is "
         "unstable.",
         pictures=(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, initial_group_element, start_and_times
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -28,11 +28,11 @@ def _root(sign: float, x: Any) -> Any:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 0.5, 0.0),
         t_span=(0.0, 8.0),
         step=0.02,
-        says="The two roots w of the quadratic equation follow w' = 1 + w^2 and go through infinity (left), while "
+        caption="The two roots w of the quadratic equation follow w' = 1 + w^2 and go through infinity (left), while "
         "the state moves smoothly on a closed curve of its hyperboloid (right).",
         pictures=(Picture("error"), Picture("coadjoint orbit", view=(-150.0, 25.0))),
         components=Picture(

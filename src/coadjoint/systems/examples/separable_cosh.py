@@ -13,7 +13,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariants.logarithmic import COSH, HOLD, SINH, SINH_SQUARED, Forms
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.separable import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -22,11 +22,11 @@ from coadjoint.validation import read_finite, read_positive
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=partial(points_on_sphere, 16, 3.0),
         t_span=(0.0, 12.0),
         step=0.01,
-        says="Sixteen motions with the same length of the momentum, as for a rigid body. The energy grows "
+        caption="Sixteen motions with the same length of the momentum, as for a rigid body. The energy grows "
         "exponentially with the components, so the curves around the axes are squares with round corners.",
         pictures=(
             Picture(

@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -23,11 +23,11 @@ Floats = npt.NDArray[np.float64]
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 0.1, 0.9, 0.2),
         t_span=(0.0, 30.0),
         step=0.05,
-        says="A free body whose speed is multiplied by x0: the vector (x1, x2, x3) keeps its length and moves on a "
+        caption="A free body whose speed is multiplied by x0: the vector (x1, x2, x3) keeps its length and moves on a "
         "closed curve of its sphere.",
         pictures=(
             Picture(

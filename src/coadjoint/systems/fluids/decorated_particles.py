@@ -14,7 +14,7 @@ from coadjoint.algebra.families.products import copies
 from coadjoint.short_repr import short
 from coadjoint.systems.canonical import with_canonical_pairs
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.decorated_potential import (
     check_even,
     energy_polynomial,
@@ -52,11 +52,11 @@ def _centres_and_widths(x: Any, system: Any) -> list[tuple[Any, ...]]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(-1.0, 0.5, 0.0, 0.5, 1.0, 0.02, 0.0, 0.04, 0.05, 0.0, 0.02),
         t_span=(0.0, 12.0),
         step=0.02,
-        says="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
+        caption="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
         "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
         "area.",
         pictures=(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.equivalent_rigid_body import rigid_body_equivalent
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_finite
@@ -31,11 +31,11 @@ def _two_waves(system: Any) -> float:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(0.02, 1.0, 0.02),
         t_span=(0.0, 80.0),
         step=0.05,
-        says="The wave of middle length is unstable: its amplitude passes to the two others and comes back with "
+        caption="The wave of middle length is unstable: its amplitude passes to the two others and comes back with "
         "the opposite sign. Middle, the vorticity at the start; right, when the waves have changed it most.",
         pictures=(
             Picture("field", modes=_waves, width=_two_waves, at=0.0, label="vorticity"),

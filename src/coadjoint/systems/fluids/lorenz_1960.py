@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.closed_forms.equivalent_rigid_body import rigid_body_equivalent
 from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_positive
@@ -23,11 +23,11 @@ def _states(count: int) -> npt.NDArray[np.float64]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=partial(_states, 14),
         t_span=(0.0, 30.0),
         step=0.02,
-        says="Fourteen motions with one enstrophy, on its ellipsoid: the zonal current A and the waves F and G "
+        caption="Fourteen motions with one enstrophy, on its ellipsoid: the zonal current A and the waves F and G "
         "exchange their vorticity, around the current, which is stable for k > l, or around the wave G.",
         pictures=(Picture("coadjoint orbit"),),
         components=Picture("components", chosen=(0,)),

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.fluids.reduced_mhd import ideal_fluid
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.registry import ready_made
 
@@ -19,11 +19,11 @@ def _latitude_as_dye() -> npt.NDArray[np.complex128]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_latitude_as_dye,
         t_span=(0.0, 4.0),
         step=0.02,
-        says="A dye, at the start the sine of the latitude, is wound up by the vortices of a random flow on the "
+        caption="A dye, at the start the sine of the latitude, is wound up by the vortices of a random flow on the "
         "sphere. Above, the vorticity, and below, the dye, at the end. The spectrum of the dye is constant.",
         pictures=(
             Picture("vorticity", at=1.0),

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
@@ -27,11 +27,11 @@ def _two_vortices() -> npt.NDArray[np.complex128]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_two_vortices,
         t_span=(0.0, 2.0),
         step=0.002,
-        says="The vortex of Orszag and Tang in a conducting fluid: vorticity and magnetic potential fold into each "
+        caption="The vortex of Orszag and Tang in a conducting fluid: vorticity and magnetic potential fold into each "
         "other, and sheets of vorticity grow where the field is bent. The spectrum of the potential is constant.",
         pictures=(
             Picture("vorticity", at=1.0),

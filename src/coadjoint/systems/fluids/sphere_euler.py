@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import sphere_grid, sphere_states
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.hoppe_yau import generators, laplacian
@@ -268,12 +268,12 @@ def _unstable_jet() -> Matrix:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_unstable_jet,
         t_span=(0.0, 10.0),
         step=0.00625,
-        says="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices of both "
-        "signs. In the middle, the vorticity at the start and at the end. Energy moves to larger and to smaller "
+        caption="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices "
+        "of both signs. In the middle, the vorticity at the start and at the end. Energy moves to larger and to smaller "
         "scales, and the spectrum of the matrix is constant.",
         pictures=(
             Picture("vorticity", at=0.0),

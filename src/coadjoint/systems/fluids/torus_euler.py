@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import torus_grid, torus_states
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
@@ -191,11 +191,11 @@ def _two_jets() -> Matrix:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_two_jets,
         t_span=(0.0, 10.0),
         step=0.00625,
-        says="Two jets, one against the other, meander and roll up into rows of vortices. In the middle, the "
+        caption="Two jets, one against the other, meander and roll up into rows of vortices. In the middle, the "
         "vorticity at the start and at the end. The spectrum of the matrix is constant.",
         pictures=(
             Picture("vorticity", at=0.0),

@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -29,11 +29,11 @@ _MOMENT = re.compile(r"\bx([0-9,]+)\b")
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(1.0, 0.0, 0.2),
         t_span=(0.0, 12.0),
         step=0.02,
-        says="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
+        caption="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
         "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the "
         "area is constant.",
         pictures=(Picture("phase ellipse", moments=(0, 1, 2), until=0.15, times=8), Picture("coadjoint orbit")),

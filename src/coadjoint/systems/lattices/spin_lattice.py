@@ -15,7 +15,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.spin_integrals import total_spins
 from coadjoint.systems.closed_forms.spin_precession import precession
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.driven import Driven
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lattices.neighbours import graph
@@ -60,11 +60,11 @@ def _named(dim: int) -> tuple[str, ...]:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_vortices,
         t_span=(0.0, 36.0),
         step=0.05,
-        says="Two vortices of the same sense in a square of 18 x 18 spins that prefer to lie in the plane. In the "
+        caption="Two vortices of the same sense in a square of 18 x 18 spins that prefer to lie in the plane. In the "
         "middle of each, spins point up. The vortices go around each other, and radiate a little. Arrows show the "
         "components in the plane, colours the component perpendicular to it.",
         pictures=(Picture("spins", at=0.0), Picture("spins", at=1.0)),

@@ -16,7 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
-from coadjoint.systems.gallery_entry import Picture, Telling
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -60,11 +60,11 @@ def _bump() -> Floats:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=(-0.8, 0.1, -0.2, 0.9, 0.4, 0.35, 0.45),
         t_span=(0.0, 12.0),
         step=0.02,
-        says="Four particles that repel each other meet, and fly apart: all a go to zero, and the b to the "
+        caption="Four particles that repel each other meet, and fly apart: all a go to zero, and the b to the "
         "eigenvalues of the matrix L, sorted. Below, the particles as they move about their center.",
         components=Picture("components", quantity="state"),
         pictures=(Picture("components", functions=_particles, quantity="position of the particles"),),
@@ -119,11 +119,11 @@ def toda(sites: int = 4) -> LiePoissonSystem:
 
 
 @ready_made(
-    telling=Telling(
+    gallery_entry=GalleryEntry(
         x0=_bump,
         t_span=(0.0, 60.0),
         step=0.05,
-        says="A ring of 48 sites, pressed together around one of them: two waves run apart, break up into "
+        caption="A ring of 48 sites, pressed together around one of them: two waves run apart, break up into "
         "solitons, which go through each other on the far side and come out as they were.",
         pictures=(
             Picture(

@@ -94,7 +94,7 @@ def check_stream(system: MatrixSystem) -> None:
     P, rounded, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
     size = float(np.abs(P).max(initial=0.0))
     if not float(np.abs(P - algebra.projected(P)).max(initial=0.0)) <= rounded * size:
-        raise ValueError(f"the stream leaves {algebra}: its values at sample matrices are not {algebra.says}")
+        raise ValueError(f"the stream leaves {algebra}: its values at sample matrices are not {algebra.description}")
     if system.energy_function is not None:
         _check_slope(system, A, B)
         return
