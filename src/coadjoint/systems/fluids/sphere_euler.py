@@ -273,8 +273,8 @@ def _unstable_jet() -> Matrix:
         t_span=(0.0, 10.0),
         step=0.00625,
         caption="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices "
-        "of both signs. In the middle, the vorticity at the start and at the end. Energy moves to larger and to smaller "
-        "scales, and the spectrum of the matrix is constant.",
+        "of both signs. In the middle, the vorticity at the start and at the end. Energy moves to larger and to "
+        "smaller scales, and the spectrum of the matrix is constant.",
         pictures=(
             Picture("vorticity", at=0.0),
             Picture("vorticity", at=1.0),
