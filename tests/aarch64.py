@@ -69,9 +69,9 @@ def unpacked_python(folder: Path) -> Path:
             "Dir::Etc::sourcelist": apt / "sources.list",
             "Dir::Etc::sourceparts": "/dev/null",
         }
-        ask = ["apt-get", "-q", "-y", *(f"-o{name}={value}" for name, value in settings.items())]
-        called([*ask, "update"])
-        called([*ask, "--download-only", "install", "python3", "libstdc++6"])
+        call = ["apt-get", "-q", "-y", *(f"-o{name}={value}" for name, value in settings.items())]
+        called([*call, "update"])
+        called([*call, "--download-only", "install", "python3", "libstdc++6"])
         for package in sorted((apt / "cache/archives").glob("*.deb")):
             called(["dpkg-deb", "-x", str(package), str(root)])
     return root
@@ -98,8 +98,8 @@ def tree_of_kernels(folder: Path) -> Path:
         shutil.rmtree(tree / name, ignore_errors=True)
         ignored = shutil.ignore_patterns("__pycache__", "*.so", "*.dylib")
         shutil.copytree(ROOT / name, tree / name, ignore=ignored)
-    if said := Kernels(tree, [COMPILER], elsewhere=True).build():
-        sys.exit(said)
+    if message := Kernels(tree, [COMPILER], elsewhere=True).build():
+        sys.exit(message)
     return tree
 
 
@@ -107,8 +107,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="what is downloaded and built goes here")
     folder = parser.parse_args().folder.absolute()
-    if said := missing():
-        print(f"aarch64 skipped: {said}")
+    if message := missing():
+        print(f"aarch64 skipped: {message}")
         return 0
     folder.mkdir(parents=True, exist_ok=True)
     root = unpacked_python(folder)

@@ -65,8 +65,8 @@ def exact(name, way, moved):
         def slope(t, x, system=system, extra=extra):
             return system.vector_field(x) + system.sign * system.algebra.structure_matrix(x) @ extra
 
-        given = {"method": "DOP853", "rtol": 1e-2 * ACCURACY, "atol": 1e-3 * ACCURACY, "dense_output": True}
-        found.append(solve_ivp(slope, (0.0, way * LENGTH), x0, **given).sol)
+        arguments = {"method": "DOP853", "rtol": 1e-2 * ACCURACY, "atol": 1e-3 * ACCURACY, "dense_output": True}
+        found.append(solve_ivp(slope, (0.0, way * LENGTH), x0, **arguments).sol)
     return found
 
 
@@ -94,9 +94,9 @@ class Inline(distributed.Client):
     def scatter(self, ready, broadcast, hash):
         return ready
 
-    def submit(self, work, *given, key, pure):
-        self.threads.append(given[-1])
-        return Task(work(*given))
+    def submit(self, work, *args, key, pure):
+        self.threads.append(args[-1])
+        return Task(work(*args))
 
 
 @dataclass
@@ -106,7 +106,7 @@ class Case:
     name: str
     way: float
     folder: Any
-    given: dict[str, Any] = field(default_factory=dict)
+    arguments: dict[str, Any] = field(default_factory=dict)
     threads: list[int] = field(default_factory=list)
     processes: list[int] = field(default_factory=list)
     client: Inline = field(default_factory=Inline)

@@ -64,9 +64,9 @@ class Kernels:
             return _called([*self.compiler, *self.flags, "-c", str(path), "-o", str(self._object(path))])
 
         with ThreadPoolExecutor(os.cpu_count() if len(chosen) > 2 else 1) as pool:
-            for said in pool.map(compiled, sorted(chosen, key=lambda path: -path.stat().st_size)):
-                if said:
-                    return said
+            for message in pool.map(compiled, sorted(chosen, key=lambda path: -path.stat().st_size)):
+                if message:
+                    return message
         return self._link(chosen)
 
     def _link(self, first: Sequence[Path] = ()) -> str:
@@ -75,12 +75,12 @@ class Kernels:
         objects = [str(self._object(path)) for path in order]
         return _called([*self.compiler, *self.linking, "-shared", "-pthread", *objects, "-o", self.library])
 
-    def restore(self, only: tuple[str, ...], kept: dict[str, bytes]) -> None:
+    def restore(self, only: tuple[str, ...], stored: dict[str, bytes]) -> None:
         """Put back the objects that a defect replaced, and the library as it was."""
         for name in only:
-            self._object(Path(name)).write_bytes(kept[name])
-        if said := self._link():
-            raise RuntimeError(f"the kernels cannot be linked again: {said}")
+            self._object(Path(name)).write_bytes(stored[name])
+        if message := self._link():
+            raise RuntimeError(f"the kernels cannot be linked again: {message}")
 
     def keep(self, only: tuple[str, ...]) -> dict[str, bytes]:
         """Return the objects of some sources, to put them back."""

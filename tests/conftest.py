@@ -1,5 +1,6 @@
 """Settings of all tests."""
 
+import os
 import signal
 
 import pytest
@@ -8,12 +9,18 @@ from long import thin
 
 
 def pytest_configure():
-    """Processes in the background of a shell ignore interrupts, and so would those that tests start and interrupt."""
+    """Let tests interrupt processes, also if they run in the background of a shell, which ignores interrupts."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Before cases are chosen by their marks."""
+    """Mark thinned cases before pytest selects by marks."""
     thin(items)
+
+
+@pytest.fixture
+def no_fsync(monkeypatch):
+    """Do not wait for the disk."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)

@@ -61,8 +61,8 @@ def main() -> int:
             shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
         for name in ("pyproject.toml", "README.md"):
             shutil.copy(ROOT / name, tree)
-        if said := Kernels(tree, level=LEVEL, tuning=[*OPTIONS[kind], *QUICK]).build():
-            print(said)
+        if message := Kernels(tree, level=LEVEL, tuning=[*OPTIONS[kind], *QUICK]).build():
+            print(message)
             return 1
         print(f"built for {kind}", flush=True)
         preloaded = " ".join(library_of_compiler(name) for name in PRELOADED[kind])

@@ -38,10 +38,10 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "said"),
+    ("text", "line", "message"),
     [
         (BODY, 'file = "a.csv"', "output.file: a.csv: the suffix sets the format; it must be .nc or .zarr"),
-        (BODY, 'file = "none/a.nc"', "output.file: none/a.nc: the folder none does not exist; make it first"),
+        (BODY, 'file = "none/a.nc"', "output.file: none/a.nc: the folder none does not exist; create it first"),
         (BODY, 'figure = "a.gif"', "output.figure: a.gif: the suffix sets the format"),
         (BODY, 'figure = "none/a.png"', "output.figure: none/a.png: the folder none does not exist"),
         (BODY, 'archive = "held.zarr"', "output.archive: held.zarr: exists"),
@@ -51,27 +51,27 @@ def folder(tmp_path, monkeypatch):
         (FLUID, 'movie = "none/a.gif"', "output.movie: none/a.gif: the folder none does not exist"),
     ],
 )
-def test_check_refuses_what_run_refuses(folder, capsys, monkeypatch, text, line, said):
-    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
+def test_check_refuses_what_run_refuses(folder, capsys, monkeypatch, text, line, message):
+    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *args, **kwargs: pytest.fail("it ran"))
     (folder / "held.zarr").mkdir()
     (folder / "run.toml").write_text(f"{text}[output]\n{line}\n")
     for command in ("run", "check"):
         assert cli.main([command, "run.toml"]) == 2
         found = capsys.readouterr()
-        assert (found.out, found.err.count("\n")) == ("", 1) and found.err.startswith(f"run.toml: {said}"), found.err
+        assert (found.out, found.err.count("\n")) == ("", 1) and found.err.startswith(f"run.toml: {message}"), found.err
 
 
 def test_an_option_is_checked_before_the_run_and_goes_before_the_file(folder, capsys, monkeypatch):
     (folder / "held").mkdir()
     (folder / "run.toml").write_text(BODY + '[output]\nfile = "a.csv"\narchive = "none/a"\nfigure = "a.txt"\n')
-    given = ["run", "run.toml", "--out", "b.nc", "--figure", "b.svg", "--archive"]
+    arguments = ["run", "run.toml", "--out", "b.nc", "--figure", "b.svg", "--archive"]
     with monkeypatch.context() as patched:
-        patched.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
-        assert cli.main([*given, "held"]) == 2
+        patched.setattr("coadjoint.runs.run.Run.advance", lambda *arguments, **kwargs: pytest.fail("it ran"))
+        assert cli.main([*arguments, "held"]) == 2
     assert "held: exists" in capsys.readouterr().err
     monkeypatch.setattr(co.Solution, "plot", lambda run: None)
     monkeypatch.setattr(output, "write_figure", lambda figure, target: None)
-    assert cli.main([*given, "b.zarr"]) == 0
+    assert cli.main([*arguments, "b.zarr"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-3:] == ["written: b.zarr", "written: b.nc", "written: b.svg"]
 
@@ -94,11 +94,11 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
     assert cli.main(["run", "many.toml", "--archive", "a.zarr", "--quiet"]) == 0
     calls, own = [], resume
 
-    def spy(*given, **named):
-        bound = inspect.signature(own).bind(*given, **named)
+    def spy(*args, **kwargs):
+        bound = inspect.signature(own).bind(*args, **kwargs)
         bound.apply_defaults()
         calls.append(bound.arguments)
-        return own(given[0], *given[1:], **{**named, "workers": None})
+        return own(args[0], *args[1:], **{**kwargs, "workers": None})
 
     monkeypatch.setattr("coadjoint.files.archives.resume.resume", spy)
     assert cli.main(["resume", "a.zarr", *times, "--threads", "3", "--workers", "2", "--progress"]) == 0
@@ -117,7 +117,7 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["run", "run.toml", "--out", ""], ": the suffix sets the format; it must be .nc or .zarr"),
         (["run", "run.toml", "--archive", ""], "archive is ''; it must be the path of a folder"),
@@ -126,7 +126,7 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
         (["certify", "run.toml", "--json", ""], ": the suffix sets the format; it must be .json"),
         (["certify", "run.toml", "--plot", ""], ": the suffix sets the format; it must be .png, .pdf or .svg"),
         (["certify", "run.toml", "--steps", "0"], "steps must be a whole number from 1 to 10000000, not 0"),
-        (["resume", "held.zarr", "--t-end", "0"], "t_end is 0, and the run has reached t = 1 on its way to 1"),
+        (["resume", "held.zarr", "--t-end", "0"], "t_end is 0, but the run has reached t = 1 on its way to 1"),
         (["resume", "held.zarr", "--t-end", "2", "--threads", "0"], "must be a whole number from 1 up, not 0"),
         (["resume", "held.zarr", "--workers", "0"], "is the archive of one run; client and workers are for ensembles"),
         (["systems", "toda", "--json", ""], ": the suffix sets the format; it must be .json"),
@@ -136,16 +136,16 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
         (["gallery", "", "--out", "seen"], "unknown system ''"),
     ],
 )
-def test_an_option_that_is_zero_or_empty_is_given(folder, capsys, monkeypatch, arguments, said):
+def test_an_option_that_is_zero_or_empty_is_given(folder, capsys, monkeypatch, arguments, message):
     """It is refused, and neither the default nor what the file says takes its place."""
     text = BODY + '[output]\nfile = "a.nc"\nfigure = "a.png"\n'
     (folder / "run.toml").write_text(text)
     co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.5), (0, 1), 0.1, archive="held.zarr")
     if arguments[0] != "resume":  # which repeats the first step before
-        monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.fail("it ran"))
+        monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *args, **kwargs: pytest.fail("it ran"))
     assert cli.main(arguments) == 2
     found = capsys.readouterr()
-    assert found.out == "" and said in found.err and found.err.count("\n") == 1, found.err
+    assert found.out == "" and message in found.err and found.err.count("\n") == 1, found.err
     assert sorted(path.name for path in folder.iterdir()) == ["body.toml", "held.zarr", "run.toml"]
 
 
@@ -153,15 +153,15 @@ def test_an_option_that_is_zero_or_empty_is_given(folder, capsys, monkeypatch, a
 def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
     text = BODY.replace("[0.0, 1.0]", str(list(span))) + '[method]\nname = "Splitting"\norder = 4\n'
     (folder / "run.toml").write_text(text)
-    given = {}
+    arguments = {}
 
-    def spy(system, method, x0, step, **named):
-        given.update(named, system=system.name, method=method, x0=x0, step=step)
+    def spy(system, method, x0, step, **kwargs):
+        arguments.update(kwargs, system=system.name, method=method, x0=x0, step=step)
         return SimpleNamespace(passed=True, to_json=lambda: "{}", __str__=lambda self: "")
 
     monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", spy)
     assert cli.main(["certify", "run.toml", "--steps", "7"]) == 0
-    assert given == {
+    assert arguments == {
         "system": "rigid_body",
         "method": co.Splitting(order=4),
         "x0": [1.0, 0.1, 0.5],
@@ -171,7 +171,9 @@ def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
 
 
 def test_targets_of_certify_are_checked_first(folder, monkeypatch, capsys):
-    monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", lambda *given, **more: pytest.fail("it ran"))
+    monkeypatch.setattr(
+        "coadjoint.analysis.certificates.certify.certify", lambda *args, **kwargs: pytest.fail("it ran")
+    )
     for option, name in (
         ("--json", "none/a.json"),
         ("--plot", "none/a.png"),
@@ -194,17 +196,17 @@ def test_targets_of_certify_are_checked_first(folder, monkeypatch, capsys):
     ],
 )
 def test_results_that_cannot_be_written_are_one_line(folder, monkeypatch, capsys, writer, arguments, reason):
-    def fail(*given):
+    def fail(*args):
         raise reason
 
     monkeypatch.setattr(co.Solution, "plot", lambda run: None)
     found = SimpleNamespace(passed=True, to_json=lambda: "{}", plot=lambda: None)
-    monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", lambda *given, **more: found)
+    monkeypatch.setattr("coadjoint.analysis.certificates.certify.certify", lambda *args, **kwargs: found)
     (folder / "fluid.toml").write_text(FLUID)
     monkeypatch.setattr(*((co.Solution, "movie") if writer == "movie" else (output, writer)), fail)
     assert cli.main(arguments) == 1
-    said = {OSError: "No space left on device", MemoryError: "it does not fit into memory"}.get(type(reason), "full")
-    line = f"{arguments[1]}: {arguments[-1]} could not be written ({said}); nothing was replaced\n"
+    message = {OSError: "No space left on device", MemoryError: "it does not fit into memory"}.get(type(reason), "full")
+    line = f"{arguments[1]}: {arguments[-1]} could not be written ({message}); nothing was replaced\n"
     assert capsys.readouterr().err == line
 
 
@@ -230,7 +232,7 @@ def test_selftest_counts_and_prints(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("error", "status", "said"),
+    ("error", "status", "message"),
     [
         (ValueError("a is\nwrong"), 2, "coadjoint: ValueError: a is wrong"),
         (TypeError("a"), 2, "coadjoint: TypeError: a"),
@@ -246,18 +248,18 @@ def test_selftest_counts_and_prints(monkeypatch, capsys):
         (output.OutputError("a.nc: is a folder"), 2, "a.nc: is a folder"),
     ],
 )
-def test_errors_have_their_status(monkeypatch, error, status, said):
-    def fail(*given):
+def test_errors_have_their_status(monkeypatch, error, status, message):
+    def fail(*args):
         raise error
 
     monkeypatch.setattr(commands, "_describe", fail)
-    assert commands.perform(["methods"]) == (status, said)
+    assert commands.perform(["methods"]) == (status, message)
 
 
 def test_warnings_follow_only_a_success(monkeypatch):
     import warnings
 
-    def warned(*given):
+    def warned(*args):
         for text in ("b", "a", "b"):
             warnings.warn(text, UserWarning, stacklevel=1)
         if failing:
@@ -282,21 +284,21 @@ def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
         def flush(self):
             raise OSError("closed")
 
-    monkeypatch.setattr(commands, "_describe", lambda *given: warn_if_long("a run", 60.0))
+    monkeypatch.setattr(commands, "_describe", lambda *args: warn_if_long("a run", 60.0))
     for stream in (Closed(), None):
         monkeypatch.setattr("sys.stderr", stream)
         assert commands.perform(["methods"]) == (0, "")
 
 
 def test_interrupts_and_missing_packages_have_their_status(monkeypatch, capsys):
-    for error, status, said in (
+    for error, status, message in (
         (KeyboardInterrupt(), 130, "coadjoint: interrupted\n"),
         (ImportError("a is missing"), 2, "coadjoint: a is missing\n"),
     ):
         with monkeypatch.context() as patched:
             patched.setattr(commands, "perform", lambda arguments, error=error: (_ for _ in ()).throw(error))
             assert cli.main(["methods"]) == status
-        assert capsys.readouterr() == ("", said)
+        assert capsys.readouterr() == ("", message)
 
 
 def test_the_summary_of_what_is_shown(folder, capsys):

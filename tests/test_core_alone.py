@@ -109,7 +109,7 @@ def test_exact_algebra():
 
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize(
-    ("code", "said"),
+    ("code", "message"),
     [
         (
             "H = co.Hamiltonian(lambda x: x[0] ** 4, lambda x: np.array([4 * x[0] ** 3, 0.0, 0.0]))\n"
@@ -187,7 +187,7 @@ def test_exact_algebra():
     ],
     ids=lambda value: value.partition(" needs")[0] if "needs" in value else "",
 )  # fmt: skip
-def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code, said):
+def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code, message):
     """And nothing has run, nor been written."""
     watched = (
         "from coadjoint.runs.run import Run\n"
@@ -201,8 +201,8 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code,
     lines = printed(watched, folder=tmp_path)
     if code.startswith("H = co.Hamiltonian"):
         assert lines.pop(0) == "True (3,)"
-    assert lines[0] == said
-    assert EXTRAS[lines[1]] in said
+    assert lines[0] == message
+    assert EXTRAS[lines[1]] in message
     # A solution must be there before it can be drawn.
     assert lines[2] == ("1" if code.endswith((".plot()", ".to_xarray()")) else "0")
     assert [path.name for path in tmp_path.iterdir()] == ["body.toml"]

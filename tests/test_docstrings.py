@@ -25,8 +25,8 @@ def test_every_public_name_has_a_docstring(name):
         if not inspect.isclass(item):
             continue
         for member, value in vars(item).items():
-            said = isinstance(value, property | classmethod | staticmethod) or inspect.isfunction(value)
-            if said and not member.startswith("_"):
+            message = isinstance(value, property | classmethod | staticmethod) or inspect.isfunction(value)
+            if message and not member.startswith("_"):
                 assert inspect.getdoc(getattr(item, member)), f"{name}.{label}.{member}"
 
 

@@ -64,7 +64,7 @@ def test_refused_by_name_outside(name, parameter):
 
 
 def parameters(function):
-    return {key for key, given in inspect.signature(function).parameters.items() if given.kind is not given.VAR_KEYWORD}
+    return {key for key, arguments in inspect.signature(function).parameters.items() if arguments.kind is not arguments.VAR_KEYWORD}
 
 
 def constructors(owner):

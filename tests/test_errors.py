@@ -85,7 +85,7 @@ def test_unknown_names_list_few_and_suggest_one_of_many():
 
 def test_missing_attributes_of_modules():
     few, many = ["heavy_top", "toda"], [f"name{k:03}" for k in range(MAX_LISTED_NAMES + 1)]
-    for module, name, known, said in (
+    for module, name, known, message in (
         ("co.systems", "zzz", few, "co.systems has no attribute 'zzz'. It has: heavy_top, toda"),
         ("co.systems", "__path__", few, "co.systems has no attribute '__path__'"),
         ("co.systems", "Splitting", few, "co.systems has no attribute 'Splitting'; it is co.Splitting"),
@@ -98,7 +98,7 @@ def test_missing_attributes_of_modules():
         ),
     ):
         error = unknown_attribute(module, name, known)
-        assert type(error) is AttributeError and str(error) == said
+        assert type(error) is AttributeError and str(error) == message
 
 
 @pytest.mark.parametrize("limit", [20, 21, 60, 400, 401])
@@ -169,7 +169,7 @@ def test_too_many_arguments_by_place():
     run(1, 2, threads=3)
     any_number(1, 2, 3)
     assert calls == [(1, 2, 3), (1, 2, 3)]
-    for call, said in (
+    for call, message in (
         (lambda: run(1, 2, 3), "run was given 3 arguments, and takes x0, step, threads, those after step by name"),
         (lambda: one(1, 2), "one was given 2 arguments, and takes inertia, name, those after inertia by name"),
         (lambda: run(1, thread=3), "run has no thread; did you mean threads=?"),
@@ -177,5 +177,5 @@ def test_too_many_arguments_by_place():
     ):
         with pytest.raises(TypeError) as refused:
             call()
-        assert said is None or str(refused.value) == said
+        assert message is None or str(refused.value) == message
     assert len(calls) == 2 and run.__name__ == "run"

@@ -27,7 +27,7 @@ run = {t_span = [0, 1], step = 0.1}
 
 
 @pytest.mark.parametrize(
-    ("arguments", "missing", "said"),
+    ("arguments", "missing", "message"),
     [
         (
             ["run", "body.toml"],
@@ -41,17 +41,17 @@ run = {t_span = [0, 1], step = 0.1}
     ],
     ids=["configuration", "progress", "NetCDF", "figure", "reproduce"],
 )
-def test_each_thing_that_the_command_lacks(tmp_path, monkeypatch, capsys, arguments, missing, said):
+def test_each_thing_that_the_command_lacks(tmp_path, monkeypatch, capsys, arguments, missing, message):
     """One line, before the run, and nothing is left behind."""
     (tmp_path / "body.toml").write_text(BODY)
     monkeypatch.chdir(tmp_path)
     find = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == missing else find(name, *more))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *args: None if name == missing else find(name, *args))
     monkeypatch.setattr("coadjoint.runs.run.Run.advance", None)
     assert cli.main(arguments) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert re.fullmatch(f"coadjoint: {said}\n", printed.err)
+    assert re.fullmatch(f"coadjoint: {message}\n", printed.err)
     assert [path.name for path in tmp_path.iterdir()] == ["body.toml"]
 
 
@@ -76,7 +76,7 @@ def test_the_error_is_an_import_error_and_survives_a_copy(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("missing", "said"),
+    ("missing", "message"),
     [
         (["zarr"], 'a needs the package zarr, which is not installed; install it with: pip install "coadjoint[io]"'),
         (
@@ -91,12 +91,12 @@ def test_the_error_is_an_import_error_and_survives_a_copy(monkeypatch):
         ),
     ],
 )
-def test_all_missing_packages_are_told_with_each_extra_once(monkeypatch, missing, said):
+def test_all_missing_packages_are_told_with_each_extra_once(monkeypatch, missing, message):
     find = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name in missing else find(name))
     with pytest.raises(MissingPackageError) as caught:
         need("a", missing[0], "numpy", *missing[1:])
-    assert str(caught.value) == said and caught.value.name == missing[0]
+    assert str(caught.value) == message and caught.value.name == missing[0]
 
 
 @pytest.mark.parametrize(("value", "refused"), [("1", True), ("yes", True), ("0", False), ("", False)])

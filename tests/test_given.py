@@ -26,8 +26,8 @@ from coadjoint.validation import (
     read_positive,
     read_title,
     size_of_range,
-    title,
     to_array,
+    truncate_title,
 )
 
 BODY = co.systems.rigid_body()
@@ -254,9 +254,9 @@ def test_bounds():
 
 
 def test_an_array_is_not_copied_before_it_must_be():
-    given = np.ones(3)
-    assert to_array(given, "x") is given
-    assert not np.shares_memory(read_numbers(given, "x"), given)
+    arguments = np.ones(3)
+    assert to_array(arguments, "x") is arguments
+    assert not np.shares_memory(read_numbers(arguments, "x"), arguments)
 
 
 def test_polynomials_have_bounded_degrees():
@@ -445,8 +445,8 @@ def test_what_is_returned_is_of_plain_types():
 def test_titles_and_lists():
     assert read_title("x" * 200, "name") == "x" * 200
     for size in (199, 200, 201, 1000):
-        assert len(title("x" * size)) == min(size, 200)
-        assert read_title(title("x" * size), "name").startswith("x" * min(size, 197))
+        assert len(truncate_title("x" * size)) == min(size, 200)
+        assert read_title(truncate_title("x" * size), "name").startswith("x" * min(size, 197))
     for name in ("a\tb", "a\u2028b", "a\0"):
         with pytest.raises(ValueError, match="one line of at most 200 characters"):
             read_title(name, "name")
@@ -460,15 +460,15 @@ def test_titles_and_lists():
 
 def test_parameters_are_known_and_complete():
     check_parameters("F", ["b", "a"], ["a", "b", "c"], ["a"])
-    for given, known, required, said in (
+    for arguments, known, required, message in (
         (["d"], ["delta"], [], "unknown parameter of F 'd'"),
         (["a"], [], [], "unknown parameter of F 'a'; there are: (none)"),
         (["b"], ["a", "b", "c"], ["b", "c", "a"], "F needs the parameter 'c'"),
         ([], ["a"], ["a"], "F needs the parameter 'a'"),
     ):
         with pytest.raises(ValueError) as refused:
-            check_parameters("F", iter(given), iter(known), required)
-        assert str(refused.value).startswith(said)
+            check_parameters("F", iter(arguments), iter(known), required)
+        assert str(refused.value).startswith(message)
 
 
 def test_what_is_in_lists_is_looked_at_to_the_depth_of_arrays():

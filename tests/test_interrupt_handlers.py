@@ -36,9 +36,9 @@ def child(code):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "hung up")]
+    ("name", "message"), [("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "hung up")]
 )
-def test_an_interrupt_that_python_drops_ends_the_process(name, said):
+def test_an_interrupt_that_python_drops_ends_the_process(name, message):
     """Where the steps of a run end: whatever else is raised or returned there, the run is not continued."""
     status = 128 + getattr(signal, name)
     for inside in ("pass", "raise ValueError"):
@@ -49,7 +49,7 @@ with raise_on_interrupt():
     {inside}
 print("not reached")
 """
-        assert child(code) == (status, "dropped Interrupted\ncontinued\n", f"coadjoint: {said}\n")
+        assert child(code) == (status, "dropped Interrupted\ncontinued\n", f"coadjoint: {message}\n")
 
 
 def test_the_first_interrupt_raises_and_the_second_ends_the_process():
@@ -59,7 +59,7 @@ for number in (signal.SIGTERM, signal.SIGINT):  # a second context raises as wel
         with raise_on_interrupt():
             signal.raise_signal(number)
     except Interrupted as told:
-        print(told.number == number, told.said, told.partial)
+        print(told.number == number, told.description, told.partial)
 with raise_on_interrupt():
     print("begun")
     try:
@@ -68,8 +68,8 @@ with raise_on_interrupt():
         signal.raise_signal(signal.SIGHUP)
     print("not reached")
 """
-    said = "True terminated None\nTrue interrupted None\nbegun\n"
-    assert child(code) == (128 + signal.SIGHUP, said, "coadjoint: hung up\n")
+    message = "True terminated None\nTrue interrupted None\nbegun\n"
+    assert child(code) == (128 + signal.SIGHUP, message, "coadjoint: hung up\n")
 
 
 def test_behind_a_context_an_interrupt_ends_the_process():
@@ -107,8 +107,8 @@ others = {{signal.SIGINT, signal.SIGTERM, signal.SIGHUP}} - {{signal.{name}}}
 signal.raise_signal(min(others))
 """
     first = min({signal.SIGINT, signal.SIGTERM, signal.SIGHUP} - {getattr(signal, name)})
-    said = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}[first]
-    assert child(code) == (128 + first, "alive\n", f"coadjoint: {said}\n")
+    message = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}[first]
+    assert child(code) == (128 + first, "alive\n", f"coadjoint: {message}\n")
 
 
 @pytest.fixture

@@ -73,8 +73,8 @@ def check_stopped(done, name, what):
     if name in SAID:
         line = f"coadjoint: {SAID[name]}\n"
         if there:
-            line = f"{what}: {SAID[name]}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr goes "
-            line += "on with it\n"
+            line = f"{what}: {SAID[name]}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr "
+            line += "continues it\n"
     status = -number if name == "SIGKILL" else 128 + number
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
     return reached
@@ -132,10 +132,15 @@ os.replace = full
 def test_a_full_disk(folder):
     """One line, status 1 while the run goes on and 2 before its first step."""
     end = "could not be written (No space left on device); it holds the run up to step"
-    for write, arguments, status, said in (
-        (4, ["run", "top.toml", "--archive", "run.zarr"], 2, "cannot be made (No space left on device); give another"),
+    for write, arguments, status, message in (
+        (
+            4,
+            ["run", "top.toml", "--archive", "run.zarr"],
+            2,
+            "cannot be created (No space left on device); give another",
+        ),
         (60, ["run", "top.toml", "--archive", "run.zarr"], 1, end),
-        (4, ["resume", "run.zarr"], 2, "cannot be written (No space left on device); what it holds stays"),
+        (4, ["resume", "run.zarr"], 2, "cannot be written (No space left on device); its content is unchanged"),
         (25, ["resume", "run.zarr"], 1, end),
     ):
         code = FULL.format(write=write) + AT_WRITE.format(arguments=arguments, write=NONE, name="SIGKILL")
@@ -143,7 +148,7 @@ def test_a_full_disk(folder):
             [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120
         )
         assert (done.returncode, done.stdout) == (status, ""), done.stderr
-        assert said in done.stderr and done.stderr.count("\n") == 1
+        assert message in done.stderr and done.stderr.count("\n") == 1
         assert write != 4 or arguments[0] == "resume" or os.listdir(folder) == ["top.toml"]
 
 
@@ -172,10 +177,10 @@ def test_an_ensemble_with_workers(folder):
         assert time.monotonic() < end, "nothing happens"
         time.sleep(0.02)
     command.send_signal(signal.SIGTERM)
-    said = command.communicate(timeout=300)[1]
-    line = r"many.toml: terminated; run.zarr holds \d+ of 12 members: coadjoint resume run.zarr goes on with it"
+    message = command.communicate(timeout=300)[1]
+    line = r"many.toml: terminated; run.zarr holds \d+ of 12 members: coadjoint resume run.zarr continues it"
     # Python may speak of the semaphore of a worker that was killed.
-    assert command.returncode == 143 and re.fullmatch(line, said.splitlines()[0]), said
+    assert command.returncode == 143 and re.fullmatch(line, message.splitlines()[0]), message
     assert not co.open_archive("run.zarr").finished
     assert cli.main(["resume", "run.zarr", "--quiet"]) == 0
     Path("alone.toml").write_text(MANY.format(states=states).replace("workers = 1", ""))

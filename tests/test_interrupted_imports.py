@@ -125,7 +125,7 @@ def test_an_interrupt_at_any_statement_of_an_import_leaves_complete_modules(tmp_
 @pytest.mark.long
 def test_a_call_works_after_an_interrupt_of_its_imports():
     found = printed(REAL)
-    assert all(said is not None and said[1:] == [True, True] for said in found), found
+    assert all(message is not None and message[1:] == [True, True] for message in found), found
 
 
 OTHER_HANDLERS = """
@@ -162,7 +162,7 @@ print(json.dumps([during, heard, kept, failed]))
 
 
 def test_handlers_are_called_once_when_the_import_is_over(tmp_path):
-    during, heard, kept, failed = printed(OTHER_HANDLERS, cwd=tmp_path)
-    assert during == [] and kept
+    during, heard, stored, failed = printed(OTHER_HANDLERS, cwd=tmp_path)
+    assert during == [] and stored
     assert len(heard) == 2 and all(with_frame for _, with_frame in heard)
     assert failed == ["KeyboardInterrupt", "ModuleNotFoundError", "ModuleNotFoundError"]

@@ -83,16 +83,16 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.sensitive
 @pytest.mark.parametrize(
-    ("name", "status", "said"),
+    ("name", "status", "message"),
     long_beyond(2, [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]),
 )
-def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, said):
+def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, message):
     done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))
-    line = f"long.toml: {said}; the solution so far is in run.nc, marked as incomplete\n"
+    line = f"long.toml: {message}; the solution so far is in run.nc, marked as incomplete\n"
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
     assert sorted(os.listdir(folder)) == ["long.toml", "run.nc"]
     with xarray.open_dataset("run.nc", engine="h5netcdf") as found:
-        assert found.attrs["run_incomplete"] == 1 and found.attrs["incomplete_reason"] == said
+        assert found.attrs["run_incomplete"] == 1 and found.attrs["incomplete_reason"] == message
         assert found.attrs["incomplete_time"] == found["time"][-1] and len(found["time"]) >= 1
         assert np.isfinite(found["x"]).all() and np.array_equal(found["x"][0], [1.0, 0.1, 0.5])
         body = co.systems.rigid_body()
@@ -102,22 +102,24 @@ def test_without_an_archive_the_command_writes_what_there_is(folder, name, statu
 
 
 @pytest.mark.sensitive
-@pytest.mark.parametrize(("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")])
-def test_an_archive_goes_on(folder, capsys, name, status, said):
+@pytest.mark.parametrize(
+    ("name", "status", "message"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
+)
+def test_an_archive_goes_on(folder, capsys, name, status, message):
     (folder / "long.toml").write_text(LONG.replace("1000000000.0", "1000000.0").replace("1000000\n", "1000\n"))
     done = child(SIGNAL_AT_HALF.format(name=name, arguments=["run", "long.toml", "--archive", "run.zarr"]))
     reached = co.open_archive("run.zarr").reached
     line = (
-        f"long.toml: {said}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr goes on with it\n"
+        f"long.toml: {message}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr continues it\n"
     )
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
     assert sorted(os.listdir(folder)) == ["long.toml", "run.zarr"] and 0 < reached < 10**7
     assert cli.main(["resume", "run.zarr"]) == 0
     assert capsys.readouterr().out.endswith("written: run.zarr\n")
-    whole = co.integrate(co.systems.rigid_body(), [1.0, 0.1, 0.5], (0.0, 1e6), 0.1, save_every=1000)
+    expected = co.integrate(co.systems.rigid_body(), [1.0, 0.1, 0.5], (0.0, 1e6), 0.1, save_every=1000)
     found = co.open_archive("run.zarr")
-    assert found.finished and np.array_equal(found.x, whole.x) and found.attributes["configuration"]
-    assert np.array_equal(found.drift()["energy"].tenths, whole.drift()["energy"].tenths)
+    assert found.finished and np.array_equal(found.x, expected.x) and found.attributes["configuration"]
+    assert np.array_equal(found.drift()["energy"].tenths, expected.drift()["energy"].tenths)
 
 
 @pytest.mark.long
@@ -152,30 +154,30 @@ BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
 @pytest.mark.parametrize("options", [{}, {"attitude": True}, {"watch": False, "save_every": 7}, {"threads": 2}])
 def test_a_keyboard_interrupt_brings_what_there_is(monkeypatch, options):
     x0 = np.multiply.outer(1.0 - 0.01 * np.arange(70), X) if "threads" in options else X
-    whole = co.integrate(BODY, x0, (0, 10), 0.125, **options)
+    expected = co.integrate(BODY, x0, (0, 10), 0.125, **options)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
         interrupted_after(1, patched)
         co.integrate(BODY, x0, (0, 10), 0.125, **options)
     found = stopped.value.partial
     assert stopped.value.__notes__ == [
-        "The error has what was computed as its attribute partial; archive= keeps it on disk"
+        "The solution so far is the attribute partial of the error; archive= stores it on disk"
     ]
     count = len(found.t)
     there = np.isfinite(found.x)
     # Of two crews the first one is done.
-    assert 1 < count < len(whole.t) or not there.all()
-    assert np.array_equal(found.t, whole.t[:count])
+    assert 1 < count < len(expected.t) or not there.all()
+    assert np.array_equal(found.t, expected.t[:count])
     assert there.any(axis=-1).reshape(count, -1).any(axis=1).all()
-    assert np.array_equal(found.x[there], whole.x[:count][there])
-    assert np.array_equal(found.energy[np.isfinite(found.energy)], whole.energy[:count][np.isfinite(found.energy)])
-    deviation = np.nanmax(np.abs(found.energy - whole.energy[0]))
+    assert np.array_equal(found.x[there], expected.x[:count][there])
+    assert np.array_equal(found.energy[np.isfinite(found.energy)], expected.energy[:count][np.isfinite(found.energy)])
+    deviation = np.nanmax(np.abs(found.energy - expected.energy[0]))
     assert found.drift()["energy"] == deviation and not found.watched
     if options.get("attitude"):
-        assert np.array_equal(found.attitude, whole.attitude[:count])
+        assert np.array_equal(found.attitude, expected.attitude[:count])
 
 
 def test_a_run_that_had_not_begun_has_nothing(monkeypatch):
-    def stop(*given):
+    def stop(*args):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("coadjoint.kernels.loop.MemberBatch.advance", stop)
@@ -185,14 +187,16 @@ def test_a_run_that_had_not_begun_has_nothing(monkeypatch):
 
 
 def test_a_keyboard_interrupt_leaves_an_archive_that_goes_on(tmp_path, monkeypatch):
-    whole = co.integrate(BODY, X, (0, 100), 0.125)
+    expected = co.integrate(BODY, X, (0, 100), 0.125)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
         interrupted_after(5, patched)
         co.integrate(BODY, X, (0, 100), 0.125, archive=tmp_path / "run.zarr")
     partial, path = stopped.value.partial, tmp_path / "run.zarr"
-    assert stopped.value.__notes__ == [f"{path} has what was computed; co.resume({str(path)!r}) goes on with it"]
-    assert 0 < partial.reached < 800 and np.array_equal(partial.x, whole.x[: partial.reached + 1])
-    assert np.array_equal(co.resume(tmp_path / "run.zarr").x, whole.x)
+    assert stopped.value.__notes__ == [
+        f"{path} contains the computed steps; co.resume({str(path)!r}) continues the run"
+    ]
+    assert 0 < partial.reached < 800 and np.array_equal(partial.x, expected.x[: partial.reached + 1])
+    assert np.array_equal(co.resume(tmp_path / "run.zarr").x, expected.x)
 
 
 def test_the_signal_of_a_context_is_told_once():
@@ -201,9 +205,9 @@ def test_the_signal_of_a_context_is_told_once():
     before = signal.getsignal(signal.SIGTERM)
     try:
         interruption.install_handlers()
-        with pytest.raises(interruption.Interrupted) as told, interruption.raise_on_interrupt():
+        with pytest.raises(interruption.Interrupted) as reported, interruption.raise_on_interrupt():
             signal.raise_signal(signal.SIGTERM)
-        assert told.value.number == signal.SIGTERM and told.value.said == "terminated"
+        assert reported.value.number == signal.SIGTERM and reported.value.description == "terminated"
     finally:
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)

@@ -72,12 +72,12 @@ def is_old(target):
 @pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 @pytest.mark.parametrize(
-    ("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")], ids=["int", "term"]
+    ("name", "status", "message"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")], ids=["int", "term"]
 )
-def test_stopped_while_a_result_is_written(folder, target, name, status, said):
+def test_stopped_while_a_result_is_written(folder, target, name, status, message):
     old_result(target)
     done = child(AT_PIECE.format(piece=3, act=KILL.format(name=name)) + RUN.format(target=target))
-    assert (done.returncode, done.stdout, done.stderr) == (status, "", f"coadjoint: {said}\n")
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", f"coadjoint: {message}\n")
     assert sorted(os.listdir(folder)) == ["body.toml", target]
     assert is_old(target)
 

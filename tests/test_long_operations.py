@@ -15,7 +15,7 @@ import pytest
 import coadjoint as co
 from coadjoint import long_operations
 from coadjoint.algebra.invariants import casimirs
-from coadjoint.long_operations import LongWait, at, warn_if_long
+from coadjoint.long_operations import LongWait, note_progress, warn_if_long
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
 
@@ -48,7 +48,7 @@ def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
         with long_operations.long_operation("certify"):
             for now in (2.0, long_operations.WARNING_SECONDS, 6.0, 60.0):
                 clock[0] = now
-                at("the long run", now / 24.0)
+                note_progress("the long run", now / 24.0)
 
     assert said(work) == [
         "certify has taken 6 s so far, and about 18 s are left; now it computes the long run; Ctrl-C ends it"
@@ -62,7 +62,7 @@ def test_the_outer_of_two_speaks_for_both(clock):
             for _ in range(2):
                 with long_operations.long_operation("choose"):
                     clock[0] += 4.0
-                    at("a pilot run")
+                    note_progress("a pilot run")
 
     assert said(work) == ["certify has taken 8 s so far; now it computes a pilot run; Ctrl-C ends it"]
 
@@ -76,7 +76,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
         if depth:
             work(depth - 1)
             clock[0] += 6.0
-            at("a pilot run")
+            note_progress("a pilot run")
 
     for _ in range(2):
         assert [one.partition(" so far")[0] for one in said(lambda: work(1))] == ["choose has taken 6 s"]
@@ -100,7 +100,7 @@ def test_outside_of_any_work_nothing_is_said(clock):
         with long_operations.long_operation("certify"):
             pass
         clock[0] = 100.0
-        at("nothing")
+        note_progress("nothing")
 
     assert said(work) == []
 
@@ -110,7 +110,7 @@ def test_work_that_fails_is_over(clock):
         with pytest.raises(ValueError, match="wrong"), long_operations.long_operation("certify"):
             raise ValueError("wrong")
         clock[0] = 100.0
-        at("nothing")
+        note_progress("nothing")
 
     assert said(work) == []
 
@@ -121,7 +121,7 @@ def test_the_line_of_the_caller_is_named(clock, monkeypatch):
         warn_if_long("to make it ready", 42.0)
         clock[0] = 0.0
         with monkeypatch.context() as patch:
-            patch.setattr(casimirs, "generic_rank", lambda *given: (clock.append(clock.pop() + 9.0), 0)[1])
+            patch.setattr(casimirs, "generic_rank", lambda *args: (clock.append(clock.pop() + 9.0), 0)[1])
             co.algebras.su(2).casimirs(3)
     assert [one.filename for one in found] == [__file__, __file__]
 
@@ -137,7 +137,7 @@ def test_the_command_tells_it_at_once():
             "    long_operations.warn_if_long('to make it ready', 42.0)",
             "    print('ready', file=sys.stderr)",
             "    return 0, ''",
-            "commands._performed = performed",
+            "commands._invoke = performed",
             "from coadjoint.cli import main",
             "sys.exit(main(['run', 'x.toml']))",
         ]
@@ -155,9 +155,9 @@ def slow(clock, monkeypatch, module, name):
     """Let every call of a function take nine seconds."""
     plain = getattr(module, name)
 
-    def called(*given, **named):
+    def called(*args, **kwargs):
         clock[0] += 9.0
-        return plain(*given, **named)
+        return plain(*args, **kwargs)
 
     monkeypatch.setattr(module, name, called)
 
@@ -172,12 +172,13 @@ def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
     """Once, by their own name, whatever they call."""
     from coadjoint.analysis.checks import subject
     from coadjoint.choosing import pilot
-    from coadjoint.methods.formal import power_series
+    from coadjoint.methods.numerics import taylor_series
     from coadjoint.program.parts import decompose
     from coadjoint.runs import tangent_stretching as stretching
 
-    module = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": power_series}.get(name, decompose)
-    slow(clock, monkeypatch, module, "at")
+    modules = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": taylor_series}
+    module = modules.get(name, decompose)
+    slow(clock, monkeypatch, module, "note_progress")
     system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 2.0, 3.0, 4.0, 5.0, 7.0]))
     x0 = [0.3, 1.0, 0.2, 0.1, -0.4, 0.5]
     calls = {
@@ -201,7 +202,7 @@ def test_the_time_that_is_left_follows_from_the_part(clock, part):
         with long_operations.long_operation("certify"):
             for now in (0.0, long_operations.WARNING_SECONDS, 8.0):
                 clock[0] = now
-                at("the long run", part)
+                note_progress("the long run", part)
 
     left = {0.25: ", and about 24 s are left", 1.0: ", and about 0 s are left"}.get(part, "")
     assert said(work) == [f"certify has taken 8 s so far{left}; now it computes the long run; Ctrl-C ends it"]
@@ -215,8 +216,8 @@ def test_the_caller_is_named_through_decorators_of_the_library_alone():
         yield
 
     @functools.wraps(warn_if_long)
-    def wrapped(*given):
-        return warn_if_long(*given)
+    def wrapped(*args):
+        return warn_if_long(*args)
 
     @around()
     def decorated():

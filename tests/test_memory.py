@@ -201,7 +201,7 @@ def files(monkeypatch):
     """Contents of the files from which the system reports memory; others do not exist."""
     found = {}
 
-    def read(self, **more):
+    def read(self, **kwargs):
         if str(self) not in found:
             raise FileNotFoundError(str(self))
         return found[str(self)]

@@ -150,10 +150,10 @@ def test_temporary_folders_that_cannot_be_made(folders, monkeypatch, case):
         place.mkdir()
         mkdir = os.mkdir
 
-        def refused(path, *given, **more):
+        def refused(path, *args, **kwargs):
             if str(path).startswith(str(place)):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
-            mkdir(path, *given, **more)
+            mkdir(path, *args, **kwargs)
 
         monkeypatch.setattr(os, "mkdir", refused)
     before = sorted(folders[-1].rglob("*"))
@@ -183,7 +183,7 @@ def test_a_temporary_folder_that_cannot_be_removed(folders, monkeypatch):
     """A library in use, for instance: the result counts."""
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
 
-    def busy(*given, **more):
+    def busy(*args, **kwargs):
         raise OSError(errno.EBUSY, "Device or resource busy")
 
     with monkeypatch.context() as patched:

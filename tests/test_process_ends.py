@@ -100,13 +100,13 @@ threading.Thread(target=work).start()
         ("schema", "| true; exit ${PIPESTATUS[0]}", 141, ""),
     ],
 )
-def test_standard_streams_that_are_closed_or_full(arguments, streams, status, said):
+def test_standard_streams_that_are_closed_or_full(arguments, streams, status, message):
     if "/dev/full" in streams and not os.path.exists("/dev/full"):
         pytest.skip("this system has no /dev/full")
     command = f'"{sys.executable}" -m coadjoint {arguments} {streams}'
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, env=ENVIRONMENT, timeout=200)
     assert done.returncode == status
-    assert said in done.stderr and len(done.stderr.splitlines()) == bool(said)
+    assert message in done.stderr and len(done.stderr.splitlines()) == bool(message)
 
 
 def test_no_file_of_a_run_gets_the_number_of_a_closed_stream(tmp_path):

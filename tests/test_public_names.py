@@ -32,7 +32,7 @@ def test_everything_of_a_solution_is_listed_from_the_start():
 
 
 @pytest.mark.parametrize(
-    ("space", "name", "said"),
+    ("space", "name", "message"),
     [
         (
             "co.systems",
@@ -46,8 +46,8 @@ def test_everything_of_a_solution_is_listed_from_the_start():
         ("co", "integrat", r"did you mean 'integrate'\? dir\(coadjoint\) lists what it has"),
     ],
 )
-def test_a_name_that_is_not_there(space, name, said):
-    with pytest.raises(AttributeError, match=said):
+def test_a_name_that_is_not_there(space, name, message):
+    with pytest.raises(AttributeError, match=message):
         getattr({**SPACES, "co": co}[space], name)
     assert not hasattr(co.systems, "__wrapped__")
 
@@ -76,9 +76,9 @@ def test_a_type_checker_knows_every_name_and_no_other(tmp_path):
     file.write_text(USER, encoding="utf-8")
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file", "", str(file)]
     paths = {**os.environ, "MYPYPATH": str(ROOT / "src")}
-    said = subprocess.run(command, capture_output=True, text=True, env=paths, cwd=ROOT).stdout
+    message = subprocess.run(command, capture_output=True, text=True, env=paths, cwd=ROOT).stdout
     for line, kind in [(5, "LiePoissonSystem"), (6, "LiePoissonSystem"), (7, "LieAlgebra"), (8, "Torque")]:
-        assert any(f":{line}: note: Revealed" in row and f".{kind}" in row for row in said.splitlines()), said
-    assert ":10: note: Revealed type is" in said and "ndarray" in said
+        assert any(f":{line}: note: Revealed" in row and f".{kind}" in row for row in message.splitlines()), message
+    assert ":10: note: Revealed type is" in message and "ndarray" in message
     for line, name in [(11, "frisbee"), (12, "integrat"), (13, "so3"), (14, "Spliting")]:
-        assert f'user.py:{line}: error: Module has no attribute "{name}"' in said, said
+        assert f'user.py:{line}: error: Module has no attribute "{name}"' in message, message

@@ -12,12 +12,12 @@ RUN = co.integrate(BODY, X0, (0, 1), 0.1)
 SPAN = (0, 1)
 
 
-def run(*given, **named):
-    return co.integrate(BODY, *given, **named)
+def run(*args, **kwargs):
+    return co.integrate(BODY, *args, **kwargs)
 
 
-def full(**named):
-    return co.integrate(BODY, X0, SPAN, 0.1, **named)
+def full(**kwargs):
+    return co.integrate(BODY, X0, SPAN, 0.1, **kwargs)
 
 
 SYSTEM = co.LiePoissonSystem
@@ -36,12 +36,12 @@ MISTAKES = {
         lambda: full(rtol=1e-6),
         "integrate has no rtol: a step that is chosen by an estimate of the error would lose",
     ),
-    "tol": (lambda: full(tol=1e-6), "integrate has no tol; give accuracy=, the wanted error of the momentum"),
+    "tol": (lambda: full(tol=1e-6), "integrate has no tol; give accuracy=, the required error of the momentum"),
     "dense_output": (lambda: full(dense_output=True), "integrate has no dense_output; it needs none: sol.at(t) has"),
     "n_jobs": (lambda: full(n_jobs=4), "integrate has no n_jobs; give threads="),
     "solver": (lambda: full(solver="rk4"), "integrate has no solver; give method=, such as Splitting(order=4)"),
     "verbose": (lambda: full(verbose=1), "integrate has no verbose; give progress=True"),
-    "saveat": (lambda: full(saveat=[0.5]), "integrate has no saveat; give t_eval=, the times at which states are kept"),
+    "saveat": (lambda: full(saveat=[0.5]), "integrate has no saveat; give t_eval=, the times at which states are"),
     "workers": (lambda: full(workers=2), "integrate has no workers; give threads=, or processes to co.ensemble(..., "),
     "misspelt": (lambda: full(save_evry=2), "integrate has no save_evry; did you mean save_every=?"),
     "choose with tol": (lambda: co.choose(BODY, X0, SPAN, tol=1e-8), "choose has no tol; give accuracy="),
@@ -85,7 +85,7 @@ MISTAKES = {
     # schemes
     "an adaptive scheme": (
         lambda: full(method="RK45"),
-        "RK45 chooses each step by an estimate of the error, and loses",
+        "RK45 chooses each step by an estimate of the error, and so loses",
     ),
     "a scheme misspelt": (lambda: full(method="Spliting"), "unknown method 'Spliting'; did you mean 'Splitting'?"),
     "a class": (lambda: full(method=co.Splitting), "method is the class Splitting; give a scheme, such as Splitting()"),
@@ -99,7 +99,7 @@ MISTAKES = {
     ),
     "matrices for a vector": (
         lambda: full(method=co.IsospectralGauss()),
-        "IsospectralGauss moves matrices, but rigid_body is no MatrixSystem; take Splitting or GaussLegendre",
+        "IsospectralGauss integrates matrices, but rigid_body is no MatrixSystem; take Splitting or GaussLegendre",
     ),
     # times and steps
     "no step": (lambda: run(X0, SPAN), "integrate was given neither of step and accuracy; give step=, or accuracy="),
@@ -185,7 +185,7 @@ MISTAKES = {
     ),
     "a formula without signs of products": (
         lambda: co.Polynomial("0.5 x1^2", dim=3),
-        "'0.5 x1^2' cannot be read from 'x1^2' on; write sums of products such as 0.5*x1^2 - x2*x3 + 1/3",
+        "'0.5 x1^2' cannot be parsed from 'x1^2' on; write sums of products such as 0.5*x1^2 - x2*x3 + 1/3",
     ),
     "a wrong gradient": (
         lambda: SYSTEM(SO3, co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([x[0], 0, 0]))),
@@ -233,11 +233,11 @@ def test_there_are_as_many_as_are_promised():
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_the_message(name):
-    make, said = MISTAKES[name]
+    make, expected = MISTAKES[name]
     with pytest.raises((TypeError, ValueError, IndexError, AttributeError)) as caught:
         make()
     message = str(caught.value)
-    assert message.startswith(said), message
+    assert message.startswith(expected), message
     # In one line, short enough to be read, and no address of an object.
     assert "\n" not in message and " at 0x" not in message
     assert len(message) < 700
@@ -254,19 +254,19 @@ def test_names_and_lines_make_algebras():
         3, {("h", "e"): {"e": 2}, ("h", "f"): {"f": -2}, ("e", "f"): {"h": 1}}, basis=("h", "e", "f")
     )
     lines = co.LieAlgebra.from_brackets(["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"])
-    given = co.LieAlgebra.from_brackets(3, ["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"], basis=("e", "h", "f"))
+    arguments = co.LieAlgebra.from_brackets(3, ["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"], basis=("e", "h", "f"))
     assert names == lines and lines.basis == ("h", "e", "f")
-    assert given.basis == ("e", "h", "f") and given != lines
-    assert given.casimirs()["C2"].degree == lines.casimirs()["C2"].degree == 2
+    assert arguments.basis == ("e", "h", "f") and arguments != lines
+    assert arguments.casimirs()["C2"].degree == lines.casimirs()["C2"].degree == 2
 
 
 @pytest.mark.parametrize(
-    "given", ["Splitting", {"name": "Splitting", "order": 2}, {"name": "Splitting", "parameters": {"order": 2}}]
+    "arguments", ["Splitting", {"name": "Splitting", "order": 2}, {"name": "Splitting", "parameters": {"order": 2}}]
 )
-def test_a_scheme_by_its_name_or_as_a_mapping(given):
-    for sol in (full(method=given), co.prepare(BODY, given, 0.1).run(X0, SPAN)):
+def test_a_scheme_by_its_name_or_as_a_mapping(arguments):
+    for sol in (full(method=arguments), co.prepare(BODY, arguments, 0.1).run(X0, SPAN)):
         assert sol.method == co.Splitting() and (sol.x == RUN.x).all()
-    assert (co.stepper(BODY, given, 0.1)(X0) == RUN.x[1]).all()
+    assert (co.stepper(BODY, arguments, 0.1)(X0) == RUN.x[1]).all()
     assert full(method={"name": "Splitting", "order": 4}).method == co.Splitting(order=4)
     assert co.integrate(BODY, X0, SPAN, 0.1, "rk4").method == co.ExplicitRungeKutta("rk4")
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.short_repr import html_table, named_function, short, shown_fields
+from coadjoint.short_repr import dataclass_repr, function_name, html_table, short
 from guards import bounded_work
 
 
@@ -109,13 +109,13 @@ def test_no_more_is_shown_than_the_limit_and_no_less(limit):
     """Strings, lists and integers around the limit: all of what fits, and else its beginning up to the limit."""
     for size in range(1, 2 * limit + 4):
         for value in ("x" * size, [7] * size, (1.5,) * size, 10 ** (size - 1), b"x" * size, dict.fromkeys(range(size))):
-            text, whole = short(value, limit), repr(value)
+            text, expected = short(value, limit), repr(value)
             if isinstance(value, int) and size > limit - 2:
-                assert text == whole or text.startswith("<int of about"[: limit - 3])
-            elif len(whole) <= limit:
-                assert text == whole
+                assert text == expected or text.startswith("<int of about"[: limit - 3])
+            elif len(expected) <= limit:
+                assert text == expected
             else:
-                assert text.endswith("...") and len(text) <= limit and whole.startswith(text[:-3])
+                assert text.endswith("...") and len(text) <= limit and expected.startswith(text[:-3])
     assert short(10**60) == repr(10**60) and short(2**500) == "<int of about 151 digits>"
 
 
@@ -156,7 +156,7 @@ def test_fields_that_are_not_shown():
         second: object = dataclasses.field(default=1, repr=False)
         third: object = "c"
 
-    assert shown_fields(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
-    assert named_function(functools.partial(functools.partial(max, 1), 2)) == "partial of max"
-    assert named_function(functools.partial(Own([]).__class__, 1)) == "partial of Own"
-    assert named_function(Own([])) == "a Own"
+    assert dataclass_repr(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
+    assert function_name(functools.partial(functools.partial(max, 1), 2)) == "partial of max"
+    assert function_name(functools.partial(Own([]).__class__, 1)) == "partial of Own"
+    assert function_name(Own([])) == "a Own"

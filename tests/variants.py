@@ -136,10 +136,10 @@ def main() -> int:
         else:
             applying.append(variant)
     for group in together(applying):
-        whole = joined(group)
-        if wrong := wrong_under(whole, expected):
+        reference = joined(group)
+        if wrong := wrong_under(reference, expected):
             alone = {one.name: wrong_under(one, expected) for one in group} if len(group) > 1 else {}
-            failed += [f"{name}: {wrong}" for name, wrong in {whole.name: wrong, **alone}.items() if wrong]
+            failed += [f"{name}: {wrong}" for name, wrong in {reference.name: wrong, **alone}.items() if wrong]
     print("\n".join(["failed under:", *failed]) if failed else "the same under all of them", flush=True)
     return int(bool(failed))
 

@@ -172,15 +172,15 @@ if not TYPE_CHECKING:  # type checkers know the names above and must report any 
 
     def __getattr__(name: str) -> Any:
         if name in _MODULES:
-            found: Any = importlib.import_module(_MODULES[name])
+            value: Any = importlib.import_module(_MODULES[name])
         elif name in _HOME:
-            found = getattr(importlib.import_module(_HOME[name]), name)
+            value = getattr(importlib.import_module(_HOME[name]), name)
         else:
             from coadjoint.errors import unknown_attribute
 
             raise unknown_attribute("coadjoint", name, __all__)
-        globals()[name] = found
-        return found
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -1,8 +1,8 @@
 """Entry point of the command ``coadjoint``: exit statuses and one-line error messages.
 
 Exit status: 0, success; 1, a run failed (the solution so far is written, and marked as failed), its result could not be
-written, or a scheme does not keep what it declares (``certify``); 2, invalid input, explained in one line on standard
-error; 128 + the number of a signal that ended the process: 130, interrupted; 143, terminated; 141, broken pipe.
+written, or a scheme lacks a declared property (``certify``); 2, invalid input, explained in one line on standard error;
+128 + the number of a signal that ended the process: 130, interrupted; 143, terminated; 141, broken pipe.
 
 The commands are in `coadjoint.commands`. This module imports nothing expensive, so that interrupts are handled from the
 start.
@@ -27,13 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         need("the command coadjoint", "click")
         from coadjoint.commands import perform
 
-        status, said = perform(arguments)
+        status, message = perform(arguments)
     except ImportError as error:
-        status, said = 2, f"coadjoint: {error}"
+        status, message = 2, f"coadjoint: {error}"
     except KeyboardInterrupt:
-        status, said = 130, "coadjoint: interrupted"
-    if said:
-        _print_error(said)
+        status, message = 130, "coadjoint: interrupted"
+    if message:
+        _print_error(message)
     return status
 
 

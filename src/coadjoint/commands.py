@@ -55,12 +55,10 @@ def commands(context: click.Context) -> None:
 
 @commands.command("run")
 @click.argument("file", type=click.Path())
-@click.option("--out", metavar="PATH", help="Where to write the solution: .nc or .zarr; otherwise what the file says.")
-@click.option("--archive", metavar="PATH", help="Where to write the run while it runs, to be resumed: a new folder.")
-@click.option(
-    "--figure", metavar="PATH", help="Where to write a figure: .png, .pdf or .svg; otherwise what the file says."
-)
-@click.option("--movie", metavar="PATH", help="Where to write a movie: .mp4 or .gif; otherwise what the file says.")
+@click.option("--out", metavar="PATH", help="Path of the solution: .nc or .zarr; by default that in FILE.")
+@click.option("--archive", metavar="PATH", help="New folder to which the run is written, so that it can be resumed.")
+@click.option("--figure", metavar="PATH", help="Path of a figure: .png, .pdf or .svg; by default that in FILE.")
+@click.option("--movie", metavar="PATH", help="Path of a movie: .mp4 or .gif; by default that in FILE.")
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
 def run_file(
@@ -82,41 +80,44 @@ def run_file(
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target, write_dataset, write_figure
 
     configuration = load(file)
-    kept = _place(configuration, "archive", archive, check_new)
-    target = _place(configuration, "file", out, lambda path: check_target(path, DATASETS))
-    drawing = _place(configuration, "figure", figure, lambda path: check_target(path, FIGURES))
-    moving = _place(configuration, "movie", movie, lambda path: _movie_target(configuration, path))
-    with saving_partial_run(configuration.path, kept, target, configuration.dataset):
-        solution = configuration.integrate(progress=progress, archive=kept)
-    if target is not None:
-        with reporting_write_errors(configuration.path, target):
-            write_dataset(configuration.dataset(solution), target)
-    if drawing is not None:
-        with reporting_write_errors(configuration.path, drawing):
-            write_figure(solution.plot(), drawing)
-    if moving is not None:
-        with reporting_write_errors(configuration.path, moving):
-            solution.movie(moving)
+    archive_path = _output_path(configuration, "archive", archive, check_new)
+    dataset_path = _output_path(configuration, "file", out, lambda path: check_target(path, DATASETS))
+    figure_path = _output_path(configuration, "figure", figure, lambda path: check_target(path, FIGURES))
+    movie_path = _output_path(configuration, "movie", movie, lambda path: _movie_target(configuration, path))
+    with saving_partial_run(configuration.path, archive_path, dataset_path, configuration.dataset):
+        solution = configuration.integrate(progress=progress, archive=archive_path)
+    if dataset_path is not None:
+        with reporting_write_errors(configuration.path, dataset_path):
+            write_dataset(configuration.dataset(solution), dataset_path)
+    if figure_path is not None:
+        with reporting_write_errors(configuration.path, figure_path):
+            write_figure(solution.plot(), figure_path)
+    if movie_path is not None:
+        with reporting_write_errors(configuration.path, movie_path):
+            solution.movie(movie_path)
     if not quiet:
-        _summarize(solution, [place for place in (kept, target, drawing, moving) if place is not None])
+        paths = (archive_path, dataset_path, figure_path, movie_path)
+        _summarize(solution, [path for path in paths if path is not None])
 
 
-def _place(configuration: Configuration, key: str, option: str | None, check: Callable[[str], Path]) -> Path | None:
+def _output_path(
+    configuration: Configuration, key: str, option: str | None, check: Callable[[str], Path]
+) -> Path | None:
     """Return the path of a result from the option or else the key of the file, checked before the run."""
     from coadjoint.files.configuration.construction import section
 
     if option is not None:
         return check(option)
-    written = {
+    configured = {
         "file": configuration.output,
         "archive": configuration.archive,
         "figure": configuration.figure,
         "movie": configuration.movie,
     }[key]
-    if written is None:
+    if configured is None:
         return None
     with section(configuration.path, f"output.{key}"):
-        return check(written)
+        return check(configured)
 
 
 def _movie_target(configuration: Configuration, path: str) -> Path:
@@ -137,23 +138,23 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         in_one_line(f"{solution.system.name}, {solution.method}")
         + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
     )
-    over = "every step" if solution.watched else "the saved points"
+    extent = "every step" if solution.watched else "the saved points"
     columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}
     if solution.work:
         columns = {"change, and change minus the work of the forces (balance)": solution.change()}
         balance = solution.balance()
         columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
-    click.echo(f"{next(iter(columns))}, over {over}:")
+    click.echo(f"{next(iter(columns))}, over {extent}:")
     names = {name: in_one_line(name, 60) for name in solution.change()}
     from coadjoint.runs.summary import is_driven
 
     if is_driven(solution.system):
         names["energy"] = "energy (driven, so that it changes)"
     width = max(map(len, names.values()))
-    for name, shown in names.items():
-        click.echo(f"  {shown:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
-    for place in written:
-        click.echo(f"written: {place}")
+    for name, label in names.items():
+        click.echo(f"  {label:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
+    for path in written:
+        click.echo(f"written: {path}")
 
 
 @commands.command("check")
@@ -170,13 +171,13 @@ def check_file(file: str) -> None:
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
 
     configuration = load(file)
-    _place(configuration, "archive", None, check_new)
-    _place(configuration, "file", None, lambda path: check_target(path, DATASETS))
-    _place(configuration, "figure", None, lambda path: check_target(path, FIGURES))
-    _place(configuration, "movie", None, lambda path: _movie_target(configuration, path))
-    found = plan(configuration)
-    click.echo(str(found))
-    if found.failed:
+    _output_path(configuration, "archive", None, check_new)
+    _output_path(configuration, "file", None, lambda path: check_target(path, DATASETS))
+    _output_path(configuration, "figure", None, lambda path: check_target(path, FIGURES))
+    _output_path(configuration, "movie", None, lambda path: _movie_target(configuration, path))
+    forecast = plan(configuration)
+    click.echo(str(forecast))
+    if forecast.failed:
         raise click.exceptions.Exit(1)
 
 
@@ -201,26 +202,26 @@ def resume_archive(
     from coadjoint.files.configuration.configuration import CONFIGURATION, system_of_text
     from coadjoint.files.records.required_functions import requires_argument
 
-    place, system = Path(path), None
-    said = open_archive(place).attributes
-    if CONFIGURATION in said and requires_argument(said, "system"):
-        # Catalogue algebras may have Casimirs that are functions; the configuration file names them.
-        system = system_of_text(said[CONFIGURATION])
-    with saving_partial_run(path, place, None, None):
-        solution = resume(place, t_end, system=system, threads=threads, workers=workers, progress=progress)
+    archive, system = Path(path), None
+    attributes = open_archive(archive).attributes
+    if CONFIGURATION in attributes and requires_argument(attributes, "system"):
+        # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
+        system = system_of_text(attributes[CONFIGURATION])
+    with saving_partial_run(path, archive, None, None):
+        solution = resume(archive, t_end, system=system, threads=threads, workers=workers, progress=progress)
     if not quiet:
-        _summarize(solution, [place])
+        _summarize(solution, [archive])
 
 
 @commands.command("certify")
 @click.argument("file", type=click.Path())
-@click.option("--json", "mapping", metavar="PATH", help="Where to write all measurements: .json.")
-@click.option("--plot", "figure", metavar="PATH", help="Where to draw the evidence: .png, .pdf or .svg.")
+@click.option("--json", "mapping", metavar="PATH", help="Path of a file of all measurements: .json.")
+@click.option("--plot", "figure", metavar="PATH", help="Path of a figure of the measurements: .png, .pdf or .svg.")
 @click.option(
     "--steps", type=int, metavar="N", help="Steps of the long run; by default 2000, or as many as take a few seconds."
 )
 def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
-    """Measure what the scheme of the configuration FILE (TOML) keeps, and compare it with what it declares.
+    """Measure the properties that the scheme of the configuration FILE (TOML) preserves or declares.
 
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
@@ -231,30 +232,30 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
     configuration = load(file)
     target = None if mapping is None else check_target(mapping, TEXTS)
     drawing = None if figure is None else check_target(figure, FIGURES)
-    found = certify(
+    certificate = certify(
         configuration.system,
         configuration.method,
         configuration.x0,
         math.copysign(configuration.step, configuration.t_span[1] - configuration.t_span[0]),
         steps=steps,
     )
-    click.echo(str(found))
+    click.echo(str(certificate))
     if target is not None:
         with reporting_write_errors(configuration.path, target):
-            write_text(found.to_json(), target)
+            write_text(certificate.to_json(), target)
     if drawing is not None:
         with reporting_write_errors(configuration.path, drawing):
-            write_figure(found.plot(), drawing)
-    for place in (target, drawing):
-        if place is not None:
-            click.echo(f"written: {place}")
-    if not found.passed:
+            write_figure(certificate.plot(), drawing)
+    for written in (target, drawing):
+        if written is not None:
+            click.echo(f"written: {written}")
+    if not certificate.passed:
         raise click.exceptions.Exit(1)
 
 
 @commands.command("systems")
 @click.argument("name", required=False)
-@click.option("--json", "mapping", metavar="PATH", help="Where to write the description of NAME: .json.")
+@click.option("--json", "mapping", metavar="PATH", help="Path of a file of the description of NAME: .json.")
 def list_systems(name: str | None, mapping: str | None) -> None:
     """List the ready-made systems with their parameters, or describe one, NAME, with a first run.
 
@@ -268,9 +269,9 @@ def list_systems(name: str | None, mapping: str | None) -> None:
         return _show_system(_known_system(name, tuple(known)), mapping)
     if mapping is not None:
         raise click.UsageError("--json writes the description of one system; give its name")
-    for each, builder in sorted(known.items()):
+    for system_name, builder in sorted(known.items()):
         signature = inspect.signature(builder).parameters
-        _describe(each, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+        _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
 
 
 def _known_system(name: str, known: Sequence[str]) -> str:
@@ -286,10 +287,10 @@ def _show_system(name: str, mapping: str | None) -> None:
     from coadjoint.runs.system_summary import summarize_system, system_text
 
     target = None if mapping is None else check_target(mapping, TEXTS)
-    told = summarize_system(name)
-    click.echo(system_text(told))
+    summary = summarize_system(name)
+    click.echo(system_text(summary))
     if target is not None:
-        write_text(json.dumps(told, indent=1), target)
+        write_text(json.dumps(summary, indent=1), target)
         click.echo(f"written: {target}")
 
 
@@ -344,8 +345,8 @@ def list_methods(name: str | None) -> None:
 
 def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> None:
     empty = inspect.Parameter.empty
-    shown = ", ".join(key if default is empty else f"{key}={default!r}" for key, default in parameters.items())
-    click.echo(f"{name}({shown})\n    {documentation.partition(chr(10))[0]}")
+    arguments = ", ".join(key if default is empty else f"{key}={default!r}" for key, default in parameters.items())
+    click.echo(f"{name}({arguments})\n    {documentation.partition(chr(10))[0]}")
 
 
 @commands.command("selftest")
@@ -357,13 +358,13 @@ def check_installation(quiet: bool) -> None:
     """
     from coadjoint.experiments.selftest.run import selftest
 
-    begun, failed, skipped, count = time.monotonic(), 0, 0, 0
-    for found in selftest():
-        count, failed, skipped = count + 1, failed + (not found.passed), skipped + bool(found.skipped)
-        if not (quiet and found.passed):
-            click.echo(str(found))
+    started, failed, skipped, count = time.monotonic(), 0, 0, 0
+    for check in selftest():
+        count, failed, skipped = count + 1, failed + (not check.passed), skipped + bool(check.skipped)
+        if not (quiet and check.passed):
+            click.echo(str(check))
     if not quiet:
-        seconds = time.monotonic() - begun
+        seconds = time.monotonic() - started
         click.echo(f"coadjoint {__version__}: {count} checks, {failed} failed, {skipped} skipped, {seconds:.1f} s")
     if failed:
         raise click.exceptions.Exit(1)
@@ -414,16 +415,15 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     from coadjoint.systems.registry import gallery_systems
 
     need("a gallery", "matplotlib")
-    from coadjoint.pictures.scenes import SCENES
+    from coadjoint.pictures.gallery import PAGE, SCENES, gallery
 
     known = gallery_systems()
-    wanted = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    selected = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
         need("a gallery of all systems", "numba", "ducc0")
     folder = _folder(out)
-    from coadjoint.pictures.gallery import PAGE, gallery
 
-    page = gallery(wanted, lambda figure, name: write_figure(figure, folder / name), click.echo)
+    page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)
     write_page(page, folder / PAGE)
     click.echo(f"written: {folder / PAGE}")
 
@@ -455,9 +455,9 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
     >>> perform(["run", "no_such_file.toml"])
     (2, 'no_such_file.toml: cannot be read (No such file or directory)')
     """
-    noticed: list[str] = []
+    recorded: list[str] = []
 
-    def notice(
+    def show_warning(
         message: Warning | str,
         category: type[Warning],
         filename: str,
@@ -465,23 +465,23 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        said = in_one_line(f"coadjoint: warning: {message}")
+        text = in_one_line(f"coadjoint: warning: {message}")
         if not issubclass(category, LongWait):
-            noticed.append(said)
+            recorded.append(text)
             return
         # Warnings about long operations are printed immediately.
         with contextlib.suppress(OSError, ValueError, AttributeError):
-            print(said, file=sys.stderr, flush=True)
+            print(text, file=sys.stderr, flush=True)
 
     with warnings.catch_warnings():
-        warnings.showwarning = notice
-        status, said = _performed(list(sys.argv[1:] if arguments is None else arguments))
+        warnings.showwarning = show_warning
+        status, message = _invoke(list(sys.argv[1:] if arguments is None else arguments))
     if status == 0:
-        said = "\n".join(dict.fromkeys(noticed))
-    return status, said
+        message = "\n".join(dict.fromkeys(recorded))
+    return status, message
 
 
-def _performed(arguments: list[str]) -> tuple[int, str]:
+def _invoke(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.files.archives.store import ArchiveError
     from coadjoint.files.configuration.configuration import ConfigurationError
     from coadjoint.files.output.output_files import OutputError
@@ -506,7 +506,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
         return BROKEN_PIPE_STATUS, ""
     except OSError as error:
         # Errors of output files carry their names, or are an OutputError.
-        lost = type(error) is OSError and error.filename is None
-        said = f"the standard output cannot be written ({error.strerror})" if lost else str(error)
-        return 1, in_one_line(f"coadjoint: {said}")
+        is_stdout = type(error) is OSError and error.filename is None
+        message = f"the standard output cannot be written ({error.strerror})" if is_stdout else str(error)
+        return 1, in_one_line(f"coadjoint: {message}")
     return 0, ""

@@ -84,13 +84,13 @@ def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
     names = sorted(known)
     # Names much longer than any known one are truncated, since the time is quadratic in the length.
     beginning = name[: 2 * max(map(len, names), default=0)]
-    alike = [known for known in names if known.casefold() == beginning.casefold()]
-    if alike:
-        return alike[0]
+    equal = [known for known in names if known.casefold() == beginning.casefold()]
+    if equal:
+        return equal[0]
     stem = beginning.casefold().rstrip("s")
-    around = [known for known in names if len(stem) > 3 and stem in known.casefold()]
-    if around and not difflib.get_close_matches(beginning, names, n=1, cutoff=0.75):
-        return min(around, key=len)
+    containing = [known for known in names if len(stem) > 3 and stem in known.casefold()]
+    if containing and not difflib.get_close_matches(beginning, names, n=1, cutoff=0.75):
+        return min(containing, key=len)
     return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=least)), None)
 
 
@@ -109,8 +109,8 @@ def unknown_attribute(module: str, name: str, known: Iterable[str]) -> Attribute
         return AttributeError(f"{text}; it is co.{name}")
     names = sorted(known)
     near = nearest(name, names)
-    listed = f"It has: {', '.join(names)}" if len(names) <= MAX_LISTED_NAMES else f"dir({module}) lists what it has"
-    return AttributeError(text + (f"; did you mean {near!r}? {listed}" if near else f". {listed}"))
+    listing = f"It has: {', '.join(names)}" if len(names) <= MAX_LISTED_NAMES else f"dir({module}) lists what it has"
+    return AttributeError(text + (f"; did you mean {near!r}? {listing}" if near else f". {listing}"))
 
 
 def in_one_line(message: str, limit: int = 400) -> str:

@@ -26,8 +26,8 @@ class RunFailed(click.ClickException):
 class RunStopped(click.ClickException):
     """A run was interrupted: exit status 128 + number of the signal."""
 
-    def __init__(self, said: str, number: int) -> None:
-        super().__init__(said)
+    def __init__(self, message: str, number: int) -> None:
+        super().__init__(message)
         self.__dict__["exit_code"] = 128 + number
 
 
@@ -46,8 +46,8 @@ def saving_partial_run(
             yield
     except IntegrationError as error:
         raise _failure_error(name, error, archive, target, dataset) from error
-    except interruption.Interrupted as told:
-        raise _interruption_error(name, told, archive, target, dataset) from told
+    except interruption.Interrupted as interrupt:
+        raise _interruption_error(name, interrupt, archive, target, dataset) from interrupt
 
 
 @contextmanager
@@ -62,8 +62,8 @@ def reporting_write_errors(name: str, target: Path) -> Iterator[None]:
 
 
 def _write_error(target: Path, reason: BaseException) -> str:
-    said = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
-    return f"{target} could not be written ({said}); nothing was replaced"
+    detail = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
+    return f"{target} could not be written ({detail}); nothing was replaced"
 
 
 def _failure_error(
@@ -79,17 +79,19 @@ def _failure_error(
 
 
 def _interruption_error(
-    name: str, told: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
+    name: str, interrupt: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
 ) -> RunStopped:
-    partial: Any = told.partial if archive is None else _open_partial_run(archive)
+    partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
     written = ""
     if archive is not None and partial is not None:
-        held = getattr(partial, "said", f"the run up to step {partial.reached}")
-        written = f"; {archive} holds {held}: coadjoint resume {archive} goes on with it"
+        content = getattr(partial, "progress_text", f"the run up to step {partial.reached}")
+        written = f"; {archive} holds {content}: coadjoint resume {archive} continues it"
     elif target is not None and partial is not None and len(partial.t):
-        reason = {"run_incomplete": 1, "incomplete_reason": told.said, "incomplete_time": float(partial.t[-1])}
+        time = float(partial.t[-1])
+        reason = {"run_incomplete": 1, "incomplete_reason": interrupt.description, "incomplete_time": time}
         written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
-    return RunStopped(f"{name}: {told.said}{written}" if written else f"coadjoint: {told.said}", told.number)
+    message = f"{name}: {interrupt.description}{written}" if written else f"coadjoint: {interrupt.description}"
+    return RunStopped(message, interrupt.number)
 
 
 def _open_partial_run(archive: Path) -> Any:

@@ -37,8 +37,8 @@ class Interrupted(KeyboardInterrupt):
         self.number = number
 
     @property
-    def said(self) -> str:
-        """The event in one word, such as "interrupted"."""
+    def description(self) -> str:
+        """The kind of interrupt, such as "interrupted" or "hung up"."""
         return _DESCRIPTIONS[signal.Signals(self.number).name]
 
 
@@ -227,15 +227,15 @@ def _exit_process(number: int, frame: FrameType | None) -> None:
         _signal_received = number
         raise Interrupted(number)
     ignore_signals()
-    for act in (*reversed(_cleanups), sys.stdout.flush):
+    for action in (*reversed(_cleanups), sys.stdout.flush):
         try:
-            act()
+            action()
         except Exception:  # the process ends in any case; the next run removes remaining files
             pass
     try:
         # The terminal may show ^C or a progress bar on this line.
-        begun = "\n" if os.isatty(2) else ""
-        os.write(2, f"{begun}coadjoint: {_DESCRIPTIONS[signal.Signals(number).name]}\n".encode())
+        prefix = "\n" if os.isatty(2) else ""
+        os.write(2, f"{prefix}coadjoint: {_DESCRIPTIONS[signal.Signals(number).name]}\n".encode())
     except OSError:
         pass
     os._exit(128 + number)

@@ -13,7 +13,7 @@ from coadjoint.short_repr import short
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 STEP = "step=, the size of a step, which is used as given"
-ACCURACY = "accuracy=, the wanted error of the momentum at the end, by which a constant step is chosen"
+ACCURACY = "accuracy=, the required error of the momentum at the end, from which a constant step is chosen"
 KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("dt", "h", "delta_t", "stepsize", "step_size", "first_step", "dt0"), STEP),
     **dict.fromkeys(("max_step", "min_step", "dtmax", "hmax"), STEP),
@@ -21,9 +21,9 @@ KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("y0", "u0", "initial", "initial_state", "x_0", "state"), "x0=, the initial momentum"),
     **dict.fromkeys(("tspan", "time_span", "t_range", "interval", "times", "tlist", "t"), "t_span=, start and end"),
     **dict.fromkeys(("t_end", "tmax", "t_final", "T"), "t_span=(start, end)"),
-    **dict.fromkeys(("n_steps", "nsteps", "num_steps", "steps"), "step= and t_span=, which tell the number of steps"),
-    **dict.fromkeys(("saveat", "save_at", "ts"), "t_eval=, the times at which states are kept, or save_every="),
-    **dict.fromkeys(("save", "save_freq", "thin", "every", "stride"), "save_every=, to keep every so many steps"),
+    **dict.fromkeys(("n_steps", "nsteps", "num_steps", "steps"), "step= and t_span=, which set the number of steps"),
+    **dict.fromkeys(("saveat", "save_at", "ts"), "t_eval=, the times at which states are saved, or save_every="),
+    **dict.fromkeys(("save", "save_freq", "thin", "every", "stride"), "save_every=, the steps between saved states"),
     "dense_output": "it needs none: sol.at(t) has the states at any time",
     **dict.fromkeys(("n_jobs", "num_threads", "nthreads", "n_threads", "cores"), "threads="),
     **dict.fromkeys(("workers", "processes"), "threads=, or processes to co.ensemble(..., workers=)"),
@@ -45,9 +45,9 @@ ATTRIBUTES: Mapping[str, str] = {
     **dict.fromkeys(("ys", "xs"), "x"),
     **dict.fromkeys(("H", "hamiltonian", "energies", "E"), "energy"),
     **dict.fromkeys(("t_events", "y_events", "crossings"), "events"),
-    **dict.fromkeys(("success", "status", "message"), "failed, which members have failed; a run of one raises instead"),
+    **dict.fromkeys(("success", "status", "message"), "failed, for each member; a single run raises instead"),
     **dict.fromkeys(("nfev", "njev", "nsteps", "statistics"), "stats"),
-    **dict.fromkeys(("R", "g", "rotation", "orientation"), "attitude, where attitude=True was asked for"),
+    **dict.fromkeys(("R", "g", "rotation", "orientation"), "attitude, in a run with attitude=True"),
     **dict.fromkeys(("invariants",), "energy and casimirs"),
     **dict.fromkeys(
         ("save", "to_netcdf", "to_csv", "to_pandas", "to_dataframe"),
@@ -74,17 +74,18 @@ def suggest_keywords(function: Function) -> Function:
     """
     parameters = inspect.signature(function).parameters
     known = tuple(parameters)
-    positional = [name for name, one in parameters.items() if one.kind is not inspect.Parameter.KEYWORD_ONLY]
-    any_number = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in parameters.values())
+    kinds = {name: parameter.kind for name, parameter in parameters.items()}
+    positional = [name for name, kind in kinds.items() if kind is not inspect.Parameter.KEYWORD_ONLY]
+    any_number = inspect.Parameter.VAR_POSITIONAL in kinds.values()
 
     @functools.wraps(function)
-    def wrapped_function(*args: Any, **given: Any) -> Any:
-        for name in given:
+    def wrapped_function(*args: Any, **keywords: Any) -> Any:
+        for name in keywords:
             if name not in known:
                 raise unknown_keyword(function.__name__, name, known)
         if len(args) > len(positional) and not any_number:
             raise too_many_arguments(function.__name__, args, positional, known)
-        return function(*args, **given)
+        return function(*args, **keywords)
 
     return cast(Function, wrapped_function)
 
@@ -97,11 +98,18 @@ def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError
     >>> print(unknown_keyword("GaussLegendre", "stage", ["stages"]))
     GaussLegendre has no stage; did you mean stages=?
     """
-    return TypeError(_suggestion(function, name, known))
+    meant = KEYWORDS.get(name)
+    # Suggest the corresponding argument only if this function has it.
+    if meant is not None and ("=" not in meant or meant.partition("=")[0] in known):
+        return TypeError(f"{function} has no {name}; {'' if meant.startswith('it ') else 'give '}{meant}")
+    near = nearest(name, known)
+    return TypeError(
+        f"{function} has no {name}; " + (f"did you mean {near}=?" if near else f"it takes {', '.join(known)}")
+    )
 
 
 def too_many_arguments(
-    function: str, given: Sequence[Any], positional: Sequence[str], known: Sequence[str]
+    function: str, arguments: Sequence[Any], positional: Sequence[str], known: Sequence[str]
 ) -> TypeError:
     """Return the TypeError for too many positional arguments; `positional` and `known` are positional and all names.
 
@@ -110,21 +118,10 @@ def too_many_arguments(
     >>> print(too_many_arguments("rigid_body", (1, 2, 3), ["inertia"], ["inertia"]))
     rigid_body was given 3 arguments, and takes inertia; give several values as one, inertia=(1, 2, 3)
     """
-    said = f"{function} was given {len(given)} arguments, and takes {', '.join(known) or 'none'}"
+    problem = f"{function} was given {len(arguments)} arguments, and takes {', '.join(known) or 'none'}"
     if len(positional) == 1 == len(known):
-        return TypeError(f"{said}; give several values as one, {known[0]}={short(tuple(given))}")
-    return TypeError(
-        f"{said}" + (f", those after {positional[-1]} by name" if 0 < len(positional) < len(known) else "")
-    )
-
-
-def _suggestion(function: str, name: str, known: Sequence[str]) -> str:
-    meant = KEYWORDS.get(name)
-    # Suggest the corresponding argument only if this function has it.
-    if meant is not None and ("=" not in meant or meant.partition("=")[0] in known):
-        return f"{function} has no {name}; {'' if meant.startswith('it ') else 'give '}{meant}"
-    near = nearest(name, known)
-    return f"{function} has no {name}; " + (f"did you mean {near}=?" if near else f"it takes {', '.join(known)}")
+        return TypeError(f"{problem}; give several values as one, {known[0]}={short(tuple(arguments))}")
+    return TypeError(problem + (f", those after {positional[-1]} by name" if 0 < len(positional) < len(known) else ""))
 
 
 def unknown_solution_attribute(name: str, known: list[str]) -> AttributeError:

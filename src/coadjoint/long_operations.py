@@ -27,19 +27,15 @@ class LongWait(UserWarning):
 
 
 def warn_if_long(what: str, seconds: float, instead: str = "") -> None:
-    """Warn in advance if an operation is estimated to take longer than `WARNING_SECONDS`; `instead` names a faster
-    alternative.
-    """
+    """Warn if an operation is estimated to take longer than `WARNING_SECONDS`; `instead` is a faster alternative."""
     if seconds > WARNING_SECONDS:
         _warn(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""))
 
 
 class long_operation(ContextDecorator):
-    """Context, or decorator, of an operation that may be long: after `WARNING_SECONDS` seconds the next `at` inside
-    warns, once.
+    """Context or decorator of a possibly long operation: after `WARNING_SECONDS` the next `note_progress` warns, once.
 
-    `what`, the subject of the message, is the name of the function called by the user. Only the outermost context
-    warns.
+    `what` is the name of the function called by the user. Only the outermost context warns.
     """
 
     def __init__(self, what: str) -> None:
@@ -61,13 +57,11 @@ class long_operation(ContextDecorator):
             self._token = None
 
 
-_current: ContextVar[long_operation | None] = ContextVar("waiting", default=None)
+_current: ContextVar[long_operation | None] = ContextVar("long_operation", default=None)
 
 
-def at(computing: str, part: float | None = None) -> None:
-    """Record what is computed next, and warn after `WARNING_SECONDS` seconds; `part` is the completed fraction, if
-    known.
-    """
+def note_progress(computing: str, part: float | None = None) -> None:
+    """Warn after `WARNING_SECONDS`; `computing` is the current stage, `part` the completed fraction, if known."""
     current = _current.get()
     if current is None or current.warned:
         return

@@ -40,15 +40,15 @@ def _free_on_windows() -> int:
         _fields_ = (("length", ctypes.c_uint32), ("load", ctypes.c_uint32), ("bytes", ctypes.c_uint64 * 7))
 
     status = Status(length=ctypes.sizeof(Status))
-    found = getattr(ctypes, "windll").kernel32.GlobalMemoryStatusEx(ctypes.byref(status))  # noqa: B009
-    return int(status.bytes[1]) if found else NO_LIMIT
+    success = getattr(ctypes, "windll").kernel32.GlobalMemoryStatusEx(ctypes.byref(status))  # noqa: B009
+    return int(status.bytes[1]) if success else NO_LIMIT
 
 
-def _available_in_cgroups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup") -> int:
+def _available_in_cgroups(root: str = "/sys/fs/cgroup", membership: str = "/proc/self/cgroup") -> int:
     """Return the memory left in the Linux control groups of this process: a container, a batch job."""
     left = NO_LIMIT
     try:
-        lines = Path(own).read_text(encoding="ascii").splitlines()
+        lines = Path(membership).read_text(encoding="ascii").splitlines()
     except (OSError, ValueError):
         return left
     for line in lines:
@@ -68,9 +68,9 @@ def _available_in_cgroups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/c
 def _available_in_cgroup(group: Path, limit: str, used: str, cache: str) -> int:
     """Return the memory left in one control group, not counting its file cache."""
     try:
-        most, held = (int(Path(group, name).read_text(encoding="ascii")) for name in (limit, used))
-        stated = dict(line.split() for line in Path(group, "memory.stat").read_text(encoding="ascii").splitlines())
-        return most - held + int(stated.get(cache, 0))
+        maximum, usage = (int(Path(group, name).read_text(encoding="ascii")) for name in (limit, used))
+        statistics = dict(line.split() for line in Path(group, "memory.stat").read_text(encoding="ascii").splitlines())
+        return maximum - usage + int(statistics.get(cache, 0))
     except (OSError, ValueError):  # no limit of this kind
         return NO_LIMIT
 

@@ -19,26 +19,26 @@ def check_private(folder: Path) -> None:
     """
     # From the root downward: the entries of a folder found safe cannot change afterwards.
     trusted = {0, os.geteuid(), os.lstat("/").st_uid}
-    for place in (*reversed(folder.parents), folder):
-        found = os.lstat(place)
-        if not stat.S_ISDIR(found.st_mode):
-            raise PermissionError(f"{place} is not a folder")
-        if found.st_uid not in trusted or (place == folder and found.st_uid != os.geteuid()):
-            raise PermissionError(f"{place} belongs to another user")
+    for path in (*reversed(folder.parents), folder):
+        status = os.lstat(path)
+        if not stat.S_ISDIR(status.st_mode):
+            raise PermissionError(f"{path} is not a folder")
+        if status.st_uid not in trusted or (path == folder and status.st_uid != os.geteuid()):
+            raise PermissionError(f"{path} belongs to another user")
         # In a sticky folder such as /tmp others can add entries, but not replace those of this user.
-        sticky = place != folder and found.st_mode & stat.S_ISVTX
-        if found.st_mode & WRITABLE_BY_OTHERS and not sticky:
-            raise PermissionError(f"{place} can be changed by other users, mode {stat.S_IMODE(found.st_mode):o}")
+        sticky = path != folder and status.st_mode & stat.S_ISVTX
+        if status.st_mode & WRITABLE_BY_OTHERS and not sticky:
+            raise PermissionError(f"{path} can be changed by other users, mode {stat.S_IMODE(status.st_mode):o}")
 
 
 @contextmanager
 def private_folder() -> Iterator[Path]:
     """Context with a temporary folder that only this user can change; RuntimeError if none can be created."""
     try:
-        own = tempfile.TemporaryDirectory(prefix="coadjoint-", ignore_cleanup_errors=True)
+        temporary = tempfile.TemporaryDirectory(prefix="coadjoint-", ignore_cleanup_errors=True)
     except OSError as reason:
         raise RuntimeError(f"no temporary folder can be made ({reason}); set TMPDIR to a folder of your own") from None
-    with own as name:
+    with temporary as name:
         folder = Path(os.path.realpath(name))
         try:
             check_private(folder)

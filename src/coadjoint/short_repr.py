@@ -48,7 +48,7 @@ def html_table(title: str, rows: Mapping[str, Any]) -> str:
     return f"<table><caption><b>{escape(title)}</b></caption>{''.join(lines)}</table>"
 
 
-def shown_fields(given: Any) -> str:
+def dataclass_repr(instance: Any) -> str:
     """Return the repr of a dataclass, with functions shown by name instead of address.
 
     Examples
@@ -58,39 +58,39 @@ def shown_fields(given: Any) -> str:
     ... class Pair:
     ...     first: object
     ...     second: object
-    >>> shown_fields(Pair(abs, "b"))
+    >>> dataclass_repr(Pair(abs, "b"))
     "Pair(first=the function abs, second='b')"
     """
-    listed = (f"{field.name}={short(getattr(given, field.name))}" for field in fields(given) if field.repr)
-    return f"{type(given).__name__}({', '.join(listed)})"
+    entries = (f"{field.name}={short(getattr(instance, field.name))}" for field in fields(instance) if field.repr)
+    return f"{type(instance).__name__}({', '.join(entries)})"
 
 
-def named_function(function: Any) -> str:
+def function_name(function: Any) -> str:
     """Return the name of a function, without its address.
 
     Examples
     --------
     >>> import functools
-    >>> named_function(np.cosh), named_function(lambda x: x), named_function(functools.partial(max, 1))
+    >>> function_name(np.cosh), function_name(lambda x: x), function_name(functools.partial(max, 1))
     ('cosh', '<lambda>', 'partial of max')
     """
     inner = getattr(function, "func", None)
     if inner is not None and not hasattr(function, "__name__"):
-        return f"partial of {named_function(inner)}"
+        return f"partial of {function_name(inner)}"
     return getattr(function, "__name__", None) or f"a {type(function).__name__}"
 
 
 def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
     """Yield the representation lazily in pieces."""
-    shown_by: Any = type(value).__repr__
-    if shown_by in (str.__repr__, bytes.__repr__, bytearray.__repr__):
+    repr_method: Any = type(value).__repr__
+    if repr_method in (str.__repr__, bytes.__repr__, bytearray.__repr__):
         yield repr(value[:limit])
         if len(value) > limit:
             yield "..."
-    elif shown_by is int.__repr__:
+    elif repr_method is int.__repr__:
         digits = value.bit_length() * 0.30103
         yield repr(value) if digits < limit else f"<int of about {int(digits) + 1} digits>"
-    elif shown_by in _BRACKETS:
+    elif repr_method in _BRACKETS:
         yield from _container(value, limit, depth)
     elif isinstance(value, _FUNCTIONS):
         name = getattr(value, "__name__", "?")
@@ -98,7 +98,7 @@ def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
     elif isinstance(value, np.ndarray):
         yield from _array(value, limit, depth)
     else:
-        yield _own_repr(value, limit)
+        yield _truncated_repr(value, limit)
 
 
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType, np.ufunc, type(np.linalg.norm))
@@ -114,15 +114,15 @@ _BRACKETS: dict[Any, tuple[str, str]] = {
 
 
 def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
-    first, last = _BRACKETS[type(value).__repr__]
-    held = value.values() if isinstance(value, dict) else value
-    if len(value) > MAX_NAMED_FUNCTIONS and all(_is_of_functions(entry) for entry in held):
+    opening, closing = _BRACKETS[type(value).__repr__]
+    contents = value.values() if isinstance(value, dict) else value
+    if len(value) > MAX_NAMED_FUNCTIONS and all(_is_of_functions(entry) for entry in contents):
         yield f"{len(value)} functions"
         return
-    if not value and first.endswith("{") and not isinstance(value, dict):
+    if not value and opening.endswith("{") and not isinstance(value, dict):
         yield f"{type(value).__name__}()"
         return
-    yield first
+    yield opening
     if depth == 0 and value:
         yield "..."
     else:
@@ -138,7 +138,7 @@ def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
                 yield from _pieces(entry, limit, depth - 1)
     if isinstance(value, tuple) and len(value) == 1:
         yield ","
-    yield last
+    yield closing
 
 
 def _is_of_functions(value: Any) -> bool:
@@ -155,12 +155,12 @@ def _array(value: Any, limit: int, depth: int) -> Iterator[str]:
         yield from _pieces(value.tolist(), limit, depth - 1)
         yield ", dtype=object)"
     elif small and value.dtype != object:
-        yield _own_repr(value, limit)
+        yield _truncated_repr(value, limit)
     else:
         yield f"<{'array' if plain else type(value).__name__} of shape {value.shape}, {value.dtype.name}>"
 
 
-def _own_repr(value: Any, limit: int) -> str:
+def _truncated_repr(value: Any, limit: int) -> str:
     """Return the start of an object's own repr, or its type if repr fails."""
     try:
         return " ".join(repr(value)[: 8 * limit].split())

@@ -128,12 +128,12 @@ def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
 
 def read_finite(values: Any, what: str) -> Floats:
     """Validate finite real numbers and return a float64 copy; the message names the first entry that is not finite."""
-    found = read_numbers(values, what)
-    check_finite(found, what)
-    return found
+    array = read_numbers(values, what)
+    check_finite(array, what)
+    return array
 
 
-def are_finite(numbers: Floats) -> bool:
+def are_finite(values: Floats) -> bool:
     """Return whether all numbers are finite; five times faster than NumPy for few numbers.
 
     Examples
@@ -142,16 +142,16 @@ def are_finite(numbers: Floats) -> bool:
     (True, False)
     """
     # Numbers with a finite sum are finite.
-    few = numbers.size <= SMALL_SIZE
-    return (few and math.isfinite(sum(numbers.ravel().tolist()))) or bool(np.isfinite(numbers).all())
+    few = values.size <= SMALL_SIZE
+    return (few and math.isfinite(sum(values.ravel().tolist()))) or bool(np.isfinite(values).all())
 
 
 def check_finite(values: Floats, what: str) -> None:
     """Raise a ValueError that names the first NaN or infinity."""
     if not np.isfinite(values).all():
-        place = np.argwhere(~np.isfinite(values))[0].tolist()
-        where = f"[{', '.join(map(str, place))}]" if place else ""
-        raise ValueError(f"{what}{where} is {values[tuple(place)]}; give finite numbers")
+        index = np.argwhere(~np.isfinite(values))[0].tolist()
+        where = f"[{', '.join(map(str, index))}]" if index else ""
+        raise ValueError(f"{what}{where} is {values[tuple(index)]}; give finite numbers")
 
 
 def not_numbers_error(values: Any, what: str) -> TypeError:
@@ -221,11 +221,11 @@ def read_integer(
 
     `floats` accepts whole floats such as 1e6; `why`, the reason for the upper bound, is added to its message.
     """
-    whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
-    if floats and not whole and isinstance(value, float | np.floating):
+    is_whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
+    if floats and not is_whole and isinstance(value, float | np.floating):
         value = float(value)  # small float types cannot represent the bounds
-        whole = value.is_integer()
-    if not whole or value < least or (most is not None and value > most and not why):
+        is_whole = value.is_integer()
+    if not is_whole or value < least or (most is not None and value > most and not why):
         bounds = f"from {least} up" if most is None or why else f"from {least} to {short(most)}"
         raise ValueError(f"{what} must be a whole number {bounds}, not {short(value)}")
     if most is not None and value > most:
@@ -249,12 +249,12 @@ def read_title(value: Any, what: str) -> str:
     return value
 
 
-def title(text: str) -> str:
+def truncate_title(text: str) -> str:
     """Truncate a composed name to the maximum length of a title.
 
     Examples
     --------
-    >>> title("so(3) + so(4)")
+    >>> truncate_title("so(3) + so(4)")
     'so(3) + so(4)'
     """
     return text if len(text) <= MAX_TITLE_LENGTH else f"{text[: MAX_TITLE_LENGTH - 3]}..."
@@ -291,7 +291,7 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
     raise TypeError(f"{what} is {short(values)}; {rule}")
 
 
-def check_parameters(name: str, given: Iterable[str], known: Iterable[str], required: Iterable[str] = ()) -> None:
+def check_parameters(name: str, names: Iterable[str], known: Iterable[str], required: Iterable[str] = ()) -> None:
     """Raise a ValueError for unknown or missing parameters of `name`.
 
     Examples
@@ -300,11 +300,11 @@ def check_parameters(name: str, given: Iterable[str], known: Iterable[str], requ
     Traceback (most recent call last):
     ValueError: unknown parameter of Torque 'torqe'; did you mean 'torque'?
     """
-    given, known = list(given), list(known)
-    for parameter in given:
+    names, known = list(names), list(known)
+    for parameter in names:
         if parameter not in known:
             raise unknown_name(f"parameter of {name}", parameter, known or ["(none)"])
-    missing = [key for key in required if key not in given]
+    missing = [key for key in required if key not in names]
     if missing:
         raise ValueError(f"{name} needs the parameter {missing[0]!r}")
 

@@ -4,12 +4,19 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from casimir_comparison import assert_annihilated, assert_same_span, generated, rank, rational_change, substituted
+from casimir_comparison import (
+    assert_annihilated,
+    assert_same_span,
+    generated,
+    independent_count,
+    rank,
+    rational_change,
+    substituted,
+)
 from flint import fmpq, fmpq_mat
 from trace_casimirs import classical, symplectic
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.exact.independence import independent_count
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from long import long_where

@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 import pytest
+from casimir_comparison import independent_count
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import numerical_kernel, rational_kernel
-from coadjoint.algebra.exact.independence import independent_count
 from coadjoint.algebra.invariants.casimir_equations import equations, monomials
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.bracket_parser import parse_brackets as read_written
+from coadjoint.algebra.brackets import parse_brackets as read_written
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
 
@@ -103,7 +103,7 @@ def test_jacobi_agrees_with_the_dense_identity(data):
     n = data.draw(st.integers(3, 5))
     c = np.zeros((n, n, n))
     keys = list(itertools.product(itertools.combinations(range(n), 2), range(n)))
-    for (i, j), k in data.draw(st.list_schema(st.sampled_from(keys), max_size=6)):
+    for (i, j), k in data.draw(st.lists(st.sampled_from(keys), max_size=6)):
         value = data.draw(st.integers(-2, 2))
         c[i, j, k], c[j, i, k] = value, -value
     defect, size = reference_defects(c)

@@ -116,8 +116,8 @@ SMALL = st.fractions(-3, 3, max_denominator=3)
 
 @pytest.mark.long
 @given(
-    st.list_schema(st.list_schema(SMALL, min_size=4, max_size=4), min_size=1, max_size=4),
-    st.list_schema(SMALL, min_size=4, max_size=4),
+    st.lists(st.lists(SMALL, min_size=4, max_size=4), min_size=1, max_size=4),
+    st.lists(SMALL, min_size=4, max_size=4),
 )
 def test_combinations_add_up(rows, weights):
     vectors = [{i: v for i, v in enumerate(row) if v} for row in rows]
@@ -168,7 +168,7 @@ def test_polynomials_in_other_coordinates():
         ("-" * 5000 + "1", "nested too deeply"),
         ("(" * 4900 + "1" + ")" * 4900, "nested too deeply"),
         ("1+" * 10000 + "1", "has 20001 letters; a formula has at most 10000"),
-        ("x1\0", r"cannot be read from .* on"),
+        ("x1\0", r"cannot be parsed from .* on"),
     ],
 )
 def test_what_no_machine_can_hold_is_refused(text, said):
@@ -192,7 +192,7 @@ def test_powers_below_the_bounds():
 
 @pytest.mark.parametrize("text", ["x²", "x1^x2", "2**3*x1", "-x1*-2", "a*x1", "log(x1)", "x1/", "1/2/", "2^2", "((1))"])
 def test_polynomials_that_are_not_multiplied_out(text):
-    with pytest.raises(ValueError, match=r"^'.*' cannot be read from '.*' on; write sums of products such as"):
+    with pytest.raises(ValueError, match=r"^'.*' cannot be parsed from '.*' on; write sums of products such as"):
         parse_polynomial(text, 3)
 
 

@@ -10,11 +10,11 @@ import pytest
 from coadjoint.algebra.exact.free_algebra import (
     expand_bracket,
     exponential,
-    factors,
     lie_coordinates,
     logarithm,
     lyndon_words,
     product,
+    standard_factorization,
 )
 
 
@@ -45,7 +45,7 @@ def test_as_many_lyndon_words_as_the_free_lie_algebra_has_dimensions(weight, cou
         expanded = expand_bracket(word)
         assert expanded[word] == 1 and min(expanded) == word
         if len(word) > 1:
-            left, right = factors(word)
+            left, right = standard_factorization(word)
             assert left + right == word and left < right
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.modular import random_prime, skew_rank, sparse_rank
-from coadjoint.algebra.exact.numerical_rank import rank_from_gap
+from coadjoint.algebra.exact.ranks import random_prime, rank_from_gap, skew_rank, sparse_rank
 from coadjoint.algebra.exact.rational_constants import as_fraction, jacobi_exact, rational_constants
 from coadjoint.algebra.lie_algebra import LieAlgebra
 

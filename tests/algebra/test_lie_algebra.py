@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.bracket_format import count_of_brackets, format_brackets
-from coadjoint.algebra.bracket_parser import parse_brackets
+from coadjoint.algebra.brackets import count_of_brackets, format_brackets, parse_brackets
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
 
@@ -28,7 +27,7 @@ ALGEBRAS = [
 WITH_VECTORS = st.sampled_from(ALGEBRAS).flatmap(
     lambda g: st.tuples(
         st.just(g),
-        *(st.list_schema(st.fractions(-5, 5, max_denominator=9), min_size=g.dim, max_size=g.dim) for _ in range(3)),
+        *(st.lists(st.fractions(-5, 5, max_denominator=9), min_size=g.dim, max_size=g.dim) for _ in range(3)),
     )
 )
 

@@ -102,7 +102,7 @@ def test_sums():
     ("make", "message"),
     [
         (lambda: G("so", 1), "N"),
-        (lambda: G("sp", 5), "even number of rows"),
+        (lambda: G("sp", 5), "must be even"),
         (lambda: G("sq", 4), "kind"),
         (lambda: G("gl", 4, 1), "no negative signs"),
         (lambda: G("so", 4, 5), "q"),

@@ -14,7 +14,7 @@ from guards import bounded_work
 EXPONENTS = st.tuples(*[st.integers(0, 3)] * 3)
 COEFFICIENTS = st.one_of(st.integers(-9, 9), st.fractions(-3, 3, max_denominator=7))
 POLYNOMIALS = st.dictionaries(EXPONENTS, COEFFICIENTS, max_size=6).map(lambda m: Polynomial(m, dim=3))
-POINTS = st.list_schema(st.fractions(-3, 3, max_denominator=5), min_size=3, max_size=3).map(
+POINTS = st.lists(st.fractions(-3, 3, max_denominator=5), min_size=3, max_size=3).map(
     lambda x: np.array([Fraction(v) for v in x], dtype=object)
 )
 
@@ -65,7 +65,7 @@ def test_floats_agree_with_fractions(p, x):
 
 
 @settings(deadline=None)
-@given(st.list_schema(POLYNOMIALS, min_size=1, max_size=4), st.list_schema(POINTS, min_size=1, max_size=5))
+@given(st.lists(POLYNOMIALS, min_size=1, max_size=4), st.lists(POINTS, min_size=1, max_size=5))
 def test_many_states_at_once_are_those_one_by_one(polynomials, points):
     x = np.array([points, points[::-1]])
     together = Polynomial.side_by_side(polynomials).along(x)
@@ -106,7 +106,7 @@ def test_states_of_each_kind_of_numbers_and_shape(kind, shape):
 
 
 def test_more_states_than_are_held_at_once(monkeypatch):
-    monkeypatch.setattr("coadjoint.algebra.polynomials.product_sums.MAX_NUMBERS", 10)
+    monkeypatch.setattr("coadjoint.algebra.polynomials.monomials.MAX_NUMBERS", 10)
     p = Polynomial({(2, 1): 0.5, (0, 3): 0.25, (2, 0): 1})
     x = np.arange(20.0).reshape(10, 2)
     assert p.gradient(x).tolist() == [p.gradient(y).tolist() for y in x]

@@ -119,7 +119,7 @@ def test_semidirect():
 
 @pytest.mark.long
 @settings(deadline=None, max_examples=40)
-@given(st.list_schema(st.fractions(-3, 3, max_denominator=4), min_size=36, max_size=36), st.data())
+@given(st.lists(st.fractions(-3, 3, max_denominator=4), min_size=36, max_size=36), st.data())
 def test_change_of_basis(entries, data):
     T = np.array(entries, dtype=object).reshape(6, 6) + 7 * np.eye(6, dtype=int)
     g = data.draw(st.sampled_from([e(3), so(4), direct_sum(get("A3,5", a=0.5), so(3)), co.algebras.so(3, 1)]))

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.linear_fit import straight_line
+from coadjoint.analysis.fits import fit_order, straight_line
 from coadjoint.analysis.lyapunov import LyapunovExponents
-from coadjoint.analysis.order import fit_order
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.phase_drift import drift_of_series
 from coadjoint.rounding import UNIT_ROUNDOFF

@@ -12,14 +12,13 @@ from coadjoint.analysis.certificates.certificate import Certificate, Row, verdic
 from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import attitude, convergence, invariants
 from coadjoint.analysis.checks.convergence import allowed_error
-from coadjoint.analysis.checks.growth import growth
+from coadjoint.analysis.checks.invariants import size_of
 from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.reference import motion, natural_time
-from coadjoint.analysis.checks.sizes import size_of
-from coadjoint.analysis.checks.slope import slope_of_defects
 from coadjoint.analysis.checks.study import LARGE_ERROR, study
 from coadjoint.analysis.checks.subject import STATE_SPACING, Subject
 from coadjoint.analysis.checks.symmetry import symmetry_row
+from coadjoint.analysis.fits import growth, slope_of_defects
 from coadjoint.methods import Properties
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -485,7 +484,7 @@ def test_a_record_has_what_was_given_and_no_number_that_is_not_finite(h):
     numbers = {"one": np.float64(math.inf), "many": np.array([[1.0, -math.inf], [math.nan, 2.0]]), "none": []}
     row = Row("x", "x", "kept", "-", "fails", True, math.nan, np.float64(2.0), evidence=numbers)
     for found in (rest, Certificate((*rest.rows, row), rest.subject)):
-        read = json.loads(found.to_json(), parse_constant=lambda name: pytest.mark_failed(name))
+        read = json.loads(found.to_json(), parse_constant=lambda name: pytest.fail(name))
         subject = read["subject"]
         assert subject["given"] == [[1.0, 0.0, 0.0]] == subject["states"][:1]
         assert subject["system"]["sign"] == BODY.sign and subject["system"]["dim"] == 3

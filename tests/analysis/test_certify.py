@@ -9,9 +9,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.certificates.certificate import VERDICTS
-from coadjoint.analysis.checks.growth import growth
 from coadjoint.analysis.checks.invariants import keeps
-from coadjoint.analysis.checks.slope import slope
+from coadjoint.analysis.fits import growth, slope
 from coadjoint.methods import Properties
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

@@ -10,7 +10,7 @@ from fields_under_test import along, whole
 
 import coadjoint as co
 from coadjoint.analysis.backward_error.corrector import Corrector
-from coadjoint.analysis.backward_error.symbols_of_hamiltonian import names_of
+from coadjoint.analysis.backward_error.scheme_terms import names_of
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.systems.user_functions import sample_points
 

@@ -8,8 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.analysis.backward_error.hamiltonian_fields import bracket_change, hamiltonian_of
-from coadjoint.analysis.backward_error.skew_fields import skew_factor
+from coadjoint.analysis.backward_error.polynomial_fields import bracket_change, hamiltonian_of, skew_factor
 
 
 def heisenberg():

@@ -11,8 +11,8 @@ import pytest
 from fields_under_test import ALGEBRAS, along, elementary, field_of, whole
 
 import coadjoint as co
-from coadjoint.methods.formal.power_series import expand
 from coadjoint.methods.numerics.stages import linear_solve
+from coadjoint.methods.numerics.taylor_series import expand
 from long import long_between, long_beyond
 
 pytestmark = pytest.mark.thinned(3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order
 
 STEPS = 0.4 / 2.0 ** np.arange(8)
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order
 from coadjoint.analysis.poisson_defect import defect_of_tangent, poisson_defect
 
 

@@ -1,4 +1,4 @@
-"""The choice for a wanted accuracy: the same every time, what it says, and what it refuses."""
+"""Choice of scheme and step for an accuracy: reproducibility, description, refusals and cost model."""
 
 import math
 
@@ -7,8 +7,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing.candidates import supported_candidates
-from coadjoint.choosing.growth import Growth
-from coadjoint.choosing.pilot import Pilot, Trial
+from coadjoint.choosing.pilot import Growth, Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 from coadjoint.methods.protocol.cost_model import FUNCTION_COST, MULTIPLICATION_COST, flow_work, iteration_work
 from coadjoint.program.table import build_program
@@ -24,15 +23,15 @@ def four():
     return co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.5, 0.3, 0.2, 0.7, 0.9]))
 
 
-# The same choice, the same bits
+# Reproducibility
 
 
-def test_the_same_choice_every_time():
+def test_choice_is_deterministic():
     first, second = (co.choose(co.systems.rigid_body(inertia=(1, 2, 3)), X0, SPAN, 1e-7) for _ in range(2))
     assert first == second and first.others == second.others
 
 
-def test_looking_changes_nothing():
+def test_options_of_the_run_do_not_change_the_choice():
     runs = [
         co.integrate(BODY, [X0, (0.1, 1.0, 0.1)], SPAN, accuracy=1e-7, **options)
         for options in ({}, {"watch": False}, {"save_every": 7}, {"threads": 1}, {"threads": 2})
@@ -42,43 +41,43 @@ def test_looking_changes_nothing():
         assert np.array_equal(run.x[-1], runs[0].x[-1])
 
 
-def test_the_run_is_what_was_chosen():
+def test_run_uses_the_choice():
     choice = co.choose(BODY, X0, SPAN, 1e-7)
     run = co.integrate(BODY, X0, SPAN, accuracy=1e-7)
     assert (run.method, run.step) == (choice.method, choice.step)
     assert round(40.0 / choice.step) == run.stats.steps
-    given = co.integrate(BODY, X0, SPAN, method=co.Splitting(order=4), accuracy=1e-7)
-    assert given.method == co.Splitting(order=4)
-    assert np.linalg.norm(given.x[-1] - BODY.exact(X0, 40.0)) <= 1e-7 * np.linalg.norm(X0)
+    fixed = co.integrate(BODY, X0, SPAN, method=co.Splitting(order=4), accuracy=1e-7)
+    assert fixed.method == co.Splitting(order=4)
+    assert np.linalg.norm(fixed.x[-1] - BODY.exact(X0, 40.0)) <= 1e-7 * np.linalg.norm(X0)
 
 
-# What it says
+# Description and special cases
 
 
-def test_one_line_says_why():
+def test_choice_text_is_one_line():
     choice = co.choose(BODY, X0, SPAN, 1e-7)
-    said = str(choice)
-    assert "\n" not in said and str(choice.method) in said and "wanted 1.0e-07" in said and "next" in said
+    text = str(choice)
+    assert "\n" not in text and str(choice.method) in text and "wanted 1.0e-07" in text and "next" in text
     assert choice.roundoff < choice.error < choice.accuracy == 1e-7
     assert [each.cost for each in choice.others] == sorted(each.cost for each in choice.others)
     assert choice.cost <= choice.others[0].cost
 
 
-def test_a_span_of_no_length_and_a_state_at_rest():
+def test_empty_span_and_state_at_rest():
     assert len(co.integrate(BODY, X0, (3, 3), accuracy=1e-6).t) == 1
     for x0 in ((0.0, 0.0, 0.0), (0.0, 0.0, 2.0)):
         run = co.integrate(BODY, x0, SPAN, accuracy=1e-6)
         assert np.array_equal(run.x[-1], x0)
 
 
-def test_a_linear_flow_takes_one_step():
+def test_linear_flow_takes_one_step():
     spinning = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.0, 0.0, 0.0], linear=[0.0, 0.0, 1.0]))
     choice = co.choose(spinning, X0, SPAN, 1e-9)
     assert choice.step == 40.0 and isinstance(choice.method, co.Splitting)
 
 
-def test_compensated_where_rounding_asks_for_it():
-    """Small steps of a low order over a long time: uncompensated, rounding alone would take the accuracy."""
+def test_compensated_sums_where_rounding_requires_them():
+    """Small steps of a low order over a long time: uncompensated, rounding alone would exceed the accuracy."""
     loose = co.choose(BODY, X0, (0, 400), 1e-6, methods=[co.Splitting(order=4), co.Splitting(order=6)])
     tight = co.choose(BODY, X0, (0, 400), 2e-12, methods=[co.Splitting(order=4), co.Splitting(order=6)])
     assert loose.method.compensated is None and tight.method.compensated is True
@@ -86,11 +85,11 @@ def test_compensated_where_rounding_asks_for_it():
     assert np.linalg.norm(run.x[-1] - BODY.exact(X0, 400.0)) <= 2e-12 * np.linalg.norm(X0)
 
 
-def test_what_a_scheme_cannot_carry_leaves_it_out():
+def test_schemes_without_the_attitude_are_left_out():
     """Gauss methods carry no rotation matrices of so(4), but splittings and Taylor series do."""
     x0 = np.linspace(0.2, 1.0, 6)
     unable = [co.GaussLegendre(4), co.GaussLegendre(8), co.RadauEnergy(2)]
-    with pytest.raises(ValueError, match="would not keep the spatial momentum"):
+    with pytest.raises(ValueError, match="spatial momentum"):
         co.choose(four(), x0, (0, 10), 1e-8, methods=unable, attitude=True)
     assert isinstance(co.choose(four(), x0, (0, 10), 1e-8, methods=unable).method, co.GaussLegendre)
     assert isinstance(co.choose(four(), x0, (0, 10), 1e-8, attitude=True).method, co.Taylor | co.Splitting)
@@ -98,7 +97,7 @@ def test_what_a_scheme_cannot_carry_leaves_it_out():
     assert np.linalg.norm(carried.attitude[-1] @ carried.x[-1] - X0) < 1e-8 * np.linalg.norm(X0)
 
 
-def test_a_processor_is_paid_only_where_one_looks():
+def test_processed_splittings_cost_less():
     splittings = [co.Splitting(order=p) for p in (6, 8, 10)]
     processed = [co.Splitting(scheme=f"blanes_casas_murua{p}") for p in (6, 8, 10)]
     plain, both = (co.choose(BODY, X0, (0, 200), 1e-9, methods=each) for each in (splittings, splittings + processed))
@@ -107,31 +106,31 @@ def test_a_processor_is_paid_only_where_one_looks():
     assert every.cost <= co.choose(BODY, X0, (0, 200), 1e-9).cost
 
 
-# What it refuses
+# Refusals
 
 
 @pytest.mark.parametrize(
-    "options, sentence",
+    "options, words",
     [
-        ({}, "integrate was given neither of step and accuracy; give step="),
-        ({"step": 0.1, "accuracy": 1e-6}, "integrate was given both of step and accuracy"),
-        ({"accuracy": "1e-6"}, "accuracy is '1e-6'; it must be a number"),
-        ({"accuracy": True}, "accuracy is True; it must be a number"),
+        ({}, "neither of step and accuracy.*step="),
+        ({"step": 0.1, "accuracy": 1e-6}, "both of step and accuracy"),
+        ({"accuracy": "1e-6"}, "accuracy is '1e-6'.*number"),
+        ({"accuracy": True}, "accuracy is True.*number"),
     ],
 )
-def test_wrong_types(options, sentence):
-    with pytest.raises(TypeError, match=sentence):
+def test_wrong_types_are_refused(options, words):
+    with pytest.raises(TypeError, match=words):
         co.integrate(BODY, X0, SPAN, **options)
 
 
 @pytest.mark.parametrize("accuracy", (0.0, -1e-6, 1.0, math.inf, math.nan))
-def test_wrong_numbers(accuracy):
+def test_wrong_numbers_are_refused(accuracy):
     with pytest.raises(ValueError, match=r"accuracy is .*; it must (lie between 0 and 1|be finite)"):
         co.choose(BODY, X0, SPAN, accuracy)
 
 
-def test_wrong_schemes():
-    with pytest.raises(TypeError, match="methods contains 3; it must be one or more schemes"):
+def test_wrong_schemes_are_refused():
+    with pytest.raises(TypeError, match=r"methods contains 3.*schemes"):
         co.choose(BODY, X0, SPAN, 1e-6, methods=[3])
     with pytest.raises(TypeError, match="methods contains nothing"):
         co.choose(BODY, X0, SPAN, 1e-6, methods=[])
@@ -140,7 +139,7 @@ def test_wrong_schemes():
         co.choose(skew, (1.0, 0.5), SPAN, 1e-6, methods=co.Splitting())
 
 
-def test_other_wrong_input_is_refused_as_ever():
+def test_wrong_states_spans_and_attitudes_are_refused():
     with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
         co.choose(BODY, (1.0, 2.0), SPAN, 1e-6)
     with pytest.raises(ValueError, match="the end of t_span is inf"):
@@ -149,31 +148,29 @@ def test_other_wrong_input_is_refused_as_ever():
         co.choose(BODY, X0, SPAN, 1e-6, attitude="spin")
 
 
-def test_a_blow_up():
+def test_blow_up_names_its_time():
     """x1' = x1 x2, x2' = x1^2: the invariant x1^2 - x2^2 is negative, and x2 is a cotangent of time."""
     rising = co.LiePoissonSystem(
         co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}}), co.Quadratic([-1.0, 1.0]), name="rising"
     )
     assert co.choose(rising, (0.5, 0.9), (0, 1), 1e-6).error < 1e-6
-    with pytest.raises(
-        ValueError, match=r"rising from x0 cannot be computed over t_span: its trial run fails near t = 1"
-    ):
+    with pytest.raises(ValueError, match=r"rising.*t_span.*near t = 1"):
         co.choose(rising, (0.5, 0.9), (0, 10), 1e-6)
 
 
-def test_chaos():
+def test_chaotic_system_is_refused():
     full = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.diag(np.arange(1, 7.0)) + 0.3))
-    with pytest.raises(ValueError, match="no accuracy is reached in float64 with any scheme over the time 400"):
+    with pytest.raises(ValueError, match="float64 with any scheme over the time 400"):
         co.choose(full, np.linspace(-1, 1, 6), (0, 400), 1e-3)
 
 
-# What it is made of
+# Growth, costs and rounding
 
 
-def test_growth():
+def test_growth_is_extrapolated():
     assert Growth(1.0, 1.0, 1.0).factor(1.0) == 1.0
     assert Growth(0.0, 0.0, 0.0).factor(100.0) == 1.0
-    # An error that stands still is not trusted to; quadratic growth is followed; a burst is the beginning of more.
+    # A constant error is taken to grow linearly; quadratic growth is continued; a burst grows by its last power.
     assert Growth(1.0, 1.0, 1.0).factor(9.0) == 9.0
     assert Growth(1.0, 4.0, 16.0).factor(3.0) == pytest.approx(9.0)
     assert Growth(1.0, 2.0, 200.0).factor(2.0) == pytest.approx(200.0 ** (4 / 3))
@@ -182,8 +179,8 @@ def test_growth():
     assert Growth(1.0, 6.0, 36.0).factor(3.0, 2.0) == Growth(1.0, 6.0, 36.0).factor(3.0)
 
 
-def test_what_keeps_no_integrals_is_expected_to_grow_like_the_square_of_time():
-    """Symmetric schemes and Poisson maps keep them, and a projection where a curve is all that is left."""
+def test_growth_is_quadratic_where_no_integral_is_preserved():
+    """Symmetric schemes and Poisson maps preserve integrals, and a projection does where the orbit is a curve."""
     top = co.LiePoissonSystem(
         co.algebras.e(3), co.Quadratic([1.0, 0.75, 0.5, 0, 0, 0], linear=[0, 0, 0, 0.125, 0, 0.25]), sign=-1
     )
@@ -197,10 +194,8 @@ def test_what_keeps_no_integrals_is_expected_to_grow_like_the_square_of_time():
             assert candidate.growth(pilot, trial) == pytest.approx(pilot.windows**power)
 
 
-def test_the_weights_mean_what_they_say():
-    """Where a rotation is 11 ns, eight stages of a field in three dimensions are 15 to 20, and a step of a series of
-    order 16 is 90 to 130.
-    """
+def test_cost_weights_match_measured_times():
+    """A rotation takes 11 ns, eight stages in three dimensions 15 to 20, a step of a series of order 16 90 to 130."""
     program = build_program(BODY, co.Splitting(order=2))
     assert flow_work(program, False) == pytest.approx(2.0)
     assert 2.0 < flow_work(program, True) < 3.0
@@ -210,22 +205,22 @@ def test_the_weights_mean_what_they_say():
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
 
 
-def test_sparse_series_are_paid():
+def test_sparse_series_are_counted():
     """A step of these moments takes four of them: 320 ns, where 2.2 rotations would take 25."""
     beam = co.systems.vlasov_moments(4, "1/2*x20 + 1/8*x20^2 + 1/64*x40")
     program = build_program(beam, co.Splitting(order=2))
     assert 200 / 11 < flow_work(program, False) < 400 / 11
 
 
-def test_compensation_is_paid():
+def test_compensation_is_counted():
     (plain,) = supported_candidates(BODY, [co.Splitting(order=2)], X0, False, strict=False)
     better = plain.compensated()
     assert better.method.compensated and better.work.cost(0.0, 0.0) == flow_work(better.method.program(BODY), True)
     assert better.work.cost(0.0, 0.0) > plain.work.cost(0.0, 0.0) == flow_work(plain.method.program(BODY), False)
 
 
-def test_functions_of_the_user_are_paid():
-    """The same energy as numbers and as functions: a call for each flow, and for each evaluation of the field."""
+def test_user_functions_are_counted():
+    """The same energy as numbers and as functions: one call for each flow and each evaluation of the field."""
     numbers = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
     functions = co.LiePoissonSystem(
         co.algebras.so(3),
@@ -244,15 +239,15 @@ def test_functions_of_the_user_are_paid():
     assert apart > 8.0 * 3 * FUNCTION_COST * 0.9
 
 
-def test_rounding_is_told_from_the_model_within_a_factor():
+def test_rounding_model_is_accurate_within_a_factor():
     """Compensated against plain sums of the same steps differ by the rounding of the plain ones."""
     states = np.random.default_rng(2).standard_normal((8, 3))
     for span, step in ((100.0, 0.01), (400.0, 0.02)):
-        plain, kept = (
+        plain, compensated = (
             co.integrate(BODY, states, (0, span), step, co.Splitting(order=4, compensated=c), watch=False).x[-1]
             for c in (False, True)
         )
-        found = np.linalg.norm(plain - kept, axis=1) / np.linalg.norm(states, axis=1)
+        found = np.linalg.norm(plain - compensated, axis=1) / np.linalg.norm(states, axis=1)
         rows = build_program(BODY, co.Splitting(order=4)).rows.section
         pilot = Pilot(BODY, states, 0.0, span)
         expected = roundoff(pilot, round(span / step), int(rows[2] - rows[1]), False, pilot.windows)

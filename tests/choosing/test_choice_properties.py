@@ -1,4 +1,4 @@
-"""Properties of every choice: the schemes that were given, the parts of its error, copies of a state, arguments."""
+"""Properties that every choice of a scheme has."""
 
 import re
 from dataclasses import fields
@@ -9,9 +9,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import accuracy as choosing
-from coadjoint.choosing import system_cache as remembered
+from coadjoint.choosing import system_cache
 from coadjoint.choosing.accuracy import PROCESSED, SCHEMES, Choice
-from coadjoint.choosing.growth import Growth
+from coadjoint.choosing.pilot import Growth
 from coadjoint.choosing.system_cache import loops_of
 
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
@@ -28,15 +28,15 @@ METHODS = {
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("span", [(0.0, 50.0), (3.0, -997.0), (0.0, 1e4)])
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-9, 2e-12])
-def test_the_error_contains_the_rounding(case, span, accuracy):
+def test_error_includes_roundoff(case, span, accuracy):
     system, x0 = CASES[case]
     try:
         choice = co.choose(system, x0, span, accuracy)
-    except ValueError as refused:
-        assert "accuracy" in str(refused)
+    except ValueError as refusal:
+        assert "accuracy" in str(refusal)
         return
-    for one in (choice, *choice.others):
-        assert 0.0 < one.roundoff <= one.error
+    for each in (choice, *choice.others):
+        assert 0.0 < each.roundoff <= each.error
     assert choice.error <= accuracy
 
 
@@ -44,27 +44,26 @@ def test_the_error_contains_the_rounding(case, span, accuracy):
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("time", [100.0, 1e3, 1e4, 1e5])
-def test_a_single_scheme_keeps_its_settings(case, method, time):
-    """It is refused where it does not reach the accuracy, and never replaced by a more accurate variant."""
+def test_single_scheme_is_never_replaced_by_a_variant(case, method, time):
     system, x0 = CASES[case]
     for accuracy in (1e-6, 1e-11, 3e-12):
         try:
             choice = co.choose(system, x0, (0.0, time), accuracy, methods=METHODS[method])
-        except ValueError as refused:
-            assert "accuracy" in str(refused) or "reach" in str(refused)
+        except ValueError as refusal:
+            assert "accuracy" in str(refusal) or "reach" in str(refusal)
             continue
         assert type(choice.method) is type(METHODS[method])
-        if method != "own steps":  # whose tolerance is what is chosen
+        if method != "own steps":  # of which the tolerance is chosen
             assert choice.method == METHODS[method]
 
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize(
     ("method", "copies"),
-    # From four on, members go side by side, which changes the costs of schemes and so the choice among them.
+    # From four members on, lanes change the costs of schemes, and so the choice among them.
     [(None, 2), *((method, copies) for method in METHODS for copies in (2, 4, 7))],
 )
-def test_copies_of_a_state_have_the_choice_of_one(case, method, copies):
+def test_copies_of_a_state_get_its_choice(case, method, copies):
     system, x0 = CASES[case]
     given = {} if method is None else {"methods": METHODS[method]}
     one = co.choose(system, x0, (1.0, 101.0), 1e-8, **given)
@@ -76,8 +75,7 @@ def test_copies_of_a_state_have_the_choice_of_one(case, method, copies):
 
 
 @pytest.mark.parametrize("accuracy", [None, 1e-6])
-def test_arguments_that_are_changed_in_place(accuracy):
-    """What a prepared run reads of its arguments it reads in every call."""
+def test_prepared_run_reads_changed_arguments_again(accuracy):
     x0, span = np.array([1.0, 0.2, 0.5]), [0.0, 10.0]
     given = {"accuracy": accuracy, "x0": [x0.copy()], "t_span": (0.0, 10.0)} if accuracy else {"step": 0.125}
     run = co.prepare(BODY, **given)
@@ -100,8 +98,7 @@ def test_arguments_that_are_changed_in_place(accuracy):
             run.run(x0, span)
 
 
-def test_the_sentence_has_every_number_of_a_choice():
-    """Each field with a value of its own, in its place; with other schemes and without."""
+def test_choice_text_contains_every_number():
     other = Choice(co.GaussLegendre(3), 0.5, 1e-5, 1e-6, 1e-9, 700.0)
     choice = Choice(co.Splitting(order=4), 0.0123456789, 2.5e-5, 3.75e-6, 4.25e-9, 200.0, (other, choice_of(900.0)))
     numbers = (
@@ -126,7 +123,7 @@ def values(choice):
 
 
 @pytest.mark.parametrize("t0", [0.0, -3.5])
-def test_a_span_of_no_length_has_the_first_scheme_and_no_error(t0):
+def test_empty_span_gets_first_scheme_without_error(t0):
     for first, second in ((co.GaussLegendre(4), co.Splitting(order=4)), (co.Splitting(order=4), co.Taylor(12))):
         choice = co.choose(BODY, (1.0, 0.2, 0.5), (t0, t0), 1e-7, methods=[first, second])
         assert values(choice) == [first, 1.0, 1e-7, 0.0, 0.0, 0.0, ()]
@@ -136,8 +133,7 @@ ROUND_NUMBERS = [1.0, 9.99e-7, 1.0000001e-9, 2.5e-9, 2.51e-13, 9.91e-3, 1e-16]
 
 
 @pytest.mark.parametrize("value", [*ROUND_NUMBERS, *10.0 ** np.linspace(-17, -1, 40)])
-def test_the_least_accuracy_of_a_message_is_rounded_up(value):
-    """To two digits, which are a tenth of the number at most, and some u of it."""
+def test_least_accuracy_is_rounded_up_to_two_digits(value):
     assert value <= float(choosing._rounded_up(value)) * (1.0 + 2.0**-50) <= 1.1 * value * (1.0 + 2.0**-48)
     assert re.fullmatch(r"\d\.\de[+-]\d\d", choosing._rounded_up(value))
 
@@ -152,14 +148,14 @@ def test_the_least_accuracy_of_a_message_is_rounded_up(value):
     ],
     ids=str,
 )
-def test_schemes_are_given_in_every_form(written, schemes):
+def test_methods_accept_names_mappings_and_schemes(written, schemes):
     expected = co.choose(BODY, (1.0, 0.2, 0.5), (0.0, 10.0), 1e-6, methods=schemes)
     found = co.choose(BODY, (1.0, 0.2, 0.5), (0.0, 10.0), 1e-6, methods=written)
     assert found == expected and found.others == expected.others
 
 
 @pytest.mark.parametrize("processed", [False, True])
-def test_default_schemes_are_those_that_carry_the_dimension(processed):
+def test_default_schemes_depend_on_dimension(processed):
     known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
     limits = {each.largest for each in known if np.isfinite(each.largest)}
     for dim in (3, 64, *(int(limit) + more for limit in limits for more in (-1, 0, 1))):
@@ -169,25 +165,23 @@ def test_default_schemes_are_those_that_carry_the_dimension(processed):
 
 
 @pytest.mark.parametrize("span", [(0.0, 40.0), (100.0, 60.0), (-3.0, -43.0)])
-def test_refusals_have_the_length_of_the_span(span, monkeypatch):
+def test_refusals_name_scheme_accuracy_and_span_length(span, monkeypatch):
     x0, splitting = (1.0, 0.2, 0.5), co.Splitting(order=4)
     with monkeypatch.context() as none, pytest.raises(ValueError) as refused:
         none.setattr(choosing, "fit", lambda *given: None)
         co.choose(BODY, x0, span, 1e-6, methods=splitting)
-    assert str(refused.value).startswith(
-        f"no step of {splitting} reaches the accuracy 1e-06 over the time 40 at an acceptable cost"
-    )
+    assert all(part in str(refused.value) for part in (str(splitting), "accuracy 1e-06", "time 40"))
     for methods, name in ((splitting, str(splitting)), (None, "any scheme")):
         with monkeypatch.context() as lost, pytest.raises(ValueError) as refused:
             lost.setattr(choosing, "least_roundoff", lambda pilot: 0.5)
             co.choose(BODY, x0, span, 1e-6, methods=methods)
-        assert f"no accuracy is reached in float64 with {name} over the time 40: " in str(refused.value)
+        assert all(part in str(refused.value) for part in ("float64", name, "time 40"))
 
 
 @pytest.mark.parametrize("quarter", [0.0, 1e-12, 1.0, 5.0, 40.0])
 @pytest.mark.parametrize("half", [0.0, 1e-12, 1.0, 6.0, 50.0])
 @pytest.mark.parametrize("whole", [0.0, 1e-12, 1.0, 35.0, 400.0])
-def test_growth_is_extrapolated_alike_for_all_units_and_never_falls(quarter, half, whole):
+def test_growth_factor_is_monotone_and_scale_invariant(quarter, half, whole):
     growth, small = Growth(quarter, half, whole), Growth(*(2.0**-60 * value for value in (quarter, half, whole)))
     windows = (1.0, 1.5, 2.0, 10.0, 1e3, 1e9)
     for least in (1.0, 2.0):
@@ -202,18 +196,18 @@ def test_growth_is_extrapolated_alike_for_all_units_and_never_falls(quarter, hal
             assert set(factors) == {1.0}
 
 
-def test_loops_are_kept_for_schemes_and_energies_without_state(monkeypatch):
-    """Not where tables depend on the step, nor with functions of the user, which may change."""
-    monkeypatch.setattr(remembered, "SystemLoops", lambda *given, **options: [given])
-    monkeypatch.setattr(remembered, "_cache_of", lru_cache(lambda system: {}))
+def test_loops_are_cached_only_for_step_independent_tables(monkeypatch):
+    monkeypatch.setattr(system_cache, "SystemLoops", lambda *given, **options: [given])
+    monkeypatch.setattr(system_cache, "_cache_of", lru_cache(lambda system: {}))
     called = co.LiePoissonSystem(
         co.algebras.so(3), co.Hamiltonian(lambda x: 0.5 * (x @ x), lambda x: 1.0 * x), name="called"
     )
     free = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
     gauss, splitting = co.GaussLegendre(2), co.Splitting(order=2)
+    # Neither where tables depend on the step, nor with functions of the user, which may change.
     cases = [(BODY, gauss, True), (BODY, splitting, False), (called, gauss, False), (free, gauss, False)]
-    for system, method, kept in cases:
+    for system, method, cached in cases:
         assert method.tables_of_any_step is (method is gauss)
-        assert (loops_of(system, method, 0.1) is loops_of(system, method, 0.2)) is kept
+        assert (loops_of(system, method, 0.1) is loops_of(system, method, 0.2)) is cached
     assert loops_of(BODY, gauss, 0.1) is not loops_of(BODY, co.GaussLegendre(3), 0.1)
     assert loops_of(BODY, gauss, 0.1) is not loops_of(SO4, gauss, 0.1)

@@ -1,7 +1,8 @@
-"""Choices for ensembles, for spans that begin anywhere and run backward, and for runs with a group element."""
+"""Choices for ensembles, for spans in both directions and from any start, and for runs with group elements."""
 
 import math
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,9 +12,8 @@ import coadjoint as co
 from coadjoint.choosing import accuracy
 from coadjoint.choosing import member_sample as sampling
 from coadjoint.choosing.candidates import supported_candidates
-from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.member_sample import sample_of
-from coadjoint.choosing.pilot import Pilot, Trial
+from coadjoint.choosing.pilot import Growth, Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 from coadjoint.kernels.interface import limit
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, newton_work
@@ -46,7 +46,7 @@ RISING = rising()
 
 
 @pytest.mark.parametrize("method", SINGLE)
-def test_a_group_element_costs_work_whatever_was_asked_before(method):
+def test_group_element_cost_does_not_depend_on_earlier_calls(method):
     before, after = new_body(), new_body()
     options = {"methods": SINGLE[method]}
     turned = co.choose(before, X0, SPAN, 1e-7, attitude=True, **options)
@@ -58,7 +58,7 @@ def test_a_group_element_costs_work_whatever_was_asked_before(method):
     assert turned.method == coadjoint.method == plain.method and turned.step == plain.step
 
 
-def test_a_wrong_initial_group_element_is_refused():
+def test_wrong_initial_group_element_is_refused():
     for methods in (None, co.Splitting(order=4)):
         with pytest.raises(ValueError, match="attitude"):
             co.choose(BODY, X0, SPAN, 1e-6, attitude=np.diag([1.0, 1.0, -1.0]), methods=methods)
@@ -68,33 +68,33 @@ def test_a_wrong_initial_group_element_is_refused():
 
 
 @pytest.mark.parametrize("method", SINGLE)
-def test_a_run_backward_has_the_choice_of_its_mirror_image(method):
-    """-x(-t) solves the equations of x(t), so both need the same steps; time is shifted by an exact number."""
+def test_backward_run_gets_the_choice_of_its_mirror_image(method):
+    """-x(-t) solves the equations of x(t), so that both need the same steps."""
     forward = co.choose(BODY, X0, (0.0, 40.0), 1e-8, methods=SINGLE[method])
     mirrored = co.choose(BODY, -np.array(X0), (24.0, -16.0), 1e-8, methods=SINGLE[method])
     shifted = co.choose(BODY, X0, (-1024.0, -984.0), 1e-8, methods=SINGLE[method])
     for other in (mirrored, shifted):
         assert other.step > 0.0
-        assert other.method == forward.method or method == "own steps"  # whose tolerance is what is chosen
+        assert other.method == forward.method or method == "own steps"  # of which the tolerance is chosen
         # The growth of small changes is measured along directions that are not mirrored.
         assert other.step == pytest.approx(forward.step, rel=0.05) and other.cost == pytest.approx(
             forward.cost, rel=0.05
         )
 
 
-@pytest.mark.parametrize(("t0", "direction", "place"), [(5.0, 1.0, 0), (-7.0, -1.0, 3), (0.0, -1.0, 6)])
-def test_the_time_of_a_blow_up_is_in_the_message_for_any_member(t0, direction, place):
+@pytest.mark.parametrize(("t0", "direction", "number"), [(5.0, 1.0, 0), (-7.0, -1.0, 3), (0.0, -1.0, 6)])
+def test_blow_up_time_is_named_for_any_member(t0, direction, number):
     """x2^2 - x1^2 = c^2 gives x2 = c coth(c (T - t)), so T = artanh(c / x2) / c."""
     c = math.sqrt(0.9**2 - 0.5**2)
     end = math.atanh(c / 0.9) / c
     members = np.tile([[0.0, 0.1]], (7, 1)) * np.linspace(1.0, 2.0, 7)[:, None]
-    members[place] = direction * np.array([0.5, 0.9])
+    members[number] = direction * np.array([0.5, 0.9])
     with pytest.raises(ValueError, match="blows up") as refused:
         co.choose(RISING, members, (t0, t0 + 10.0 * direction), 1e-6)
     found = float(re.search(r"near t = (\S+),", str(refused.value))[1])
     assert found == pytest.approx(t0 + direction * end, abs=0.2)
     # Without this member the others, at rest, are no problem.
-    members[place] = [0.0, 0.1]
+    members[number] = [0.0, 0.1]
     assert co.choose(RISING, members, (t0, t0 + 10.0 * direction), 1e-6).error < 1e-6
 
 
@@ -108,13 +108,13 @@ def test_the_time_of_a_blow_up_is_in_the_message_for_any_member(t0, direction, p
     ],
     ids=["two kinds", "one kind", "one"],
 )
-def test_a_refusal_has_the_length_of_the_span_and_an_accuracy_that_is_accepted(span, methods):
-    with pytest.raises(ValueError, match="below what float64 reaches") as refused:
+def test_refusal_names_an_attainable_accuracy(span, methods):
+    with pytest.raises(ValueError, match="float64") as refused:
         co.choose(BODY, X0, span, 1e-17, methods=methods)
-    said = str(refused.value)
-    assert ("with any scheme over the time 40;" if isinstance(methods, list) else f"with {methods} over") in said
-    assert "over the time 40;" in said
-    least = float(re.search(r"(\S+) is the least", said)[1])
+    message = str(refused.value)
+    assert ("with any scheme over the time 40;" if isinstance(methods, list) else f"with {methods} over") in message
+    assert "over the time 40;" in message
+    least = float(re.search(r"(\S+) is the least", message)[1])
     # The steps, and with them the rounding, depend weakly on the accuracy.
     assert co.choose(BODY, X0, span, 1.25 * least, methods=methods).error <= 1.25 * least
     if isinstance(methods, list):  # one scheme takes fewer steps for a larger error, with less rounding
@@ -149,8 +149,8 @@ def tilted(members, seed):
 @pytest.mark.parametrize("system", [BODY, FIELD], ids=["body", "field"])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("span", [2.0, -2.0])
-def test_the_sample_has_the_largest_errors_relative_to_each_member(seed, span, system):
-    """The errors are those of runs with 128 and 256 steps over the time in which the fastest member moves 16 sizes."""
+def test_sample_has_the_largest_relative_errors(seed, span, system):
+    """Errors from runs with 128 and 256 steps over the time in which the fastest member moves 16 sizes."""
     crowd = crowd_of(23, seed) if system is BODY else tilted(23, seed)
     sizes = np.linalg.norm(crowd, axis=1)
     rate = max(np.linalg.norm(system.vector_field(x)) / size for x, size in zip(crowd, sizes, strict=True))
@@ -170,7 +170,7 @@ def test_the_sample_has_the_largest_errors_relative_to_each_member(seed, span, s
 
 
 @pytest.mark.parametrize("span", [1000.0, -1000.0, 1e-3])
-def test_the_sample_is_screened_from_the_start_in_the_direction_of_the_run(span, monkeypatch):
+def test_sample_is_screened_along_the_run(span, monkeypatch):
     seen = []
     short_run = sampling.short_run
 
@@ -189,8 +189,8 @@ def test_the_sample_is_screened_from_the_start_in_the_direction_of_the_run(span,
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
 @pytest.mark.parametrize("span", [1.0, -1.0])
-def test_an_ensemble_is_measured_by_the_worst_of_its_members(order, span):
-    """The members are of very different speeds, one rests."""
+def test_pilot_of_an_ensemble_measures_its_worst_member(order, span):
+    """Members of very different speeds, one at rest."""
     members = np.array([[3.0, 2.0, -2.5], [0.1, 0.05, 0.2], [0.0, 0.4, 0.0]])
     alone = [Pilot(BODY, x[None], 0.0, span) for x in members]
     crowd = Pilot(BODY, members[list(order)], 0.0, span)
@@ -207,7 +207,7 @@ def test_an_ensemble_is_measured_by_the_worst_of_its_members(order, span):
         assert together.error > 10 * min(trial.error for trial in trials)
 
 
-def test_the_sensitivity_of_an_ensemble_is_that_of_its_worst_member():
+def test_sensitivity_is_that_of_the_worst_member():
     """Near the middle axis small changes grow like exp(t size / sqrt(3)), near the others they do not grow."""
     calm, unstable = [1.0, 1e-3, 1e-3], [1e-9, 1.0, 1e-9]
     for members in ([calm, unstable], [unstable, calm]):
@@ -218,7 +218,7 @@ def test_the_sensitivity_of_an_ensemble_is_that_of_its_worst_member():
 
 
 @pytest.mark.parametrize("members", [MIN_LANE_MEMBERS - 1, MIN_LANE_MEMBERS])
-def test_from_a_number_of_members_on_lanes_make_splittings_cheaper(members):
+def test_lanes_make_splittings_cheaper(members):
     crowd = np.tile(X0, (members, 1))
     many, one = (co.choose(BODY, x0, SPAN, 1e-6, methods=co.Splitting(order=6)) for x0 in (crowd, X0))
     assert many.step == one.step
@@ -228,14 +228,14 @@ def test_from_a_number_of_members_on_lanes_make_splittings_cheaper(members):
         assert many.cost < 0.5 * one.cost
 
 
-def test_the_linear_systems_of_newtons_method_are_counted():
+def test_linear_systems_of_newtons_method_are_counted():
     (candidate,) = supported_candidates(BODY, [co.GaussLegendre(4)], X0, False, strict=True)
     without = Trial(10, Growth(0.0, 0.0, 0.0), 3.0, 12.0)
     added = candidate.cost(without._replace(newton=True)) - candidate.cost(without)
     assert added == pytest.approx(newton_work(3, 4.0)) and added > 0.0
 
 
-def test_a_trial_tells_whether_newtons_method_was_used(monkeypatch):
+def test_trial_records_newtons_method(monkeypatch):
     pilot = Pilot(BODY, np.array([X0]), 0.0, 4.0)
     for used in (False, True):
         monkeypatch.setattr(co.GaussLegendre, "took_newton", lambda self, memory, used=used: used)
@@ -244,7 +244,7 @@ def test_a_trial_tells_whether_newtons_method_was_used(monkeypatch):
 
 
 @pytest.mark.parametrize("members", [1, MIN_LANE_MEMBERS - 1, MIN_LANE_MEMBERS, 3 * MIN_LANE_MEMBERS])
-def test_members_go_side_by_side_where_they_are_many_and_not_too_wide(members):
+def test_lanes_need_many_members_of_small_dimension(members):
     widest = limit("WIDEST")
     for copies in (1, widest // 3, widest // 3 + 1):
         many = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), copies), co.Quadratic(np.ones(3 * copies)))
@@ -257,18 +257,16 @@ def test_members_go_side_by_side_where_they_are_many_and_not_too_wide(members):
 # The last confirmation
 
 
-def test_what_becomes_dearer_when_it_is_confirmed_gives_way_to_another(monkeypatch):
+def test_scheme_that_confirmation_makes_expensive_is_replaced(monkeypatch):
     methods = [co.Splitting(order=p) for p in (4, 6, 8)]
     plain = co.choose(BODY, X0, SPAN, 1e-8, methods=methods)
     asked = []
 
-    def dearer(found, goal, bound):
-        from dataclasses import replace
-
+    def expensive(found, goal, bound):
         asked.append((found.candidate.method, goal, bound))
         return replace(found, steps=100 * found.steps) if found.candidate.method == plain.method else found
 
-    monkeypatch.setattr(accuracy, "confirmed", dearer)
+    monkeypatch.setattr(accuracy, "confirmed_fit", expensive)
     choice = co.choose(BODY, X0, SPAN, 1e-8, methods=methods)
     assert [method for method, _, _ in asked] == [plain.method, choice.method] and choice.method != plain.method
     costs = [each.cost for each in (choice, *choice.others)]
@@ -277,7 +275,7 @@ def test_what_becomes_dearer_when_it_is_confirmed_gives_way_to_another(monkeypat
         assert 0.0 < goal <= bound <= 0.5e-8
 
 
-def test_the_sentence_compares_the_costs():
+def test_choice_text_compares_costs():
     choice = co.choose(BODY, X0, SPAN, 1e-7)
     name, times = re.search(r"; next (.*) at (\S+) times that$", str(choice)).groups()
     assert name == str(choice.others[0].method)
@@ -289,8 +287,8 @@ def test_the_sentence_compares_the_costs():
 
 @pytest.mark.parametrize("compensated", [False, True])
 @pytest.mark.parametrize("order", [2, 4])
-def test_rounding_of_splittings_is_bounded_for_both_kinds_of_sums(order, compensated):
-    """On exact steps, powers of two, and their mirror images: there and back again, what is left is rounding."""
+def test_rounding_bound_of_plain_and_compensated_sums(order, compensated):
+    """Steps are powers of two: after the way back, the difference is rounding."""
     states = np.random.default_rng(6).standard_normal((6, 3))
     method = co.Splitting(order=order, compensated=compensated)
     span, step = 64.0, 2.0**-6
@@ -307,7 +305,7 @@ def test_rounding_of_splittings_is_bounded_for_both_kinds_of_sums(order, compens
 
 
 @pytest.mark.parametrize("compensated", [False, True])
-def test_rounded_coefficients_change_the_time_like_the_root_of_their_number(compensated):
+def test_rounded_coefficients_accumulate_like_a_random_walk(compensated):
     """As many flows in all, in longer compositions: three roundings along the path, times the root of their number."""
     pilot = SimpleNamespace(noise=0.0, speed=2.0, window=5.0, sensitivity=Growth(1.0, 1.0, 1.0))
     for windows in (1.0, 10.0):

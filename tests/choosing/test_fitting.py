@@ -1,4 +1,4 @@
-"""How many steps a scheme needs: the last look at a choice, on errors that are given."""
+"""Number of steps that a scheme needs, fitted to errors of trials."""
 
 import math
 from types import SimpleNamespace
@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing.fitting import Fit, confirmed, fit
-from coadjoint.choosing.growth import Growth
-from coadjoint.choosing.pilot import Trial
-from coadjoint.choosing.roundoff import MARGIN, roundoff
+from coadjoint.choosing.fitting import Fit, confirmed_fit, fit
+from coadjoint.choosing.pilot import Growth, Trial
+from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
 
 pytestmark = pytest.mark.sensitive
 
@@ -49,30 +48,30 @@ def found_of(error, steps, windows=1.0):
     return Fit(pilot, candidate, steps, 0.0, Trial(steps, Growth(0.0, 0.0, 0.0), 1.0, 8.0))
 
 
-def test_an_error_within_some_roundings_is_accepted():
-    found = confirmed(found_of(lambda steps: 3.0 * NOISE, 100), NOISE, 2.0 * NOISE)
+def test_error_of_a_few_roundings_is_accepted():
+    found = confirmed_fit(found_of(lambda steps: 3.0 * NOISE, 100), NOISE, 2.0 * NOISE)
     assert found.steps == 100 and found.pilot.tried == [100]
 
 
-def test_an_error_that_is_more_than_rounding_is_corrected():
-    """Of 8 roundings the reference still tells the truth."""
-    found = confirmed(found_of(lambda steps: 8.0 * NOISE * (100 / steps) ** 16, 100), NOISE, 2.0 * NOISE)
+def test_error_above_rounding_is_corrected():
+    """An error of 8 roundings still shows in the reference."""
+    found = confirmed_fit(found_of(lambda steps: 8.0 * NOISE * (100 / steps) ** 16, 100), NOISE, 2.0 * NOISE)
     assert (found.steps > 100 and found.error <= 2.0 * NOISE) or found.trial.error <= 4.0 * NOISE
     assert 8.0 * (100 / found.steps) ** 16 <= 4.0
 
 
-def test_what_is_looked_at_is_no_finer_than_what_is_run():
-    """A run of ten windows with 85.7 steps in each: it fails with 85, and so 86 would show nothing."""
-    found = confirmed(found_of(lambda steps: None if steps <= 85 else 1e-9, 857, windows=10.0), 1e-6, 2e-6)
+def test_confirmation_is_no_finer_than_the_run():
+    """Ten windows with 85.7 steps in each: the trial fails with 85, and 86 would not show it."""
+    found = confirmed_fit(found_of(lambda steps: None if steps <= 85 else 1e-9, 857, windows=10.0), 1e-6, 2e-6)
     assert found.pilot.tried[0] == 85 and found.steps > 1000
     assert found.steps / 10.0 >= max(found.pilot.tried)
 
 
 @pytest.mark.parametrize("windows", [1.0, 4.0])
-def test_a_run_that_fails_or_misses_the_bound_is_given_more_steps(windows):
-    """It ends below the bound, with the error of a trial with as many steps as the run, and not with many too many."""
+def test_failed_or_inaccurate_run_gets_more_steps(windows):
+    """It ends below the bound, with the error of a trial with as many steps, and not with far too many."""
     for error in (lambda steps: None if steps < 130 else 1e-12, lambda steps: 1e-4 * (100 / steps) ** 16):
-        found = confirmed(found_of(error, int(100 * windows), windows), 1e-6, 2e-6)
+        found = confirmed_fit(found_of(error, int(100 * windows), windows), 1e-6, 2e-6)
         per_window = found.steps / windows
         assert found.pilot.tried[0] == 100 and found.pilot.tried == sorted(found.pilot.tried)
         assert error(per_window) * windows <= 2e-6
@@ -85,8 +84,8 @@ def test_a_run_that_fails_or_misses_the_bound_is_given_more_steps(windows):
 
 
 @pytest.mark.parametrize("windows", [1.0, 3.0])
-def test_the_error_that_is_expected_is_that_of_the_steps_that_are_run(windows):
-    found = confirmed(found_of(lambda steps: 1e-7 * (100 / steps) ** 16, 302, windows=windows), 1e-6, 2e-6)
+def test_expected_error_is_that_of_the_actual_steps(windows):
+    found = confirmed_fit(found_of(lambda steps: 1e-7 * (100 / steps) ** 16, 302, windows=windows), 1e-6, 2e-6)
     per_window = 302 / windows
     assert found.steps == 302 and found.error == pytest.approx(1e-7 * (100 / per_window) ** 16 * windows)
 
@@ -99,8 +98,8 @@ def fitted(error, order, goal, limit=math.inf, windows=1.0, share=1.0):
 
 
 @pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
-def test_steps_keep_away_from_those_that_fail(windows):
-    """Up to 60 steps fail, and from there on nothing is left of the motion: the border of what is stable."""
+def test_steps_stay_away_from_the_stability_limit(windows):
+    """Up to 60 steps fail, and beyond them the error is zero."""
     found = fitted(lambda steps: None if steps <= 60 else 1e-40, 6, 1e-10, windows=windows)
     tried = found.pilot.tried
     assert tried[0] == 40
@@ -113,8 +112,7 @@ def test_steps_keep_away_from_those_that_fail(windows):
 
 @pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
 @pytest.mark.parametrize("order", [6, 24])
-def test_where_errors_follow_the_order_it_says_how_many_steps(order, windows):
-    """An order of 24 needs few more than the steps with which it begins to be right."""
+def test_step_count_follows_the_order(order, windows):
     found = fitted(lambda steps: (60 / steps) ** order, order, 1e-6, windows=windows)
     needed = 60 * (1e-6 / windows) ** (-1.0 / order) * windows
     assert needed * (1.0 - 1e-9) <= found.steps <= 1.02 * needed + 1
@@ -129,8 +127,7 @@ def test_where_errors_follow_the_order_it_says_how_many_steps(order, windows):
 
 @pytest.mark.parametrize("windows", [1.0, 3.0])
 @pytest.mark.parametrize("share", [1.0, 0.125])
-def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up(windows, share):
-    """Its cost is that of its steps, or its share of it in an ensemble; more of them cost more."""
+def test_expensive_scheme_is_abandoned(windows, share):
     tried, limit = [], 20.0 * windows * share
     given = {"windows": windows, "share": share}
     assert fitted(lambda steps: tried.append(steps) or 0.9, 16, 1e-6, limit=limit, **given) is None
@@ -146,8 +143,8 @@ def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up(windows, share):
     assert not fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=10.0 * limit, **given).abandoned
 
 
-def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():
-    """With 80 steps nothing is right, and they iterate so long that they are dear. With 160 they do not."""
+def test_slowly_converging_stages_get_more_steps():
+    """With 80 steps the stages iterate too long to be affordable, with 160 they do not."""
 
     def cost(trial):
         return trial.iterations
@@ -163,14 +160,14 @@ def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():
 @pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
 @pytest.mark.parametrize("seen", [1e-9, 1e-16])
 @pytest.mark.parametrize("own", [True, False])
-def test_the_rounding_of_variable_steps_contains_what_the_trial_shows(own, seen, windows):
-    """The excess of its error over that of the tolerance, if that is above the rounding of the model."""
+def test_rounding_of_variable_steps_includes_the_trial(own, seen, windows):
+    """The excess of its error over that of the tolerance, if that is above the modelled rounding."""
     fit = found_of(None, 40, windows)
     method = co.Taylor(tolerance=1e-12) if own else co.Taylor(16)
     candidate = SimpleNamespace(**{**vars(fit.candidate), "method": method})
     trial = fit.trial._replace(growth=Growth(0.1 * seen, 0.5 * seen, seen))
     found = Fit(fit.pilot, candidate, 40, 0.25 * seen * windows, trial)
-    model = roundoff(fit.pilot, 40, 0, True, windows, MARGIN)
+    model = roundoff(fit.pilot, 40, 0, True, windows, ROUNDING_MARGIN)
     assert found.end == pytest.approx(seen * windows)
     assert found.roundoff == pytest.approx(max(0.75 * seen * windows, model) if own else model)
     assert (0.75 * seen * windows > model) == (seen == 1e-9)

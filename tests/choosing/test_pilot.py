@@ -1,4 +1,4 @@
-"""The window of a pilot: in the direction and at the time of the run, against a motion that is known."""
+"""Pilot runs against known motions, with the direction and the start time of the run."""
 
 import math
 
@@ -35,7 +35,7 @@ def exact(t0, t, x0=X0):
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("t0", [0.0, 1.25, -0.75])
 @pytest.mark.parametrize("span", [1.5, -1.5])
-def test_the_reference_is_the_motion(t0, span):
+def test_reference_is_the_exact_motion(t0, span):
     pilot = Pilot(SYSTEM, X0[None], t0, span)
     assert pilot.whole
     times = t0 + span * np.arange(pilot.points + 1) / pilot.points
@@ -46,7 +46,7 @@ def test_the_reference_is_the_motion(t0, span):
     trial = pilot.trial(GaussLegendre(2), steps)
     run = co.integrate(SYSTEM, X0, (t0, t0 + span), abs(span) / steps, GaussLegendre(2))
     apart = np.linalg.norm(run.x - exact(t0, run.t), axis=1)[steps // 2 + 1 :] / np.linalg.norm(X0)
-    # It looks at some points of the second half, among them the end.
+    # The error is that at some points of the second half, the end among them.
     assert apart[-1] * 0.999 <= trial.error <= apart.max() * 1.001
     speeds = [np.linalg.norm(SYSTEM.vector_field(x, t)) for x, t in zip(found, times, strict=True)]
     assert pilot.speed == pytest.approx(max(speeds) / np.linalg.norm(X0), rel=0.1)
@@ -55,8 +55,8 @@ def test_the_reference_is_the_motion(t0, span):
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("t0", [2.0, -3.0])
 @pytest.mark.parametrize("span", [0.5, -0.5])
-def test_a_choice_knows_the_time(t0, span):
-    """At t = 2 the clock is seven times as fast as at 0, at -3 as slow as a twentieth; a sample is screened then."""
+def test_choice_depends_on_the_time(t0, span):
+    """The clock is seven times as fast at t = 2 as at 0, and 20 times as slow at -3."""
     crowd = np.array([[1.0, 1e-6, 1e-6], [1e-6, 1e-6, 2.0], *np.outer([0.1, 0.2, 0.9, 1.0, 0.3], X0)])
     for method in (co.GaussLegendre(4), co.GaussLegendre(2)):
         choice = co.choose(SYSTEM, crowd, (t0, t0 + span), 1e-8, methods=method)
@@ -69,7 +69,7 @@ def test_a_choice_knows_the_time(t0, span):
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1e-3), (1e3, 1.0), (1.0, 1e-6, 30.0)])
-def test_each_member_is_measured_by_its_own_size(sizes):
+def test_errors_are_relative_to_each_member(sizes):
     """All but the second rest on an axis, whatever their size."""
     crowd = np.array([[size, 0.0, 0.0] for size in sizes])
     crowd[1] = sizes[1] * X0
@@ -81,16 +81,15 @@ def test_each_member_is_measured_by_its_own_size(sizes):
     assert apart[-1] * 0.999 <= pilot.trial(GaussLegendre(2), steps).error <= apart.max() * 1.001
 
 
-def test_the_natural_step_is_that_of_the_direction():
-    """From t = 2 the clock is e^4 times as fast after four units of time as it was before them."""
+def test_natural_step_depends_on_the_direction():
     forward, backward = (Pilot(SYSTEM, X0[None], 2.0, span).natural_step for span in (2.0, -4.0))
     assert backward >= 2.0 * forward
 
 
 @pytest.mark.parametrize("members", [5, 40, 256, 257, 700])
 @pytest.mark.parametrize("span", [3.0, -3.0])
-def test_the_sample_has_the_members_that_are_hardest(span, members):
-    """Momenta of any size in any order: the larger one is, the faster it turns. Of many, some are compared."""
+def test_sample_contains_the_hardest_members(span, members):
+    """The larger a momentum is, the faster it turns. Of many members only some are compared."""
     rng = np.random.default_rng(4)
     sizes = rng.permutation(np.linspace(0.1, 3.0, members))
     crowd = sizes[:, None] * X0
@@ -116,24 +115,22 @@ def runs_of(monkeypatch, *given, **more):
 
 
 @pytest.mark.parametrize("span", [60.0, -60.0])
-def test_rounding_far_below_the_accuracy_is_looked_at_once(monkeypatch, span):
-    """And the estimate is then as far below it as repeated runs show."""
-    looked, twice = runs_of(monkeypatch, BODY, X0[None], 0.0, span)
+def test_rounding_far_below_the_accuracy_is_measured_once(monkeypatch, span):
+    repeated, twice = runs_of(monkeypatch, BODY, X0[None], 0.0, span)
     found, once = runs_of(monkeypatch, BODY, X0[None], 0.0, span, accuracy=1e-6)
     assert len(twice) == len(once) + pilots.REPETITIONS
-    assert np.array_equal(found.reference, looked.reference) and found.sensitivity == looked.sensitivity
-    assert max(looked.noise, found.noise) <= 2.0**-14 * 1e-6
+    assert np.array_equal(found.reference, repeated.reference) and found.sensitivity == repeated.sensitivity
+    assert max(repeated.noise, found.noise) <= 2.0**-14 * 1e-6
 
 
-def test_over_a_long_span_rounding_grows_to_matter(monkeypatch):
-    """Of ten million windows the rounding of one is not far below the accuracy."""
+def test_rounding_is_measured_again_over_long_spans(monkeypatch):
+    """Over ten million windows the rounding of one is not negligible."""
     _, long = runs_of(monkeypatch, BODY, X0[None], 0.0, 1e9, accuracy=1e-6)
     _, short = runs_of(monkeypatch, BODY, X0[None], 0.0, 1e3, accuracy=1e-6)
     assert len(long) > len(short)
 
 
-def test_the_reference_is_refined_no_more_than_it_needs(monkeypatch):
-    """A change that order 16 makes invisible in the finer run is not looked at again."""
+def test_reference_is_refined_only_as_needed(monkeypatch):
     pilot, seen = runs_of(monkeypatch, BODY, X0[None], 0.0, 60.0)
     steps = [count for method, count in seen if count > 2]
     coarse, fine = pilot.reference_steps // 2, pilot.reference_steps
@@ -143,8 +140,8 @@ def test_the_reference_is_refined_no_more_than_it_needs(monkeypatch):
     assert np.max(np.abs(pilot.reference[:, 0] - BODY.exact(X0, times))) < 1e-13
 
 
-def test_changes_of_the_start_grow_as_in_the_reference():
-    """By runs of the steps before the last, compared with each other: the steps' own error is no part of the growth."""
+def test_sensitivity_matches_the_exact_motion():
+    """Runs with the same steps are compared, so that the error of the steps does not count as growth."""
     pilot = Pilot(BODY, X0[None], 0.0, 200.0)
     rng = np.random.default_rng(pilots.SEED)
     direction = rng.standard_normal((1, 3))
@@ -157,7 +154,7 @@ def test_changes_of_the_start_grow_as_in_the_reference():
     )
 
 
-def test_numbers_of_steps_that_share_points():
+def test_fitting_step_counts_share_points():
     pilot = Pilot(BODY, X0[None], 0.0, 200.0)
     for steps in np.geomspace(0.3, 5000.0, 60):
         up, down = pilot.fitting(steps), pilot.fitting(steps, finer=False)
@@ -168,8 +165,8 @@ def test_numbers_of_steps_that_share_points():
 
 
 @pytest.mark.parametrize("span", [50.0, -50.0, 0.3])
-def test_the_natural_step_is_the_largest_half_of_the_span_that_is_right(span):
-    """Two of half its size agree with it so far, and twice the step is wrong, or turns too far at once."""
+def test_natural_step_is_the_largest_accurate_halving(span):
+    """Two steps of half the size agree with it; twice the step is wrong, or turns too far."""
     pilot = Pilot(BODY, X0[None], 0.0, span)
 
     def apart(h):
@@ -186,8 +183,8 @@ def test_the_natural_step_is_the_largest_half_of_the_span_that_is_right(span):
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("start", [0.0, 1e-12, 1e-300])
 @pytest.mark.parametrize("span", [10.0, -10.0])
-def test_from_next_to_nothing_the_step_is_that_of_the_motion(start, span):
-    """x'' = -x driven by a constant force, from rest: the rate at the start, speed over size, says nothing."""
+def test_natural_step_from_a_tiny_start(start, span):
+    """x'' = -x with a constant force, from rest: the initial rate, speed over size, is useless."""
     system = co.PoissonSystem(
         lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic(np.eye(2), linear=[1.0, 0.5]), name="driven"
     )

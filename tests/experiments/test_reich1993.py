@@ -1,5 +1,6 @@
-"""The reproduction of Reich (1993) on a reduced setting."""
+"""Reproduction of Reich (1993) with a reduced setting, its tables of statements and its step matrices."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -7,15 +8,26 @@ import pytest
 
 import coadjoint as co
 from coadjoint.experiments.reich1993 import Reproduction, reproduce
-from coadjoint.experiments.reich1993.body_runs import MIDPOINT, RUNGE, SPLITTING, body_run
-from coadjoint.experiments.reich1993.figures import attitude_figure, drift_figure
-from coadjoint.experiments.reich1993.long_time import long_time_figure
-from coadjoint.experiments.reich1993.modified_energies import modified_energy_figure
+from coadjoint.experiments.reich1993.figures import (
+    attitude_figure,
+    drift_figure,
+    long_time_figure,
+    modified_energy_figure,
+)
 from coadjoint.experiments.reich1993.section5_spiral import MODIFIED, spiral_run
-from coadjoint.experiments.reich1993.systems import BODY_START, CALM_START, COORDINATES
-from coadjoint.experiments.statement import FAILS, HOLDS, LIMITED
+from coadjoint.experiments.reich1993.systems import (
+    BODY_START,
+    CALM_START,
+    COORDINATES,
+    MIDPOINT,
+    RUNGE,
+    SPLITTING,
+    body_run,
+)
+from coadjoint.experiments.statement import FAILS, HOLDS, LIMITED, judge, markdown, write_csv
+from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
 
-# What is not simply confirmed; all others hold.
+# Statements that are not simply confirmed; all others hold.
 EXPECTED = {
     "flow_poisson": LIMITED,  # the printed transpose is a misprint
     "stronger_than_energy": FAILS,
@@ -31,28 +43,28 @@ EXPECTED = {
 
 @pytest.fixture(scope="module")
 def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Reproduction:
-    said: list[str] = []
-    found = reproduce(tmp_path_factory.mktemp("reich") / "new" / "folder", said.append, phase_end=100.0, steps=10_000)
-    assert len(said) == 10
+    lines: list[str] = []
+    found = reproduce(tmp_path_factory.mktemp("reich") / "new" / "folder", lines.append, phase_end=100.0, steps=10_000)
+    assert len(lines) == 10
     return found
 
 
 @pytest.mark.long
-def test_every_statement_has_its_verdict(reproduction: Reproduction) -> None:
+def test_verdict_of_every_statement(reproduction: Reproduction) -> None:
     keys = [row.key for row in reproduction.table]
     assert len(keys) == len(set(keys)) >= 45
     assert set(EXPECTED) <= set(keys)
     assert {row.key: row.verdict for row in reproduction.table} == {key: EXPECTED.get(key, HOLDS) for key in keys}
 
 
-def test_every_row_says_what_decides_and_what_was_found(reproduction: Reproduction) -> None:
+def test_rows_contain_criterion_and_measurement(reproduction: Reproduction) -> None:
     for row in reproduction.table:
         assert all(cell.strip() for cell in row)
         assert any(character.isdigit() for character in row.measured), row.key
         assert "nan" not in row.measured
 
 
-def test_rows_follow_the_paper(reproduction: Reproduction) -> None:
+def test_rows_follow_the_order_of_the_paper(reproduction: Reproduction) -> None:
     keys = [row.key for row in reproduction.table]
     order = [
         "flow_poisson",
@@ -66,7 +78,7 @@ def test_rows_follow_the_paper(reproduction: Reproduction) -> None:
     assert sorted(order, key=keys.index) == order
 
 
-def test_files(reproduction: Reproduction) -> None:
+def test_figures_and_table_are_written(reproduction: Reproduction) -> None:
     names = [path.name for path in reproduction.figures]
     assert names == [*(f"figure{i}.png" for i in range(1, 6)), "modified_energies.png", "long_time.png"]
     for path in reproduction.figures:
@@ -77,7 +89,7 @@ def test_files(reproduction: Reproduction) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"phase_end": 10.0}, {"phase_end": 60.5}, {"steps": 15_000}, {"steps": 0}])
-def test_wrong_extent_is_refused(wrong: dict[str, float], tmp_path: Path) -> None:
+def test_wrong_lengths_are_refused(wrong: dict[str, float], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         reproduce(tmp_path, lambda line: None, **wrong)
 
@@ -127,7 +139,7 @@ def test_drift_figures(method: object, energy: float | None, casimir: float | No
         assert (dotted.get_linestyle(), solid.get_linestyle()) == (":", "-")
         for line, size in ((dotted, energy), (solid, casimir)):
             largest = np.nanmax(np.abs(line.get_ydata()))
-            # The reference has two digits; what has none is kept to round-off: 8 u (5 flows) 2000 steps.
+            # The reference has two digits; others are preserved to round-off: 8 u (5 flows) 2000 steps.
             assert largest == pytest.approx(size, rel=0.02) if size else largest <= 8 * 2.0**-53 * 5 * 2000
         assert axes.get_xlim() == (0.0, 20.0)
     assert figure.axes[1].get_yscale() == "log"
@@ -160,10 +172,64 @@ def test_long_time_figure() -> None:
             assert np.all(np.diff(line.get_ydata()) >= 0.0)
 
 
-def test_each_modified_energy_strays_less_than_the_one_before() -> None:
+def test_higher_modified_energies_drift_less() -> None:
     """The last three lines are at round-off, or a thousandth apart, on the calm body and on A3,7."""
     figure = modified_energy_figure()
     for axes in (figure.axes[0], figure.axes[2]):
         largest = [float(np.nanmax(np.asarray(line.get_ydata(), dtype=float))) for line in axes.lines]
         assert len(largest) == 4
         assert all(later < 0.02 * largest[k] or later < 1e-13 for k, later in enumerate(largest[1:]))
+
+
+WORDS = {"paper": "p", "criterion": "|x| < 1", "measured": "m, 0.5"}
+
+
+@pytest.mark.parametrize(
+    ("holds", "limited", "verdict"),
+    [(True, False, HOLDS), (True, True, LIMITED), (False, False, FAILS), (False, True, FAILS)],
+)
+def test_verdict(holds: bool, limited: bool, verdict: str) -> None:
+    assert judge("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
+
+
+def test_csv_returns_the_rows(tmp_path: Path) -> None:
+    rows = [
+        judge("a", "1", "first, with a comma", holds=True, **WORDS),
+        judge("b", "2", 'a "word"', holds=False, **WORDS),
+    ]
+    write_csv(rows, tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open(newline="") as file:
+        header, *read = list(csv.reader(file))
+    assert header == list(rows[0]._fields)
+    assert [tuple(row) for row in read] == [tuple(row) for row in rows]
+
+
+def test_markdown_has_one_line_per_row() -> None:
+    rows = [judge("a", "1", "s", holds=True, **WORDS)] * 3
+    lines = markdown(rows).splitlines()
+    assert len(lines) == 2 + 3
+    assert all(line.replace(r"\|", "").count("|") == 7 for line in lines)
+
+
+X = np.array([1.0, 2.0, 0.5])
+H = 0.1
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+def test_step_matrix_reproduces_the_modified_step(stages: int, freeze: str) -> None:
+    body = co.systems.paper_rigid_body()
+    m = 2 * stages
+    frozen = stage_iterates(body, stages, H, X, m - 1)[-1]
+    B = step_matrix(body, frozen, H, freeze)
+    step = co.stepper(body, co.ModifiedGaussLegendre(stages, m, freeze=freeze), H)(X)
+    # 3 s unknowns by elimination.
+    assert np.linalg.norm(B @ X - step) <= 64 * 2.0**-53 * 3 * stages * np.linalg.norm(X)
+
+
+def test_converged_stages_reproduce_the_gauss_step() -> None:
+    body = co.systems.paper_rigid_body()
+    frozen = stage_iterates(body, 2, H, X, 50)[-1]
+    step = co.stepper(body, co.GaussLegendre(2), H)(X)
+    for freeze in ("structure", "gradient"):
+        assert np.linalg.norm(step_matrix(body, frozen, H, freeze) @ X - step) <= 64 * 2.0**-53 * 6 * np.linalg.norm(X)

@@ -1,4 +1,4 @@
-"""The checks that ship: they hold here, without extras too, and fail where something is wrong."""
+"""Self-test checks: they pass without the extras, and fail where something is wrong."""
 
 import dataclasses
 
@@ -15,31 +15,22 @@ from long import long_beyond
 
 
 @pytest.mark.long
-def test_the_command_prints_a_line_for_each_check(capsys):
+@pytest.mark.parametrize(
+    ("chosen", "least", "words"),
+    [
+        (run.CHECKS, 31, ("order of Kahan", "Poisson bracket", "Casimirs", "bits alone")),
+        ((checks.motions, checks.resumed), 4, ()),
+    ],
+    ids=["all", "some"],
+)
+def test_command_prints_one_line_per_check(monkeypatch, capsys, chosen, least, words):
+    monkeypatch.setattr(run, "CHECKS", chosen)
     assert cli.main(["selftest"]) == 0
     *lines, last = capsys.readouterr().out.splitlines()
-    assert len(lines) > 30 and all(line.startswith("ok ") for line in lines)
+    assert len(lines) >= least and all(line.startswith("ok ") and len(line) < 200 for line in lines)
     assert f"{len(lines)} checks, 0 failed, 0 skipped" in last
-    for what in (
-        "motion on su(3)",
-        "order of Kahan",
-        "Poisson bracket",
-        "Casimirs",
-        "bits alone",
-        "cut and resumed: ",
-    ):
+    for what in ("motion on su(3)", "cut and resumed: ", *words):
         assert any(what in line for line in lines), what
-    assert all(len(line) < 200 for line in lines)
-
-
-@pytest.mark.long
-def test_the_command_prints_a_line_for_each_of_some_checks(monkeypatch, capsys):
-    monkeypatch.setattr(run, "CHECKS", (checks.motions, checks.resumed))
-    assert cli.main(["selftest"]) == 0
-    *lines, last = capsys.readouterr().out.splitlines()
-    assert len(lines) > 3 and all(line.startswith("ok ") for line in lines)
-    assert f"{len(lines)} checks, 0 failed, 0 skipped" in last
-    assert all(any(what in line for line in lines) for what in ("motion on su(3)", "cut and resumed: "))
 
 
 # All checks, or the first and the last of them.
@@ -48,7 +39,7 @@ EACH = long_beyond(1, ["run.CHECKS = run.CHECKS[::5]", ""])
 
 @pytest.mark.long
 @pytest.mark.parametrize("chosen", EACH, ids=["few", "all"])
-def test_without_extras_what_is_skipped_is_named(chosen):
+def test_skipped_checks_are_named_without_extras(chosen):
     code = f"""
 from coadjoint.experiments.selftest import run
 {chosen}
@@ -62,7 +53,7 @@ print([str(one) for one in found if not one.passed], [one.skipped for one in fou
 
 @pytest.mark.long
 @pytest.mark.parametrize("chosen", EACH, ids=["few", "all"])
-def test_the_command_needs_no_extra_but_its_own(chosen):
+def test_command_needs_only_its_own_extra(chosen):
     # click, and what pydantic brings; no xarray, no Numba, no mpmath.
     also = ("click", "pydantic", "pydantic_core", "annotated_types", "typing_extensions", "typing_inspection")
     code = f"""
@@ -81,28 +72,30 @@ raise SystemExit(cli.main(['selftest']))
 @pytest.mark.parametrize(
     "found", [Finding("a", 2.0, 1.0), Finding("a", float("nan"), 1.0), Finding("a", 3.4, 3.5, "", True)]
 )
-def test_the_status_is_1_where_a_check_fails(monkeypatch, capsys, found):
+def test_exit_status_is_1_if_a_check_fails(monkeypatch, capsys, found):
     monkeypatch.setattr(run, "CHECKS", (lambda: [Finding("good", 0.0, 1.0), found],))
     assert cli.main(["selftest", "--quiet"]) == 1
     assert capsys.readouterr().out == f"{found}\n"
     assert str(found).startswith("FAIL")
 
 
-def test_what_is_skipped_does_not_fail(monkeypatch, capsys):
+def test_skipped_checks_do_not_fail(monkeypatch, capsys):
     monkeypatch.setattr(run, "CHECKS", (lambda: [Finding("a", skipped="no such package")],))
     assert cli.main(["selftest"]) == 0
     assert "skip  a " in capsys.readouterr().out
 
 
-def test_a_check_that_ends_with_an_error_has_failed(monkeypatch, capsys):
+def test_check_that_raises_has_failed(monkeypatch, capsys):
     def broken():
         yield Finding("begun", 0.0, 1.0)
         raise KeyError("x")
 
     monkeypatch.setattr(run, "CHECKS", (broken, lambda: [Finding("good", 0.0, 1.0)]))
     assert cli.main(["selftest"]) == 1
-    said = capsys.readouterr().out
-    assert "KeyError" in said and "ok    begun" in said and "ok    good" in said and "3 checks, 1 failed" in said
+    output = capsys.readouterr().out
+    assert (
+        "KeyError" in output and "ok    begun" in output and "ok    good" in output and "3 checks, 1 failed" in output
+    )
 
 
 def failing(check):
@@ -110,49 +103,45 @@ def failing(check):
 
 
 @pytest.mark.parametrize("key", ["so(3)", "so(5)", "A3,7"])
-def test_a_wrong_motion_is_noticed(monkeypatch, key):
+def test_wrong_motion_is_detected(monkeypatch, key):
     right = subjects.references()
     monkeypatch.setattr(checks, "references", lambda: {key: right[key] * (1 + 1e-11)})
     assert failing(checks.motions) == [f"motion on {key}"]
 
 
+@dataclasses.dataclass(frozen=True)
+class Runge(co.methods.StepMethod):
+    """Of order 2, and preserves no Casimir, whatever is declared."""
+
+    explicit, symmetric = True, False
+    order: int = 2
+    casimirs: str = "none"
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs=self.casimirs, attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
+
+
 @pytest.mark.long
-def test_a_wrong_order_is_noticed(monkeypatch):
-    @dataclasses.dataclass(frozen=True)
-    class Boasting(co.methods.StepMethod):
-        order, explicit, symmetric = 3, True, False
-
-        def properties(self, system):
-            return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
-
-        def step(self, system, x, t, h):
-            return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
-
-    monkeypatch.setattr(checks, "more_schemes", lambda: [Boasting()])
+def test_wrong_order_is_detected(monkeypatch):
+    monkeypatch.setattr(checks, "more_schemes", lambda: [Runge(order=3)])
     monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
-    assert failing(checks.orders) == ["order of Boasting()"]
+    (found,) = failing(checks.orders)
+    assert found.startswith("order of Runge(")
 
 
 @pytest.mark.long
-def test_a_property_that_is_not_kept_is_noticed(monkeypatch):
-    @dataclasses.dataclass(frozen=True)
-    class Boasting(co.methods.StepMethod):
-        order, explicit, symmetric = 2, True, False
-
-        def properties(self, system):
-            return co.methods.Properties(poisson=False, energy=False, casimirs="all", attitude="none")
-
-        def step(self, system, x, t, h):
-            return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
-
-    monkeypatch.setattr(checks, "schemes", lambda: [Boasting()])
+def test_false_property_is_detected(monkeypatch):
+    monkeypatch.setattr(checks, "schemes", lambda: [Runge(casimirs="all")])
     monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
     found = {one.what: one for one in checks.certificates() if not one.passed}
     assert "Casimirs, 1 times" in found and "Casimir |x|^2" in found["of 1 certificates fail"].where
 
 
 @pytest.mark.parametrize("what", ["threads", "watch"])
-def test_other_bits_are_noticed(monkeypatch, what):
+def test_different_bits_are_detected(monkeypatch, what):
     def other(*given, **named):
         found = co.integrate(*given, **named)
         if named.get(what) in (2, False):
@@ -166,7 +155,7 @@ def test_other_bits_are_noticed(monkeypatch, what):
     ]
 
 
-def test_kernels_that_differ_from_python_are_noticed(monkeypatch):
+def test_kernels_that_differ_from_python_are_detected(monkeypatch):
     def other(*given, **named):
         found = co.integrate(*given, **named)
         found.x[-1] *= 1 + 1e-12
@@ -177,7 +166,7 @@ def test_kernels_that_differ_from_python_are_noticed(monkeypatch):
     assert failing(checks.interpreted_steps) == ["compiled steps beside Python: 10"]
 
 
-def test_a_run_that_goes_on_otherwise_is_noticed(monkeypatch):
+def test_differently_resumed_run_is_detected(monkeypatch):
     def other(path, t_end):
         system, method = subjects.systems()["so(3)"], co.Splitting()
         x0 = np.array([subjects.state_of(system, number) for number in range(2)])
@@ -190,8 +179,8 @@ def test_a_run_that_goes_on_otherwise_is_noticed(monkeypatch):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("key", ["so(3)", "se(3)", "A3,7", "su(3)"])
-def test_references_are_right(key):
-    """Once more in 30 digits, by the power series of the motion: x' = sign J(x) (M x + linear)."""
+def test_references_agree_with_power_series(key):
+    """By the power series of x' = sign J(x) (M x + linear), in 30 digits."""
     system = subjects.systems()[key]
     n, H, origin = system.dim, system.hamiltonian, np.zeros(system.dim)
     linear = np.asarray(H.gradient(origin))

@@ -1,4 +1,4 @@
-"""Archives as a stranger may send them: metadata and chunks that are changed in any way, and links to elsewhere."""
+"""Random changes of archives, as an untrusted sender could make them: metadata, chunks, states and links."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SPAN, STEP = (0.0, 4.0), 0.125
 ROOT, HIDDEN = "zarr.json", ".coadjoint"
 
 
-def nested(depth):
+def nested_lists(depth):
     value = []
     for _ in range(depth):
         value = [value]
@@ -38,20 +38,21 @@ STRANGE = (
     "../outside/kept", "../../outside", "x/../../outside", "zarr.json", ".coadjoint", ".coadjoint/lock", "a\0b",
     "x" * 5000, "x" * 255, "\ud800", "é", "con", "-1", "NaN", "[]", "{}", "[[", "1e999", "9" * 5000, [], {}, [1], ["x"],
     [[]], [-1],
-    [2**62], [10**30, 1], [0], [1.0, nan], {"x": 1}, {"name": "pickle"}, {"name": "gzip"}, nested(20), nested(150),
+    [2**62], [10**30, 1], [0], [1.0, nan], {"x": 1}, {"name": "pickle"}, {"name": "gzip"}, nested_lists(20),
+    nested_lists(150),
     [["a", "b", {}]], [["state-..npz", "0", {"number": 0, "time": 1, "block": 1}]], "float32", "object",
     "string", "int64",
 )  # fmt: skip
-"""Values for any place in the metadata; the outside folder stands beside the archive, and is named as well."""
+"""Replacement values for entries of the metadata, some of them paths to the folder beside the archive."""
 
 
 def outside_names(outside):
-    """Names that lead to a folder outside, each in its own way."""
+    """Return names that lead out of the archive, one of each kind."""
     return (str(outside), f"{outside}/kept", f"../{outside.name}", f"../{outside.name}/kept", f"x/../../{outside.name}")
 
 
 def archives(folder):
-    """Write archives of each kind, unfinished, and one that is finished; return their names."""
+    """Write unfinished archives of each kind and a finished one; return their names."""
     folder.mkdir()
     damped = BODY.with_forces(co.forces.LinearDamping(0.125))
     runs = {
@@ -70,8 +71,8 @@ REFUSALS = (ValueError, co.IntegrationError, ArchiveUnwritten)
 POLYNOMIAL = co.Polynomial({(1, 1, 0): 2.0})
 
 
-def seen(folder):
-    """Return all that a folder contains, links as they are: names, content and times."""
+def snapshot(folder):
+    """Return names, content and times of everything in a folder, without following links."""
     found = {}
     for path in sorted(folder.rglob("*")):
         status = path.lstat()
@@ -80,18 +81,18 @@ def seen(folder):
     return found
 
 
-def places(value, path=()):
-    """Yield all places in lists and tables, and those in texts that hold JSON."""
+def entry_paths(value, path=()):
+    """Yield the paths of all entries of lists and tables."""
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, entry in inside:
         yield (*path, key)
-        yield from places(entry, (*path, key))
+        yield from entry_paths(entry, (*path, key))
 
 
 def changed(tree, rng, strange):
-    """Return metadata with something in them deleted, exchanged, renamed or made strange; texts of JSON as well."""
+    """Return metadata with an entry deleted, exchanged, renamed or replaced, also within JSON texts."""
     tree = copy.deepcopy(tree)
-    *path, last = rng.choice(list(places(tree)))
+    *path, last = rng.choice(list(entry_paths(tree)))
     within = tree
     for key in path:
         within = within[key]
@@ -110,7 +111,7 @@ def changed(tree, rng, strange):
     elif kind == "rename" and isinstance(within, dict):
         within[str(rng.choice([one for one in strange if isinstance(one, str)]))] = within.pop(last)
     elif kind == "swap":
-        *other, key = rng.choice(list(places(tree)))
+        *other, key = rng.choice(list(entry_paths(tree)))
         there = tree
         for step in other:
             there = there[step]
@@ -121,7 +122,7 @@ def changed(tree, rng, strange):
 
 
 def changed_text(text, rng):
-    """Return the text of metadata cut, doubled, not in UTF-8, or with a name given twice."""
+    """Return the text of metadata cut, doubled, not in UTF-8, or with a duplicate key."""
     at = rng.randrange(len(text))
     return rng.choice(
         [
@@ -159,7 +160,7 @@ def change_metadata(archive, rng, outside):
 
 
 def hostile_chunk(raw, rng):
-    """Return a chunk that is changed, with a check sum that fits most of the time."""
+    """Return a changed chunk, mostly with a matching checksum."""
     body = bytearray(raw[:-4])
     kind = rng.choice(["flip", "flip", "cut", "header", "bomb", "longer", "random", "empty", "texts", "numbers"])
     if kind == "flip":
@@ -193,7 +194,7 @@ BOMB = Blosc("zstd", 9, Blosc.SHUFFLE).encode(np.zeros(2**25, dtype=np.int8))
 
 
 def change_state(archive, rng):
-    """Change the state from which the run continues, with the digest that fits."""
+    """Change the state from which the run continues, and its digest accordingly."""
     root = json.loads((archive / ROOT).read_text())
     states = json.loads(root["attributes"]["archive_states"])
     file, _, about = states[-1]
@@ -232,7 +233,7 @@ def change_state(archive, rng):
 
 
 class Sentinel:
-    """Says so if it is unpickled."""
+    """Object that records when it is unpickled."""
 
     unpickled = False
 
@@ -241,27 +242,27 @@ class Sentinel:
 
 
 def put_link(archive, rng, outside):
-    """Put a symbolic link in the place of a file or folder, or of a file that will be written."""
+    """Replace a file or folder, or a file to be written, by a symbolic link."""
     files = sorted(path.relative_to(archive) for path in archive.rglob("*"))
     name = rng.choice(files)
     if rng.random() < 0.4:
         name = rng.choice([name.with_name(f".{name.name}.writing"), Path("x/c.1.0"), Path(HIDDEN, "block-000001.lock")])
-    place = archive / name
-    if place.is_dir() and not place.is_symlink():
-        shutil.move(place, outside / f"moved-{name.name}")
-        place.symlink_to(outside / f"moved-{name.name}")
+    path = archive / name
+    if path.is_dir() and not path.is_symlink():
+        shutil.move(path, outside / f"moved-{name.name}")
+        path.symlink_to(outside / f"moved-{name.name}")
         return
-    place.unlink(missing_ok=True)
-    place.parent.mkdir(exist_ok=True)
+    path.unlink(missing_ok=True)
+    path.parent.mkdir(exist_ok=True)
     kind = rng.choice(["kept", "kept", "new", "folder", "fifo"])
     if kind == "fifo":
-        os.mkfifo(place)
+        os.mkfifo(path)
     else:
-        place.symlink_to({"kept": outside / "kept", "new": outside / "new", "folder": outside}[kind])
+        path.symlink_to({"kept": outside / "kept", "new": outside / "new", "folder": outside}[kind])
 
 
 def change(archive, kind, rng, outside):
-    """Change an archive in a way of one kind."""
+    """Make a random change of one kind."""
     if kind == "metadata":
         change_metadata(archive, rng, outside)
     elif kind == "chunk":
@@ -274,7 +275,7 @@ def change(archive, kind, rng, outside):
 
 
 def use(archive, name):
-    """Do what a user does with an archive."""
+    """Yield the operations of a user on an archive."""
     found = co.open_archive(archive)
     yield from (
         lambda: [
@@ -300,7 +301,7 @@ def use(archive, name):
 
 
 def outcomes(archive, name):
-    """Return the refusals of all uses; any exception but those of the library is raised."""
+    """Return the refusals of all operations; other exceptions are raised."""
     refused = []
     uses = use(archive, name)
     while True:
@@ -323,7 +324,7 @@ def outcomes(archive, name):
 
 
 def attacked(base, folder, name, kind, seed):
-    """Attack a copy of an archive, and return what is wrong with the outcome; '' where all is well."""
+    """Attack a copy of an archive; return a description of the failure, or an empty string."""
     rng = random.Random(f"{name} {kind} {seed}")
     shutil.rmtree(folder, ignore_errors=True)
     outside = folder / "outside"
@@ -333,12 +334,16 @@ def attacked(base, folder, name, kind, seed):
     (outside / "folder" / "kept").write_bytes(b"another one")
     shutil.copytree(base / name, folder / "in" / "run", symlinks=True)
     change(folder / "in" / "run", kind, rng, outside)
-    before = seen(outside)
+    before = snapshot(outside)
     try:
         refused = outcomes(folder / "in" / "run", name)
     except Exception as wrong:
         return f"{type(wrong).__name__}: {wrong}"
-    if seen(outside) != before or os.listdir(folder / "in") != ["run"] or set(os.listdir(folder)) != {"in", "outside"}:
+    if (
+        snapshot(outside) != before
+        or os.listdir(folder / "in") != ["run"]
+        or set(os.listdir(folder)) != {"in", "outside"}
+    ):
         return "something outside of the archive has changed"
     if Sentinel.unpickled:
         return "an object was unpickled"

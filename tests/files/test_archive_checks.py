@@ -1,4 +1,4 @@
-"""What contradicts itself in the metadata of an archive is refused before anything is read, by what is wrong."""
+"""Contradictions in the metadata of an archive are refused by name before any data is read."""
 
 import json
 import os
@@ -20,7 +20,7 @@ FLUID = co.systems.torus_euler(3)
 
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory):
-    """Arrays and attributes of archives of each kind: backward, with forces, of matrices, and in blocks."""
+    """Return arrays and attributes of archives of each kind: backward, with forces, of matrices, and in blocks."""
     folder = tmp_path_factory.mktemp("archives")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(os, "fsync", lambda descriptor: None)
@@ -40,16 +40,16 @@ def checked(archives, name, change):
 
 
 @pytest.mark.parametrize("name", ["vector", "forces", "matrices", "blocks"])
-def test_what_was_written_is_accepted(archives, name):
-    checked(archives, name, lambda given, arrays: None)
+def test_written_metadata_is_accepted(archives, name):
+    checked(archives, name, lambda attributes, arrays: None)
 
 
-def array(name, **changed):
-    return lambda given, arrays: arrays.update({name: arrays[name]._replace(**changed)})
+def with_array(name, **changed):
+    return lambda _, arrays: arrays.update({name: arrays[name]._replace(**changed)})
 
 
-def rows(count):
-    """Let all arrays over time have another length."""
+def with_rows(count):
+    """Change the length of all arrays over time."""
 
     def change(_, arrays):
         for name, each in arrays.items():
@@ -59,130 +59,152 @@ def rows(count):
     return change
 
 
-def states(change):
-    def changed(given, _):
-        found = json.loads(given["archive_states"])
-        given["archive_states"] = json.dumps(change(found))
+def with_states(change):
+    def changed(attributes, _):
+        found = json.loads(attributes["archive_states"])
+        attributes["archive_states"] = json.dumps(change(found))
 
     return changed
 
 
-def about(**more):
-    return states(lambda found: [*found[:-1], [*found[-1][:2], {**found[-1][2], **more}]])
+def with_state(**kwargs):
+    return with_states(lambda found: [*found[:-1], [*found[-1][:2], {**found[-1][2], **kwargs}]])
 
 
-def both(*changes):
-    def change(given, arrays):
+def combined(*changes):
+    def change(attributes, arrays):
         for each in changes:
-            each(given, arrays)
+            each(attributes, arrays)
 
     return change
 
 
-def given(**more):
-    return lambda attributes, arrays: attributes.update(more)
+def with_attributes(**kwargs):
+    return lambda attributes, arrays: attributes.update(kwargs)
 
 
-def without(name):
+def without_array(name):
     return lambda attributes, arrays: arrays.pop(name)
 
 
 FAILED = {"run_failed": 1, "failed_step": 3, "failed_time": 0.5, "failed_residual": 0.25, "failed_reason": "overflow"}
 CASES = [
-    ("vector", given(seconds=-0.5), "seconds is -0.5; it must be a number from 0 up"),
-    ("vector", given(seconds=float("nan")), "seconds is nan"),
-    ("vector", given(steps=31), "steps is 31; it must be 32, and archive_steps no larger"),
-    ("vector", given(step=0.25), "steps is 32; it must be 16, and archive_steps no larger"),
-    ("vector", given(t_span="[7.0, 3.0, 1.0]"), "t_span is"),
-    ("vector", given(archive_steps=33), "steps is 32; it must be 32, and archive_steps no larger"),
-    ("blocks", given(archive_steps=33), "steps is 32; it must be 32, and archive_steps no larger"),
-    ("blocks", given(archive_steps=31), "archive_steps is 31; it must be 32, since the ensemble is finished"),
-    ("blocks", given(archive_block=0), "archive_block is 0"),
-    ("vector", given(save_every=0), "save_every is 0"),
-    ("vector", given(archive_save_every=0), "archive_save_every is 0"),
-    ("vector", given(watch=2), "watch is 2"),
-    ("vector", given(evaluations=-1), "evaluations is -1"),
-    ("vector", given(iterations=0.5), "iterations is 0.5"),
-    *(("vector", given(**{name: 3}), f"{name} is 3") for name in ("platform", "system_repr", "archive_first_step")),
-    *(("vector", given(**FAILED | {name: True}), f"{name} is True") for name in ("failed_time", "failed_residual")),
-    ("vector", given(**FAILED | {"failed_reason": 3}), "failed_reason is 3"),
-    ("vector", given(**FAILED | {"failed_step": 0.5}), "failed_step is 0.5"),
-    ("vector", given(**FAILED | {"run_failed": 2}), "run_failed is 2"),
-    ("vector", given(archive_given='{"system": {"named": [3]}}'), "archive_given"),
-    ("vector", given(archive_observed='{"names": [3], "stored": {}}'), "archive_observed"),
-    ("vector", given(archive_observed='{"names": [], "stored": []}'), "archive_observed"),
+    ("vector", with_attributes(seconds=-0.5), "seconds is -0.5"),
+    ("vector", with_attributes(seconds=float("nan")), "seconds is nan"),
+    ("vector", with_attributes(steps=31), "steps is 31"),
+    ("vector", with_attributes(step=0.25), "steps is 32"),
+    ("vector", with_attributes(t_span="[7.0, 3.0, 1.0]"), "t_span is"),
+    ("vector", with_attributes(archive_steps=33), "steps is 32"),
+    ("blocks", with_attributes(archive_steps=33), "steps is 32"),
+    ("blocks", with_attributes(archive_steps=31), "archive_steps is 31"),
+    ("blocks", with_attributes(archive_block=0), "archive_block is 0"),
+    ("vector", with_attributes(save_every=0), "save_every is 0"),
+    ("vector", with_attributes(archive_save_every=0), "archive_save_every is 0"),
+    ("vector", with_attributes(watch=2), "watch is 2"),
+    ("vector", with_attributes(evaluations=-1), "evaluations is -1"),
+    ("vector", with_attributes(iterations=0.5), "iterations is 0.5"),
     *(
-        ("vector", without(name), f"the array {name} is missing")
+        ("vector", with_attributes(**{name: 3}), f"{name} is 3")
+        for name in ("platform", "system_repr", "archive_first_step")
+    ),
+    *(
+        ("vector", with_attributes(**FAILED | {name: True}), f"{name} is True")
+        for name in ("failed_time", "failed_residual")
+    ),
+    ("vector", with_attributes(**FAILED | {"failed_reason": 3}), "failed_reason is 3"),
+    ("vector", with_attributes(**FAILED | {"failed_step": 0.5}), "failed_step is 0.5"),
+    ("vector", with_attributes(**FAILED | {"run_failed": 2}), "run_failed is 2"),
+    ("vector", with_attributes(archive_given='{"system": {"named": [3]}}'), "archive_given"),
+    ("vector", with_attributes(archive_observed='{"names": [3], "stored": {}}'), "archive_observed"),
+    ("vector", with_attributes(archive_observed='{"names": [], "stored": []}'), "archive_observed"),
+    *(
+        ("vector", without_array(name), f"the array {name} is missing")
         for name in ("time", "x", "x0", "energy", "invariant", "tenth", "drift")
     ),
-    *(("forces", without(name), f"the array {name} is missing") for name in ("work", "change", "balance")),
-    ("blocks", without("status"), "an array over the members is missing"),
-    ("vector", given(archive_accounts='[["damping", "energy"]]'), "the array balance is missing"),
-    ("forces", given(archive_accounts='[["damping", "energy"]]'), "a length that contradicts its meaning"),
-    ("forces", given(archive_accounts='[["damping"]]'), "archive_accounts"),
+    *(("forces", without_array(name), f"the array {name} is missing") for name in ("work", "change", "balance")),
+    ("blocks", without_array("status"), "array over the members is missing"),
+    ("vector", with_attributes(archive_accounts='[["damping", "energy"]]'), "the array balance is missing"),
+    ("forces", with_attributes(archive_accounts='[["damping", "energy"]]'), "contradicts"),
+    ("forces", with_attributes(archive_accounts='[["damping"]]'), "archive_accounts"),
     *(
-        ("forces", array(name, kind="int64"), f"the array {name} is of int64")
+        ("forces", with_array(name, kind="int64"), f"the array {name} is of int64")
         for name in ("time", "x", "x0", "energy", "work", "change", "balance", "casimir_x_2", "failed", "invariant")
     ),
-    ("vector", array("drift", kind="int64"), "the array drift is of int64"),
-    ("vector", array("tenth", kind="float64"), "the array tenth is of float64"),
-    ("blocks", array("status", kind="float64"), "the array status is of float64"),
-    ("vector", array("casimir_x_2", attributes={}), "the array casimir_x_2 has no long_name"),
-    ("vector", array("casimir_x_2", attributes={"long_name": 3}), "the array casimir_x_2 has no long_name"),
-    ("vector", array("x0", dims=("time",), shape=(3,)), "the array x0 is over time"),
-    ("vector", array("x", dims=("row", "component"), shape=(5, 3)), "the array x is over row, component"),
-    ("vector", array("casimir_x_2", dims=("row",)), "the array casimir_x_2 is over row"),
-    ("vector", array("x", shape=(5, 4)), "the arrays along component have the lengths"),
-    ("vector", array("x", dims=("time", "row")), "over other dimensions than the states of one run"),
-    ("vector", array("energy", dims=("time", "component"), shape=(5, 3)), "over other dimensions than the states"),
-    ("forces", array("energy", dims=("time",), shape=(7,)), "over other dimensions than the states of one run"),
-    ("matrices", array("x", shape=(33, 3, 4, 2)), "the arrays x and x0 have states of other shapes"),
-    (
-        "matrices",
-        both(array("x", shape=(33, 0, 3, 2)), array("x0", shape=(0, 3, 2))),
-        "the arrays x and x0 have states of other shapes",
-    ),
-    (
-        "matrices",
-        both(array("x", shape=(33, 3, 3, 3)), array("x0", shape=(3, 3, 3)), array("part", shape=(3,))),
-        "a dimension has a length that contradicts its meaning",
-    ),
-    ("vector", both(rows(4), about(time=4)), "there are 4 saved points after 13 steps, not 5"),
-    ("vector", both(rows(6), about(time=6)), "there are 6 saved points after 13 steps, not 5"),
-    ("vector", rows(4), "it must be a list of states, of which the last one is that of the last commit"),
-    ("vector", about(number=12), "it must be a list of states, of which the last one is that of the last commit"),
-    ("vector", states(lambda found: []), "it must be a list of states, of which the last one"),
+    ("vector", with_array("drift", kind="int64"), "the array drift is of int64"),
+    ("vector", with_array("tenth", kind="float64"), "the array tenth is of float64"),
+    ("blocks", with_array("status", kind="float64"), "the array status is of float64"),
+    ("vector", with_array("casimir_x_2", attributes={}), "the array casimir_x_2 has no long_name"),
+    ("vector", with_array("casimir_x_2", attributes={"long_name": 3}), "the array casimir_x_2 has no long_name"),
+    ("vector", with_array("x0", dims=("time",), shape=(3,)), "the array x0 is over time"),
+    ("vector", with_array("x", dims=("row", "component"), shape=(5, 3)), "the array x is over row, component"),
+    ("vector", with_array("casimir_x_2", dims=("row",)), "the array casimir_x_2 is over row"),
+    ("vector", with_array("x", shape=(5, 4)), "along component"),
+    ("vector", with_array("x", dims=("time", "row")), "over other dimensions"),
     (
         "vector",
-        states(lambda found: [[*found[-1][:2], {**found[-1][2], "number": n}] for n in (9, 5, 13)]),
-        "it must be a list of states, of which the last one",
+        with_array("energy", dims=("time", "component"), shape=(5, 3)),
+        "over other dimensions",
     ),
-    ("vector", about(block=2), "block"),
-    ("vector", about(time=-1), "time"),
-    ("vector", states(lambda found: [[3, *found[-1][1:]]]), "archive_states"),
-    ("blocks", rows(32), "there are 32 saved points after 32 steps, not 33"),
+    (
+        "forces",
+        with_array("energy", dims=("time",), shape=(7,)),
+        "over other dimensions",
+    ),
+    ("matrices", with_array("x", shape=(33, 3, 4, 2)), "arrays x and x0"),
+    (
+        "matrices",
+        combined(with_array("x", shape=(33, 0, 3, 2)), with_array("x0", shape=(0, 3, 2))),
+        "arrays x and x0",
+    ),
+    (
+        "matrices",
+        combined(
+            with_array("x", shape=(33, 3, 3, 3)), with_array("x0", shape=(3, 3, 3)), with_array("part", shape=(3,))
+        ),
+        "contradicts",
+    ),
+    ("vector", combined(with_rows(4), with_state(time=4)), "there are 4 saved points after 13 steps, not 5"),
+    ("vector", combined(with_rows(6), with_state(time=6)), "there are 6 saved points after 13 steps, not 5"),
+    ("vector", with_rows(4), "list of states"),
+    (
+        "vector",
+        with_state(number=12),
+        "list of states",
+    ),
+    ("vector", with_states(lambda found: []), "list of states"),
+    (
+        "vector",
+        with_states(lambda found: [[*found[-1][:2], {**found[-1][2], "number": n}] for n in (9, 5, 13)]),
+        "list of states",
+    ),
+    ("vector", with_state(block=2), "block"),
+    ("vector", with_state(time=-1), "time"),
+    ("vector", with_states(lambda found: [[3, *found[-1][1:]]]), "archive_states"),
+    ("blocks", with_rows(32), "there are 32 saved points after 32 steps, not 33"),
 ]
 
 
-@pytest.mark.parametrize(("name", "change", "said"), CASES, ids=[f"{k} {name}" for k, (name, *_) in enumerate(CASES)])
-def test_what_contradicts_itself_is_named(archives, name, change, said):
+@pytest.mark.parametrize(
+    ("name", "change", "message"), CASES, ids=[f"{k} {name}" for k, (name, *_) in enumerate(CASES)]
+)
+def test_contradiction_is_named(archives, name, change, message):
     with pytest.raises(ArchiveError) as refused:
         checked(archives, name, change)
-    assert said in str(refused.value) and "\n" not in str(refused.value)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_a_failed_run_has_the_points_before_its_failure(archives):
-    checked(archives, "vector", both(rows(4), about(time=4), given(**FAILED)))
+def test_failed_run_has_points_before_the_failure(archives):
+    checked(archives, "vector", combined(with_rows(4), with_state(time=4), with_attributes(**FAILED)))
     with pytest.raises(ArchiveError, match="there are 6 saved points after 13 steps, not 5"):
-        checked(archives, "vector", both(rows(6), about(time=6), given(**FAILED)))
+        checked(archives, "vector", combined(with_rows(6), with_state(time=6), with_attributes(**FAILED)))
 
 
 @pytest.mark.parametrize(
     "error",
     [ValueError, KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError, RecursionError, MemoryError],
 )
-def test_errors_of_damaged_content_are_one_sentence(error):
-    with pytest.raises(ArchiveError, match=r"^run.zarr: the archive is damaged \((first second|\w+)\)$"):
+def test_errors_of_damaged_content_are_wrapped(error):
+    with pytest.raises(ArchiveError, match=r"^run.zarr: .*damaged \((first second|\w+)\)$"):
         with as_archive_errors("run.zarr"):
             raise error("first\nsecond") if error is not KeyError else error
     for other in (ArchiveError("said"), co.IntegrationError("said", step=1, time=0.0, residual=0.0), OSError("said")):
@@ -190,8 +212,8 @@ def test_errors_of_damaged_content_are_one_sentence(error):
             raise other
 
 
-def test_numbers_of_a_state_fit_the_invariants(tmp_path):
-    """A state of another run, with the digest that fits, is refused when the archive is opened."""
+def test_state_shapes_match_the_invariants(tmp_path):
+    """A state of another run with a matching digest is refused when the archive is opened."""
     archive_run(PreparedRun(DAMPED, co.GaussLegendre(1), STEP), [X, X], SPAN[::-1], 2, tmp_path / "run", until=13)
     from coadjoint.files.archives.archived_run import states_of
     from coadjoint.files.archives.archived_solution import REPORTED_ARRAYS

@@ -1,4 +1,4 @@
-"""The files of an archive: what counts, what a peer reads at any time, and what is refused."""
+"""Files of an archive: commits, concurrent readers, refusals, and the order of writes."""
 
 import errno
 import json
@@ -23,6 +23,7 @@ from coadjoint.files.archives.store import (
     read_state,
 )
 from coadjoint.files.archives.stored_arrays import StoredArray
+from guards import open_descriptors
 
 ROWS = 16
 X, T = np.arange(300.0).reshape(100, 3), np.arange(100.0)
@@ -57,13 +58,13 @@ def written(store, first, last):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("consolidated", [True, False])
-def test_a_peer_reads_all_that_was_committed_and_nothing_else(store, consolidated):
+def test_xarray_reads_exactly_the_committed_part(store, consolidated):
     for first, last in ((0, 5), (5, 16), (16, 17), (17, 90), (90, 100)):
-        kept = written(store, first, last)
+        stored = written(store, first, last)
         if consolidated:
             with xarray.open_zarr(store.path, chunks=None) as before:
                 assert np.array_equal(before["x"], X[:first]) and np.array_equal(before["time"], T[:first])
-        store.commit({"steps": last}, {"time": last}, [kept])
+        store.commit({"steps": last}, {"time": last}, [stored])
         with xarray.open_zarr(store.path, chunks=None, consolidated=consolidated) as found:
             assert np.array_equal(found["x"], X[:last]) and np.array_equal(found["time"], T[:last])
             assert found["x"].dims == ("time", "component") and found["x"].attrs == {"long_name": "momentum"}
@@ -72,10 +73,10 @@ def test_a_peer_reads_all_that_was_committed_and_nothing_else(store, consolidate
                 range(10)
             )
             assert found.attrs == {"archive_format": FORMAT, "mood": "calm", "steps": last}
-        assert np.array_equal(read_state(store.path, kept)["momenta"], X[:last])
+        assert np.array_equal(read_state(store.path, stored)["momenta"], X[:last])
 
 
-def test_own_readers_see_what_was_committed_when_the_root_was_read(store):
+def test_readers_see_the_commit_of_their_root(store):
     written(store, 0, 20)
     store.commit({}, {"time": 20})
     known, _ = read_root(store.path)
@@ -92,12 +93,12 @@ def test_own_readers_see_what_was_committed_when_the_root_was_read(store):
     assert np.array_equal(read_array(store.path, "x", known["x"], part), X[3:15:4, 1:3])
 
 
-def test_who_goes_on_writes_again_what_did_not_count(store):
+def test_resuming_overwrites_uncommitted_chunks(store):
     written(store, 0, 10)
     store.commit({}, {"time": 10})
     store.write("x", -X[10:30], (10,))
     (store.path / "x" / ".c.5.0.writing").write_bytes(b"half of a chunk")
-    (store.path / ".coadjoint" / "state-lost.npz").write_bytes(b"nobody's")
+    (store.path / ".coadjoint" / "state-lost.npz").write_bytes(b"unknown")
     store.close()
     again = ArchiveStore.open_existing(store.path)
     written(again, 10, 40)
@@ -109,8 +110,8 @@ def test_who_goes_on_writes_again_what_did_not_count(store):
     again.close()
 
 
-def test_the_second_writer_is_refused(store):
-    with pytest.raises(ArchiveError, match="another process is writing to this archive; wait until it has ended"):
+def test_second_writer_is_refused(store):
+    with pytest.raises(ArchiveError, match="another process is writing"):
         ArchiveStore.open_existing(store.path)
     store.close()
     ArchiveStore.open_existing(store.path).close()
@@ -121,23 +122,23 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("other", [False, True])
-def test_a_folder_that_was_moved_is_noticed_and_has_all(store, tmp_path, other):
-    """Another archive at its place stays as it is; what was computed is in the folder that was moved."""
+def test_moved_folder_is_noticed_and_complete(store, tmp_path, other):
+    """The computed part is in the moved folder; another archive at its path stays unchanged."""
     written(store, 0, 10)
     store.path.rename(tmp_path / "aside")
     if other:
         ArchiveStore.create_archive(store.path, arrays()).close()
     before = contents(store.path)
-    kept = written(store, 10, 20)
+    stored = written(store, 10, 20)
     with pytest.raises(ArchiveReplaced, match="its folder was moved or replaced"):
-        store.commit({}, {"time": 20}, [kept])
+        store.commit({}, {"time": 20}, [stored])
     assert store.path.exists() == other and contents(store.path) == before
     known, _ = read_root(tmp_path / "aside")
     assert np.array_equal(read_array(tmp_path / "aside", "x", known["x"]), X[:20])
-    assert np.array_equal(read_state(tmp_path / "aside", kept)["momenta"], X[:20])
+    assert np.array_equal(read_state(tmp_path / "aside", stored)["momenta"], X[:20])
 
 
-def test_a_folder_that_was_removed_is_not_made_again(store):
+def test_removed_folder_is_not_created_again(store):
     shutil.rmtree(store.path)
     for write in (lambda: written(store, 0, 10), lambda: store.commit({}, {"time": 0})):
         with pytest.raises(FileNotFoundError):
@@ -145,8 +146,8 @@ def test_a_folder_that_was_removed_is_not_made_again(store):
     assert not store.path.exists()
 
 
-def test_a_lock_that_was_replaced_is_noticed(store):
-    """Somebody has removed the lock file, and another process writes by a lock of its own."""
+def test_replaced_lock_is_noticed(store):
+    """Another process removed the lock file and writes with a lock of its own."""
     written(store, 0, 10)
     (store.path / ".coadjoint" / "lock").unlink()
     second = ArchiveStore.open_existing(store.path)
@@ -159,15 +160,15 @@ def test_a_lock_that_was_replaced_is_noticed(store):
 
 
 @pytest.mark.parametrize("broken", ["write", "fsync", "replace"])
-def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
-    kept = written(store, 0, 20)
-    store.commit({}, {"time": 20}, [kept])
+def test_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
+    stored = written(store, 0, 20)
+    store.commit({}, {"time": 20}, [stored])
 
     open_existing = open
 
-    def full(*given, **options):
-        if given[1:] == ("rb",):
-            return open_existing(*given, **options)
+    def full(*args, **options):
+        if args[1:] == ("rb",):
+            return open_existing(*args, **options)
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
@@ -181,19 +182,19 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
             store.commit({}, {"time": 30})
     with xarray.open_zarr(store.path, chunks=None) as found:
         assert np.array_equal(found["x"], X[:20])
-    assert np.array_equal(read_state(store.path, kept)["momenta"], X[:20])
+    assert np.array_equal(read_state(store.path, stored)["momenta"], X[:20])
     assert not list(store.path.rglob("*.writing"))
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"{", "is no archive of a run, or its zarr.json is damaged"),
+        (b"{", "is no archive of a run"),
         (b"[1]", "is no archive of a run"),
         (b'{"attributes": {}, "consolidated_metadata": {"metadata": {}}}', "is no archive of a run"),
         (
             b'{"attributes": {"archive_format": 2}, "consolidated_metadata": {"metadata": {}}}',
-            "of format 2, and this version of coadjoint reads formats up to 1; install a later version",
+            "format 2, .*up to 1; install a later version",
         ),
         (
             b'{"attributes": {"archive_format": "1"}, "consolidated_metadata": {"metadata": {}}}',
@@ -202,13 +203,13 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
         *(
             (
                 b'{"attributes": {"archive_format": %b}, "consolidated_metadata": {"metadata": {}}}' % version,
-                "archive_format is .*; it must be a whole number from 1 up",
+                "archive_format is ",
             )
             for version in (b"true", b"0", b"-1", b"1.0", b"null")
         ),
         (
             b'{"attributes": {}, "attributes": {"archive_format": 1}, "consolidated_metadata": {"metadata": {}}}',
-            "is no archive of a run, or its zarr.json is damaged",
+            "is no archive of a run",
         ),
         (
             b'{"attributes": {"archive_format": 1}, "consolidated_metadata": {"metadata": {"x": {}}}}',
@@ -216,28 +217,28 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
         ),
     ],
 )
-def test_what_is_no_archive_is_refused(tmp_path, content, message):
+def test_other_root_files_are_refused(tmp_path, content, message):
     (tmp_path / ROOT_FILE).write_bytes(content)
     with pytest.raises(ArchiveError, match=message):
         read_root(tmp_path)
 
 
-def test_what_was_damaged_is_noticed(store):
-    kept = written(store, 0, 20)
-    store.commit({}, {"time": 20}, [kept])
+def test_damaged_files_are_noticed(store):
+    stored = written(store, 0, 20)
+    store.commit({}, {"time": 20}, [stored])
     for file, read in (
         (store.path / "x" / "c.0.1", lambda: read_array(store.path, "x", store.arrays["x"])),
-        (store.path / ".coadjoint" / kept.file, lambda: read_state(store.path, kept)),
+        (store.path / ".coadjoint" / stored.file, lambda: read_state(store.path, stored)),
     ):
         content = bytearray(file.read_bytes())
         content[len(content) // 2] ^= 1
         file.write_bytes(content)
-        with pytest.raises(ArchiveError, match="its check sum does not match"):
+        with pytest.raises(ArchiveError, match="its checksum does not match"):
             read()
 
 
-def test_regions_of_members_are_written_by_themselves(tmp_path):
-    """As several processes would: each writes chunks of its own, and one commits."""
+def test_regions_of_members_are_written_separately(tmp_path):
+    """Several processes write chunks of their own, and one commits."""
     grid = {"x": StoredArray(("time", "member"), "float64", (0, 7), (4, 3), {})}
     store, values = ArchiveStore.create_archive(tmp_path / "run.zarr", grid), np.arange(42.0).reshape(6, 7)
     for first in (6, 0, 3):
@@ -249,24 +250,19 @@ def test_regions_of_members_are_written_by_themselves(tmp_path):
     assert json.loads((store.path / ROOT_FILE).read_text())["consolidated_metadata"]["metadata"]["x"]["shape"] == [6, 7]
 
 
-def open_descriptors():
-    """Return the open descriptors of this process; none where the system does not list them."""
-    return set(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else set()
-
-
 def test_attributes_are_merged_and_removed(store):
     store.commit({"steps": 3, "seconds": 0.5}, {"time": 0})
     store.commit({"steps": 4, "mood": None}, {"time": 0})
     assert read_root(store.path)[1] == {"archive_format": FORMAT, "steps": 4, "seconds": 0.5} == store.attributes
 
 
-def test_states_that_are_kept_stay_and_others_go(store):
-    kept = [store.store_state({"k": k}, {"number": k}) for k in range(4)]
-    store.commit({}, {"time": 0}, [kept[1], None, kept[3]])
+def test_only_committed_states_remain(store):
+    stored = [store.store_state({"k": k}, {"number": k}) for k in range(4)]
+    store.commit({}, {"time": 0}, [stored[1], None, stored[3]])
     files = {name for name in os.listdir(store.path / ".coadjoint") if name.startswith("state-")}
-    assert files == {kept[1].file, kept[3].file}
-    assert read_state(store.path, kept[3])["k"] == 3
-    for one in (kept[0], kept[2]):
+    assert files == {stored[1].file, stored[3].file}
+    assert read_state(store.path, stored[3])["k"] == 3
+    for one in (stored[0], stored[2]):
         with pytest.raises(ArchiveMoved, match=f"the state {one.file} is missing"):
             read_state(store.path, one)
 
@@ -275,26 +271,25 @@ def test_states_that_are_kept_stay_and_others_go(store):
     "file",
     ["lock", "../x/c.0.0", "state-/../lock", "/etc/hostname", "state-\0", "state-a/b", "", "x/state-a"],
 )
-def test_names_of_states_are_plain(store, file):
-    with pytest.raises(ArchiveError, match=r"a state is called .*, which is no plain name"):
+def test_paths_as_state_names_are_refused(store, file):
+    with pytest.raises(ArchiveError, match="no plain name"):
         read_state(store.path, StoredState(file, "0", {}))
 
 
-def test_a_chunk_is_no_longer_than_its_array_allows(store):
-    """It is not read, however long it is."""
+def test_length_of_chunks_is_limited(store):
     written(store, 0, 20)
     store.commit({}, {"time": 20})
     most = store.arrays["x"].max_encoded_bytes
     (store.path / "x" / "c.0.0").write_bytes(bytes(most + 1))
-    with pytest.raises(ArchiveError, match=rf"it has {most + 1} bytes, and at most {most} belong there"):
+    with pytest.raises(ArchiveError, match=rf"it has {most + 1} bytes; the limit is {most}"):
         read_array(store.path, "x", store.arrays["x"])
     (store.path / "x" / "c.0.0").write_bytes(bytes(most))
-    with pytest.raises(ArchiveError, match="its check sum does not match"):
+    with pytest.raises(ArchiveError, match="its checksum does not match"):
         read_array(store.path, "x", store.arrays["x"])
 
 
-def test_files_of_a_folder(tmp_path, monkeypatch):
-    """The beginning of a file, regular files alone, and none that does not fit into memory."""
+def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
+    """Also the beginning of a file; files that do not fit into memory are refused."""
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "file").write_bytes(b"0123456789")
     os.mkfifo(tmp_path / "in" / "pipe")
@@ -310,7 +305,7 @@ def test_files_of_a_folder(tmp_path, monkeypatch):
             assert refused.value.errno == number
         with pytest.raises(OSError):
             folder.read("", "in")
-        with pytest.raises(ValueError, match="it has 10 bytes, and at most 9 belong there"):
+        with pytest.raises(ValueError, match="it has 10 bytes; the limit is 9"):
             folder.read("in", "file", most=9)
         assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
         with monkeypatch.context() as patched:
@@ -326,52 +321,52 @@ def test_files_of_a_folder(tmp_path, monkeypatch):
     assert open_descriptors() == before
 
 
-def test_what_killed_processes_have_left_is_removed_everywhere(store):
-    """Temporary files of every folder; other files stay. Arrays alone have the lengths of the root again."""
+def test_leftovers_of_killed_processes_are_removed(store):
+    """Temporary files of every folder go, others stay; lengths of arrays follow the root again."""
     written(store, 0, 10)
     store.commit({}, {"time": 10})
     store.close()
-    places = ("", ".coadjoint", "x", "component")
-    for place in places:
+    folders = ("", ".coadjoint", "x", "component")
+    for folder in folders:
         for name in (".zarr.json.writing", ".c.0.writing", "own.writing", ".writing.txt"):
-            (store.path / place / name).write_bytes(b"half")
+            (store.path / folder / name).write_bytes(b"half")
     metadata = store.path / "x" / ROOT_FILE
     metadata.write_text(metadata.read_text().replace("[10, 3]", "[0, 3]"))
     ArchiveStore.open_existing(store.path).close()
-    for place in places:
-        left = {name for name in os.listdir(store.path / place) if "writing" in name}
-        assert left == {"own.writing", ".writing.txt"}, place
+    for folder in folders:
+        left = {name for name in os.listdir(store.path / folder) if "writing" in name}
+        assert left == {"own.writing", ".writing.txt"}, folder
     assert json.loads(metadata.read_text())["shape"] == [10, 3]
 
 
-def test_what_was_committed_before_the_lock_is_seen(store, monkeypatch):
-    """Another process commits and ends after the root was read, and before the archive is locked."""
+def test_commit_before_the_lock_is_seen(store, monkeypatch):
+    """Another process commits and ends between reading the root and locking the archive."""
     lock = ArchiveFolder.lock
 
-    def later(self, *given):
+    def lock_after_commit(self, *args):
         monkeypatch.undo()
         written(store, 0, 10)
         store.commit({"steps": 10}, {"time": 10})
         store.close()
-        return lock(self, *given)
+        return lock(self, *args)
 
-    monkeypatch.setattr(ArchiveFolder, "lock", later)
+    monkeypatch.setattr(ArchiveFolder, "lock", lock_after_commit)
     again = ArchiveStore.open_existing(store.path)
     assert again.attributes["steps"] == 10 and again.arrays["x"].shape == (10, 3)
     again.close()
 
 
-def test_nothing_stays_open_or_locked(store, tmp_path, monkeypatch):
-    """After an archive that cannot be opened, made or moved."""
+def test_descriptors_and_locks_are_released(store, tmp_path, monkeypatch):
+    """Also if an archive cannot be opened, created or moved."""
     written(store, 0, 10)
     store.commit({}, {"time": 10})
     store.close()
     before = open_descriptors()
     with monkeypatch.context() as patched, pytest.raises(ArchiveError, match="cannot be written"):
-        patched.setattr(ArchiveStore, "_write_arrays", lambda *given: (_ for _ in ()).throw(OSError(28, "full")))
+        patched.setattr(ArchiveStore, "_write_arrays", lambda *args: (_ for _ in ()).throw(OSError(28, "full")))
         ArchiveStore.open_existing(store.path)
     with monkeypatch.context() as patched, pytest.raises(OSError, match="full"):
-        patched.setattr(ArchiveFolder, "write", lambda *given: (_ for _ in ()).throw(OSError(28, "full")))
+        patched.setattr(ArchiveFolder, "write", lambda *args: (_ for _ in ()).throw(OSError(28, "full")))
         ArchiveStore.create_archive(tmp_path / "other.zarr", arrays())
     moved = ArchiveStore.create_archive(tmp_path / "moved.zarr", arrays())
     with pytest.raises(OSError):
@@ -390,8 +385,8 @@ def test_nothing_stays_open_or_locked(store, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors are not listed")
-def test_the_order_in_which_a_commit_reaches_the_disk(store, monkeypatch):
-    """Each file before its name, and chunks and states with their names before the root that refers to them."""
+def test_order_of_writes_in_a_commit(store, monkeypatch):
+    """Files are synced before they are named; chunks and states are named before the root refers to them."""
     events, fsync, replace = [], os.fsync, os.replace
 
     def synced(descriptor):
@@ -407,11 +402,13 @@ def test_the_order_in_which_a_commit_reaches_the_disk(store, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", replaced)
-    kept = written(store, 0, 20)
-    store.commit({}, {"time": 20}, [kept])
+    stored = written(store, 0, 20)
+    store.commit({}, {"time": 20}, [stored])
     root = events.index(("name", ROOT_FILE))
     named = [name for kind, name in events if kind == "name"]
-    assert {f".coadjoint/{kept.file}", "x/c.0.0", "x/c.1.1", "time/c.1"} <= {n for k, n in events[:root] if k == "name"}
+    assert {f".coadjoint/{stored.file}", "x/c.0.0", "x/c.1.1", "time/c.1"} <= {
+        n for k, n in events[:root] if k == "name"
+    }
     for name in named:
         folder, _, file = name.rpartition("/")
         written_at = events.index(("sync", os.path.join(folder, f".{file}.writing")))
@@ -425,7 +422,7 @@ GOOD = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"dims": ("time", "a b")}, "the dimensions are"),
         ({"dims": ("time", 3)}, "the dimensions are"),
@@ -439,14 +436,14 @@ GOOD = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
         ({"chunk": (8,)}, "the chunk is"),
         ({"chunk": (0, 3)}, "the chunk is"),
         ({"chunk": (8, 0)}, "the chunk is"),
-        ({"chunk": (8, 4)}, "which is too large for the shape"),
-        ({"chunk": (2**16 + 1, 1)}, "which is too large for the shape"),
-        ({"shape": (7, 2**10), "chunk": (2**10, 2**10)}, "which is too large for the shape"),
-        ({"dims": ("row", "component"), "chunk": (8, 3)}, "which is too large for the shape"),
+        ({"chunk": (8, 4)}, "too large"),
+        ({"chunk": (2**16 + 1, 1)}, "too large"),
+        ({"shape": (7, 2**10), "chunk": (2**10, 2**10)}, "too large"),
+        ({"dims": ("row", "component"), "chunk": (8, 3)}, "too large"),
     ],
 )
-def test_shapes_that_the_library_does_not_write(changed, said):
-    with pytest.raises(ValueError, match=said):
+def test_other_array_shapes_are_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
         GOOD._replace(**changed).check()
 
 
@@ -461,7 +458,7 @@ def test_shapes_that_the_library_does_not_write(changed, said):
         {"dims": ("row",), "shape": (2**20,), "chunk": (2**20,)},
     ],
 )
-def test_shapes_that_the_library_writes(changed):
+def test_written_array_shapes_are_accepted(changed):
     array = GOOD._replace(**changed)
     array.check()
     assert StoredArray.of_metadata(json.loads(json.dumps(array.metadata()))).metadata() == array.metadata()

@@ -1,4 +1,4 @@
-"""Whatever is wrong in a configuration file is said in one short line with file and key, soon, and before the run."""
+"""Errors in configuration files: one short line with file and key, in bounded time, before the run."""
 
 import warnings
 
@@ -119,21 +119,21 @@ CASES = {
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", CASES)
-def test_one_line_with_file_and_key(name, tmp_path, monkeypatch, capsys):
+def test_error_is_one_line_with_file_and_key(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *given, **more: pytest.mark_failed("it ran"))
-    text, said = CASES[name]
+    monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *args, **kwargs: pytest.fail("it ran"))
+    text, message = CASES[name]
     (tmp_path / "run.toml").write_text(text)
-    with bounded_work():  # less than a second where it is bounded
+    with bounded_work():
         status = cli.main(["run", "run.toml"])
     shown = capsys.readouterr()
     assert (status, shown.out) == (2, "")
-    assert shown.err.startswith(f"run.toml: {said}")
+    assert shown.err.startswith(f"run.toml: {message}")
     assert shown.err.endswith("\n") and shown.err[:-1].isprintable() and len(shown.err) < 420
     assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
 
 
-def test_file_without_an_end(tmp_path, monkeypatch, capsys):
+def test_long_file_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("coadjoint.files.configuration.parsing.MAX_BYTES", 1000)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.toml").write_text("#" * 1001)
@@ -141,8 +141,8 @@ def test_file_without_an_end(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == "run.toml: is longer than 1000 bytes; give long ensembles in Python\n"
 
 
-def test_names_that_only_look_strange_are_kept(tmp_path, monkeypatch, capsys):
-    # The longest of them would be too long for the name of a file in a Zarr store.
+def test_unusual_names_are_preserved(tmp_path, monkeypatch, capsys):
+    # The longest exceeds the length of file names in a Zarr store.
     monkeypatch.chdir(tmp_path)
     names = ["é|x|²", "", "C" * 3000, "C" * 2999 + "D", "a.b/c"]
     casimirs = "\n".join(f'"{name}" = "x1^2 + x2^2 + x3^2"' for name in names)
@@ -152,12 +152,12 @@ def test_names_that_only_look_strange_are_kept(tmp_path, monkeypatch, capsys):
         assert cli.main(["run", "run.toml", "--out", target]) == 0
         assert all(len(line) < 200 for line in capsys.readouterr().out.splitlines())
         with xarray.open_dataset(target, engine=engine) as dataset:
-            kept = {dataset[name].attrs["long_name"] for name in dataset if name.startswith("casimir")}
-            assert kept == set(names)
+            stored = {dataset[name].attrs["long_name"] for name in dataset if name.startswith("casimir")}
+            assert stored == set(names)
 
 
-def test_warnings_are_lines(monkeypatch, capsys):
-    def warned(*given):
+def test_warnings_are_one_line_each(monkeypatch, capsys):
+    def warned(*args):
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             for _ in range(2):

@@ -1,6 +1,6 @@
-"""Blocks of an ensemble as tasks of a client: what each task is given, and what follows from how it ends.
+"""Blocks of an ensemble as tasks of a client: members, resubmission and errors.
 
-The client of these tests runs its tasks at once in this process; those of `test_clusters.py` have workers.
+The client here runs tasks immediately in this process; `test_clusters.py` has real workers.
 """
 
 import os
@@ -22,10 +22,10 @@ X = np.random.default_rng(3).standard_normal((7, 3))
 
 
 class Task:
-    def __init__(self, work, given):
+    def __init__(self, work, arguments):
         self.status = "finished"
         try:
-            self._result = work(*given)
+            self._result = work(*arguments)
         except Exception as error:
             self.status, self._error = "error", error
 
@@ -37,7 +37,7 @@ class Task:
 
 
 class Inline:
-    """A client whose tasks have ended when they are submitted; `before` may end a task in another way."""
+    """A client that runs tasks when they are submitted; `before` may replace their results."""
 
     status = "running"
 
@@ -50,20 +50,20 @@ class Inline:
     def scatter(self, ready, broadcast, hash):
         return ready
 
-    def submit(self, work, *given, key, pure):
+    def submit(self, work, *args, key, pure):
         self.keys.append(key)
-        self.threads.append(given[-1])
-        self.tries.append(given[1].number)
+        self.threads.append(args[-1])
+        self.tries.append(args[1].number)
 
         def task(archive, block, *more):
             ended = self.before(block, self.tries.count(block.number))
             return work(archive, block, *more) if ended is None else ended
 
-        return Task(task, given)
+        return Task(task, args)
 
 
 @pytest.fixture(autouse=True)
-def at_once(monkeypatch):
+def immediate_tasks(monkeypatch):
     monkeypatch.setattr(on_workers, "_wait_for_tasks", lambda client, tasks: list(tasks))
     monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: True)
     monkeypatch.setattr(on_workers, "RETRY_SECONDS", 0.0)
@@ -77,16 +77,16 @@ def ensemble(client, path, system=BODY, span=(0.0, 2.0), threads=None):
 
 @pytest.mark.parametrize("system", [BODY, BATCH], ids=["one system", "batch"])
 @pytest.mark.parametrize("span", [(0.0, 2.0), (7.5, 5.5)])
-def test_every_block_has_its_own_members(tmp_path, system, span):
+def test_blocks_have_their_own_members(tmp_path, system, span):
     client = Inline()
     found = ensemble(client, tmp_path / "many.zarr", system, span, threads=2)
     assert client.tries == [0, 1, 2] and len(set(client.keys)) == 3 and client.threads == [2, 2, 2]
-    whole = co.integrate(system, X, span, 0.125, co.Splitting())
-    np.testing.assert_array_equal(found.x, whole.x)
-    np.testing.assert_array_equal(found.energy, whole.energy)
+    expected = co.integrate(system, X, span, 0.125, co.Splitting())
+    np.testing.assert_array_equal(found.x, expected.x)
+    np.testing.assert_array_equal(found.energy, expected.energy)
 
 
-def test_a_block_that_another_task_runs_is_submitted_again(tmp_path):
+def test_busy_block_is_submitted_again(tmp_path):
     client = Inline(lambda block, tries: BUSY if block.number == 1 and tries < 3 else None)
     found = ensemble(client, tmp_path / "many.zarr")
     assert client.tries == [0, 1, 2, 1, 1] and len(set(client.keys)) == 5 and set(client.threads) == {1}
@@ -98,14 +98,12 @@ def lost(block, tries):
 
 
 def test_blocks_of_lost_workers_are_submitted_again(tmp_path):
-    """As often as there is progress, and some times without; what was computed stays."""
+    """Always after progress, and a limited number of times without."""
     client = Inline(lambda block, tries: None if tries > block.number else lost(block, tries))
     found = ensemble(client, tmp_path / "many.zarr")
     assert client.tries == [0, 1, 2, 1, 2, 2] and found.finished
     client = Inline(lambda block, tries: lost(block, tries) if block.number else None)
-    with pytest.raises(
-        ArchiveUnwritten, match=r"4 members could not be computed, since workers were lost .*with block 1"
-    ):
+    with pytest.raises(ArchiveUnwritten, match=r"4 members .*workers were lost .*with block 1"):
         ensemble(client, tmp_path / "other.zarr")
     assert client.tries == [0] + [1, 2] * (1 + on_workers.RETRIES)
     client = Inline()
@@ -113,18 +111,18 @@ def test_blocks_of_lost_workers_are_submitted_again(tmp_path):
 
 
 @pytest.mark.parametrize("error", [ArchiveError, ArchiveUnwritten])
-def test_what_a_worker_says_of_the_archive_is_raised(tmp_path, error):
+def test_archive_errors_of_workers_are_raised(tmp_path, error):
     def refused(block, tries):
         if block.number == 1:
-            raise error("said by the worker")
+            raise error("of the worker")
 
     client = Inline(refused)
-    with pytest.raises(error, match="said by the worker"):
+    with pytest.raises(error, match="of the worker"):
         ensemble(client, tmp_path / "many.zarr")
     assert client.tries == [0, 1, 2]
 
 
 @pytest.mark.parametrize(("span", "step"), [("[0.0, 2.0]", 0.5), ("[2.0, 0.5]", -0.5), ("[-1.0, -3.0]", -0.5)])
-def test_tables_are_made_for_the_direction_of_the_run(span, step):
+def test_step_has_the_sign_of_the_span(span, step):
     store = SimpleNamespace(attributes={"t_span": span})
     assert on_workers._signed_step(store, SimpleNamespace(step=0.5)) == step

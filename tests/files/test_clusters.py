@@ -1,5 +1,6 @@
-"""Ensembles on workers of Dask: the bits of one machine, whatever is lost on the way."""
+"""Ensembles on Dask workers: the bits of one machine, also after losses, and access control."""
 
+import contextlib
 import json
 import os
 import signal
@@ -23,8 +24,8 @@ from distributed.comm import CommClosedError
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
 from coadjoint.files.archives.blocks import read_head
+from coadjoint.files.archives.dask_blocks import local_cluster
 from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.local_cluster import local_cluster
 from coadjoint.files.archives.run_in_blocks import read_worker_pool
 from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
 from coadjoint.files.output.atomic_output import open_locked
@@ -41,26 +42,26 @@ def client():
 
 
 def assert_same(found, expected):
-    mine, theirs = found.to_xarray().load(), expected.to_xarray()
-    for name in theirs.variables:
-        np.testing.assert_array_equal(mine[name].values, theirs[name].values, err_msg=name)
+    actual = found.to_xarray().load()
+    for name, values in expected.to_xarray().variables.items():
+        np.testing.assert_array_equal(actual[name].values, values.values, err_msg=name)
 
 
-def derive(*given, **more):
+def derive(*args, **kwargs):
     raise AssertionError("tables are derived on a worker")
 
 
 def forbid():
-    """Let every derivation of tables on this worker fail."""
+    """Make every derivation of tables on this worker fail."""
     from coadjoint.methods.protocol.method import Method
 
-    Method.kept_loop, Method.loop = Method.loop, derive
+    Method.original_loop, Method.loop = Method.loop, derive
 
 
 def allow():
     from coadjoint.methods.protocol.method import Method
 
-    Method.loop = Method.kept_loop
+    Method.loop = Method.original_loop
 
 
 TOP, FLUID = co.systems.heavy_top(), co.systems.sphere_euler(4)
@@ -79,8 +80,8 @@ MOVED = {
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_between(2, MOVED))
-def test_the_bits_of_one_machine(tmp_path, client, name):
-    """By tables that no worker derives, but for the loops around others, which are laid out where they run."""
+def test_clusters_have_the_bits_of_one_machine(tmp_path, client, name):
+    """No worker derives tables, except for loops around others."""
     (system, x0, method, attitude), archive = MOVED[name], tmp_path / "many.zarr"
     run = (0, 2), 0.125, method
     if name != "noise":
@@ -93,8 +94,8 @@ def test_the_bits_of_one_machine(tmp_path, client, name):
     assert_same(found, co.integrate(system, x0, *run, attitude=attitude))
 
 
-def test_results_never_move_through_the_client(tmp_path, client):
-    """Of 20 MB in the archive workers send some thousand bytes, those of their states of health included."""
+def test_results_bypass_the_client(tmp_path, client):
+    """Of 20 MB in the archive, workers send some thousand bytes, heartbeats included."""
 
     def sent(dask_worker):
         return dask_worker.transfer_outgoing_bytes_total
@@ -111,26 +112,26 @@ def test_results_never_move_through_the_client(tmp_path, client):
     assert moved() - before < 1e5
 
 
-def test_a_client_needs_an_archive(client):
-    with pytest.raises(TypeError, match="was given a client and no archive"):
+def test_client_requires_an_archive(client):
+    with pytest.raises(TypeError, match="client and no archive"):
         co.ensemble(BODY, X, (0, 2), 0.125, client=client)
 
 
-def test_a_folder_that_workers_do_not_see(tmp_path, client, monkeypatch):
+def test_workers_without_the_folder_are_refused(tmp_path, client, monkeypatch):
     from coadjoint.files.archives import dask_blocks as on_workers
 
     real = on_workers.run_block
-    monkeypatch.setattr(on_workers, "run_block", lambda archive, *given: real(f"{archive}-elsewhere", *given))
-    with pytest.raises(ArchiveError, match=r"there is no archive of a run on the machine .*every worker must see"):
+    monkeypatch.setattr(on_workers, "run_block", lambda archive, *args: real(f"{archive}-elsewhere", *args))
+    with pytest.raises(ArchiveError, match=r"there is no archive of a run on the machine .*every worker must reach"):
         co.ensemble(BODY, X, (0, 2), 0.125, archive=tmp_path / "many.zarr", client=client, members_per_block=4)
 
 
 @pytest.mark.long
-def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client, monkeypatch):
+def test_block_of_an_earlier_call_is_awaited(tmp_path, client, monkeypatch):
     archive = tmp_path / "many.zarr"
     with pytest.raises(ArchiveUnwritten):
         with monkeypatch.context() as lost:
-            lost.setattr("coadjoint.files.archives.run_in_blocks.run_block", lambda *given: {"busy": True})
+            lost.setattr("coadjoint.files.archives.run_in_blocks.run_block", lambda *args: {"busy": True})
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
     lock = open_locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
     began = time.monotonic()
@@ -157,7 +158,7 @@ if __name__ == "__main__":
 SPAN = 250_000
 
 
-def whole():
+def reference_run():
     return co.integrate(BODY, X, (0, SPAN), 0.125, save_every=2000)
 
 
@@ -170,25 +171,25 @@ def script(tmp_path, archive, how):
 def until(condition, seconds=300.0):
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "nothing happens"
+        assert time.monotonic() < end, "timeout"
         time.sleep(0.02)
 
 
 def done(archive):
-    """Return the numbers of the blocks that are done."""
+    """Return the numbers of the finished blocks."""
     with ArchiveFolder(archive) as folder:
         return {k for k in range(11) if (read_head(folder, k) or {}).get("archive_finished")}
 
 
 def written(archive):
-    """Return what tells when each block was done."""
+    """Return the time at which each block was finished."""
     return {k: (archive / ".coadjoint" / f"block-{k:06d}").stat().st_mtime_ns for k in done(archive)}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("count", long_beyond(1, [1, 2]))
-def test_workers_are_killed(tmp_path, client, count):
-    """One of them, or all that have the tables: these are sent once more."""
+def test_killed_workers_are_replaced(tmp_path, client, count):
+    """One worker, or all that have the tables, which are then sent again."""
     archive, killed = tmp_path / "many.zarr", []
 
     def kill():
@@ -202,11 +203,11 @@ def test_workers_are_killed(tmp_path, client, count):
     found = co.ensemble(BODY, X, (0, SPAN), 0.125, archive=archive, client=client, save_every=2000, members_per_block=1)
     thread.join()
     assert len(killed) == count
-    assert_same(found, whole())
+    assert_same(found, reference_run())
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_a_worker_is_lost_before_its_result_is_asked_for(monkeypatch, there):
+def test_lost_result_is_computed_again(monkeypatch, there):
     class Task:
         status = "finished"
 
@@ -216,21 +217,21 @@ def test_a_worker_is_lost_before_its_result_is_asked_for(monkeypatch, there):
     monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: there)
     if there:
         ended, reason = on_workers._task_result(None, Task())
-        assert ended is None and isinstance(reason, CancelledError), "the block is to be computed again"
+        assert ended is None and isinstance(reason, CancelledError), "the block is computed again"
     else:
         with pytest.raises(CancelledError):
             on_workers._task_result(None, Task())
 
 
 @pytest.mark.long
-def test_workers_are_killed_in_the_middle_of_their_blocks(tmp_path):
-    """`make soak` does the same many times more."""
+def test_workers_killed_in_the_middle_of_blocks(tmp_path):
+    """`make soak` repeats this with more seeds."""
     kills, from_the_middle = killed_workers.killed(1, tmp_path)
     assert kills and from_the_middle
 
 
 @pytest.mark.long
-def test_the_client_is_killed_and_called_again(tmp_path):
+def test_killed_client_is_called_again(tmp_path):
     archive = tmp_path / "many.zarr"
     process = subprocess.Popen(script(tmp_path, archive, "workers=1"), stderr=subprocess.DEVNULL)
     until(lambda: archive.exists() and len(done(archive)) >= 2)
@@ -240,15 +241,15 @@ def test_the_client_is_killed_and_called_again(tmp_path):
     assert 2 <= len(before) < 11
     found = co.ensemble(BODY, X, (0, SPAN), 0.125, archive=archive, save_every=2000)
     after = written(archive)
-    assert {k: after[k] for k in before} == before, "what was done is not computed again"
-    assert_same(found, whole())
+    assert {k: after[k] for k in before} == before, "finished blocks are not computed again"
+    assert_same(found, reference_run())
 
 
 @pytest.mark.long
-def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
+def test_killed_scheduler_is_replaced(tmp_path):
     archive = tmp_path / "many.zarr"
 
-    def begun():
+    def start_cluster():
         file = tmp_path / "scheduler.json"
         file.unlink(missing_ok=True)
         dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
@@ -266,7 +267,7 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
                 BODY, X, (0, SPAN), 0.125, archive=archive, client=client, save_every=2000, members_per_block=1
             )
 
-    scheduler, worker, file = begun()
+    scheduler, worker, file = start_cluster()
     try:
 
         def kill():
@@ -274,7 +275,7 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
             scheduler.send_signal(signal.SIGKILL)
 
         Thread(target=kill).start()
-        with pytest.raises(ArchiveUnwritten, match="the next call with this archive continues"):
+        with pytest.raises(ArchiveUnwritten, match="next call"):
             run(file)
     finally:
         for process in (scheduler, worker):
@@ -282,7 +283,7 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
             process.wait()
     before = written(archive)
     assert len(before) >= 2
-    scheduler, worker, file = begun()
+    scheduler, worker, file = start_cluster()
     try:
         found = run(file)
     finally:
@@ -291,11 +292,11 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
             process.wait()
     after = written(archive)
     assert {k: after[k] for k in before} == before
-    assert_same(found, whole())
+    assert_same(found, reference_run())
 
 
 @pytest.mark.long
-def test_a_script_without_a_guard_is_told(tmp_path):
+def test_script_without_main_guard_is_refused(tmp_path):
     path = Path(script(tmp_path, tmp_path / "many.zarr", "workers=1")[1])
     path.write_text(path.read_text().replace('if __name__ == "__main__":', "if True:"))
     found = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120)
@@ -321,7 +322,7 @@ archive = "many.zarr"
 
 
 @pytest.mark.long
-def test_a_sweep_by_the_command(tmp_path, monkeypatch, capsys):
+def test_command_runs_a_sweep_on_workers(tmp_path, monkeypatch, capsys):
     from coadjoint import cli
     from coadjoint.files.configuration.configuration import load
 
@@ -333,44 +334,42 @@ def test_a_sweep_by_the_command(tmp_path, monkeypatch, capsys):
     Path("alone.toml").write_text(SWEEP.replace("workers = 2", ""))
     alone = load("alone.toml")
     assert_same(found, alone.integrate())
-    kept = found.to_xarray()
-    np.testing.assert_array_equal(kept["swept_inertia_2"], alone.swept["system.parameters.inertia[2]"])
-    assert "swept_x_1" in kept.coords and kept.attrs["configuration"] == SWEEP
+    stored = found.to_xarray()
+    np.testing.assert_array_equal(stored["swept_inertia_2"], alone.swept["system.parameters.inertia[2]"])
+    assert "swept_x_1" in stored.coords and stored.attrs["configuration"] == SWEEP
     (tmp_path / "many.zarr" / "x" / "c.0.1.0").unlink()
     assert cli.main(["resume", "many.zarr", "--workers", "1", "--quiet"]) == 0
     assert_same(co.open_archive("many.zarr"), alone.integrate())
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (("[sweep.over]", "[sweep]"), "run.toml: sweep"),
         (("workers = 2", "workers = 0"), "run.toml: run.workers: must be 1 or more, not 0"),
         (
             ("workers = 2", "workers = 2\nt_eval = [0.5]"),
-            "run.toml: run.t_eval: an archive keeps every save_every-th step",
+            "run.toml: run.t_eval: ",
         ),
     ],
 )
-def test_wrong_workers_of_a_file(tmp_path, monkeypatch, capsys, change, said):
+def test_invalid_workers_in_a_file_are_refused(tmp_path, monkeypatch, capsys, change, message):
     from coadjoint import cli
 
     monkeypatch.chdir(tmp_path)
     Path("run.toml").write_text(SWEEP.replace(*change))
     assert cli.main(["run", "run.toml"]) == 2
-    assert capsys.readouterr().err.startswith(said)
+    assert capsys.readouterr().err.startswith(message)
 
 
-def test_workers_need_an_ensemble(tmp_path, monkeypatch, capsys):
+def test_workers_require_an_ensemble(tmp_path, monkeypatch, capsys):
     from coadjoint import cli
 
     monkeypatch.chdir(tmp_path)
     text = SWEEP.replace("[sweep.over]", "").replace('"initial.x[1]" = [0.25, -0.5]', "")
     Path("run.toml").write_text("\n".join(line for line in text.splitlines() if "linear" not in line))
     assert cli.main(["run", "run.toml"]) == 2
-    assert (
-        "run.workers: workers are for the members of an ensemble, and the file has one state" in capsys.readouterr().err
-    )
+    assert "run.workers: " in capsys.readouterr().err
 
 
 def processes():
@@ -378,36 +377,38 @@ def processes():
 
 
 def listening():
-    """Return the address and the port of each socket on which this process and its children listen."""
-    found = [connection for process in processes() for connection in process.net_connections("inet")]
+    """Return address and port of each listening socket of this process and its children."""
+    found = []
+    for process in processes():
+        with contextlib.suppress(psutil.NoSuchProcess, FileNotFoundError):  # it ends at this moment
+            found += process.net_connections("inet")
     return {(socket.laddr.ip, socket.laddr.port) for socket in found if socket.status == psutil.CONN_LISTEN}
 
 
 def reached(ports, seconds):
-    """Return what another user reaches by these ports."""
-    attack = [sys.executable, str(Path(__file__).with_name("stranger.py")), *map(str, (seconds, *ports))]
+    """Return what another user reaches through these ports."""
+    attack = [sys.executable, str(Path(__file__).with_name("unauthorized_client.py")), *map(str, (seconds, *ports))]
     done = subprocess.run(attack, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 @pytest.mark.long
-def test_a_stranger_reaches_a_cluster_without_credentials():
-    """Otherwise the next test would show nothing."""
+def test_unauthorized_access_without_credentials():
     plain = {"n_workers": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}
     with LocalCluster(**plain, silence_logs=50) as cluster:
         (found,) = reached([urlsplit(cluster.scheduler_address).port], 30).values()
     assert found == {"client": os.getpid(), "message": "Scheduler", "bytes": 8}
 
 
-def test_a_stranger_reaches_nothing_while_workers_run(tmp_path, monkeypatch):
-    """On no port of the scheduler, of a worker, or of its nanny, before and after a worker is killed."""
+def test_no_unauthorized_access_to_workers(tmp_path, monkeypatch):
+    """Ports of the scheduler, a worker and its nanny, before and after a worker is killed."""
     on_client, tried = on_workers.on_client, []
 
-    def attacked(client, *given):
+    def attacked(client, *args):
         key = next(line for line in client.security.tls_client_key.splitlines()[1:] if line)
         for kill in (True, False):
-            # A worker that is started again listens some time after its process has begun.
+            # A restarted worker listens some time after its process has begun.
             until(lambda: len(listening() - before) == 3)
             ports = listening() - before
             assert len(ports) == 3 and {host for host, _ in ports} == {"127.0.0.1"}
@@ -427,7 +428,7 @@ def test_a_stranger_reaches_nothing_while_workers_run(tmp_path, monkeypatch):
                 os.kill(pid, signal.SIGKILL)
                 until(lambda killed=pid: killed not in client.run(os.getpid, on_error="ignore").values())
                 client.wait_for_workers(1, timeout=60)
-        on_client(client, *given)
+        on_client(client, *args)
 
     monkeypatch.setattr(on_workers, "on_client", attacked)
     before = listening()
@@ -453,7 +454,7 @@ def test_a_stranger_reaches_nothing_while_workers_run(tmp_path, monkeypatch):
         ("inproc://192.0.2.7/1/1", False),
     ],
 )
-def test_a_client_without_credentials_on_another_machine(address, warned):
+def test_unencrypted_remote_client_warns(address, warned):
     client = object.__new__(Client)
     client.scheduler, client.status = SimpleNamespace(address=address), "closed"
     with warnings.catch_warnings(record=True) as found:
@@ -464,15 +465,15 @@ def test_a_client_without_credentials_on_another_machine(address, warned):
     assert all(address in str(warning.message) for warning in found)
 
 
-def test_workers_that_end_while_they_receive_tables(tmp_path, client, monkeypatch):
-    """The tables are sent again; a scheduler that is gone is reported."""
+def test_tables_are_sent_again_to_lost_workers(tmp_path, client, monkeypatch):
+    """The tables are sent again; a lost scheduler is reported."""
     archive, scatter, tries = tmp_path / "many.zarr", client.scatter, []
 
-    def failing(*given, **more):
-        tries.append(given)
+    def failing(*args, **kwargs):
+        tries.append(args)
         if len(tries) < on_workers.RETRIES:
             raise CommClosedError("a worker has ended")
-        return scatter(*given, **more)
+        return scatter(*args, **kwargs)
 
     monkeypatch.setattr(client, "scatter", failing)
     monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: len(tries) != 1)

@@ -1,4 +1,4 @@
-"""Configuration files: what they may say, and what is said about a wrong one."""
+"""Configuration files: systems, schemes, polynomials, brackets, and errors by key."""
 
 from fractions import Fraction
 
@@ -7,9 +7,9 @@ import pytest
 from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
-from coadjoint.algebra.bracket_parser import parse_brackets
+from coadjoint.algebra.brackets import parse_brackets
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.polynomials import parse_polynomial
+from coadjoint.files.configuration.construction import parse_polynomial
 from coadjoint.methods import registry
 
 
@@ -28,8 +28,8 @@ def written(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "mixed"])
-def test_line_ends_of_all_machines(tmp_path, end):
-    """They give one text, which is stored with the results, and the same line in errors."""
+def test_line_ends_are_normalized(tmp_path, end):
+    """The stored text and the lines in errors are the same."""
     for text in (READY_MADE, f"{READY_MADE}wrong"):
         ends = ["\n", "\r\n", "\r"] if end == "mixed" else [end]
         lines = text.split("\n")
@@ -53,7 +53,7 @@ def test_ready_made_system(written):
     np.testing.assert_array_equal(found.integrate().x, by_hand.x)
 
 
-def test_own_brackets_are_the_same_motion(written):
+def test_own_brackets_give_the_same_motion(written):
     own = load(written(OWN, ("0.25]", "0.4]")))
     assert own.system.algebra == co.algebras.so(3)
     assert (own.system.name, own.system.sign, list(own.system.casimirs)) == ("mine", -1, ["|x|^2"])
@@ -89,7 +89,7 @@ def test_catalogue_attitude_ensemble_and_observed(written):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         ([("step", "stpe")], "run.stpe: unknown key; did you mean 'step'?"),
         ([("[initial]", "[intial]")], "intial: unknown key; did you mean 'initial'?"),
@@ -140,16 +140,16 @@ def test_catalogue_attitude_ensemble_and_observed(written):
         ([("step = 0.1", "step = 0.1\nstep = 0.1")], "line 14, column 11: cannot overwrite a value"),
     ],
 )
-def test_wrong_ready_made(written, changes, said):
+def test_errors_of_ready_made_systems_have_the_key(written, changes, expected):
     with pytest.raises(ConfigurationError) as error:
         load(written(READY_MADE, *changes)).integrate()
     message = str(error.value)
     assert "\n" not in message
-    assert message.startswith(f"run.toml: {said}")
+    assert message.startswith(f"run.toml: {expected}")
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         (
             [('"[e3, e1] = e2"', '"[e1, e3] = e1"')],
@@ -157,7 +157,10 @@ def test_wrong_ready_made(written, changes, said):
         ),
         ([("[e3, e1] = e2", "[e3, e4] = e2")], "algebra.brackets: '[e3, e4] = e2' is not a bracket of e1, e2, e3; "),
         ([("[e3, e1] = e2", "[e2, e1] = e3")], "algebra.brackets: the bracket of e2 and e1 is given twice; "),
-        ([("[e3, e1] = e2", "[e3, e1] = e2 e1")], "algebra.brackets: '[e3, e1] = e2 e1' cannot be read from 'e1' on; "),
+        (
+            [("[e3, e1] = e2", "[e3, e1] = e2 e1")],
+            "algebra.brackets: '[e3, e1] = e2 e1' cannot be parsed from 'e1' on; ",
+        ),
         ([("dim = 3", 'dim = 2\nbasis = ["a", "b", "c"]')], "algebra.basis: has 3 names; dim is 2"),
         ([("dim = 3\n", "")], "algebra.dim: is missing; give it, or basis"),
         ([("brackets", "bracket")], "algebra.bracket: unknown key; did you mean 'brackets'?"),
@@ -178,32 +181,32 @@ def test_wrong_ready_made(written, changes, said):
         ([("M = [1.0, 0.5, 0.25]", "M = true")], "hamiltonian.M: must be a number or a list of numbers or "),
         (
             [("M = [1.0, 0.5, 0.25]", 'polynomial = "x1^^2"')],
-            "hamiltonian.polynomial: 'x1^^2' cannot be read from '^2' on; ",
+            "hamiltonian.polynomial: 'x1^^2' cannot be parsed from '^2' on; ",
         ),
         ([("M = [1.0, 0.5, 0.25]", 'polynomial = "x4"')], "hamiltonian.polynomial: 'x4' has the coordinate x4; "),
         ([("M = [1.0, 0.5, 0.25]", "polynomial = 3")], "hamiltonian.polynomial: must be text such as "),
         ([("+ x3^2", "+ x3^3")], "casimirs: '|x|^2' is not a Casimir: "),
-        ([("[run]", '[observe]\nspeed = "v1"\n[run]')], "observe.speed: 'v1' cannot be read from 'v1' on; "),
+        ([("[run]", '[observe]\nspeed = "v1"\n[run]')], "observe.speed: 'v1' cannot be parsed from 'v1' on; "),
         ([("[algebra]", '[system]\nname = "rigid_body"\n[algebra]')], "give either [system], a ready-made one, or "),
     ],
 )
-def test_wrong_own_algebra(written, changes, said):
+def test_errors_of_own_algebras_have_the_key(written, changes, expected):
     with pytest.raises(ConfigurationError) as error:
         load(written(OWN, *changes))
     message = str(error.value)
     assert "\n" not in message
-    assert message.startswith(f"run.toml: {said}")
+    assert message.startswith(f"run.toml: {expected}")
 
 
-def test_more_saved_states_than_memory(written):
+def test_saved_states_beyond_memory_are_refused(written):
     found = load(written(READY_MADE, ("[0, 1]", "[0, 1e15]"), ("step = 0.1", "step = 1.0")))
-    with pytest.raises(ConfigurationError, match=r"run.toml: run.save_every: the saved states do not fit into memory"):
+    with pytest.raises(ConfigurationError, match=r"run.toml: run.save_every: .*memory"):
         found.integrate()
 
 
-def test_text_that_is_none(tmp_path):
+def test_text_other_than_utf8_is_refused(tmp_path):
     (tmp_path / "run.toml").write_bytes(b"x = \xff")
-    with pytest.raises(ConfigurationError, match=r"run.toml: is not text in UTF-8 \(byte 4\); save it as such"):
+    with pytest.raises(ConfigurationError, match=r"run.toml: .*UTF-8 \(byte 4\)"):
         load(tmp_path / "run.toml")
 
 
@@ -216,7 +219,7 @@ def test_text_that_is_none(tmp_path):
     ],
     ids=repr,
 )
-def test_polynomials_are_read_as_they_are_printed(polynomial):
+def test_printed_polynomials_are_parsed(polynomial):
     assert parse_polynomial(repr(polynomial), 3) == polynomial
 
 
@@ -229,18 +232,18 @@ def test_whole_and_rational_coefficients_stay_exact():
 @pytest.mark.parametrize(
     "text", ["", "x1 +", "x1 x2", "x1^", "x1^-1", "x1^1.5", "2*(x1 + x2)", "(1/3*x1", "1/0", "x0", "__import__('os')"]
 )
-def test_no_other_polynomials(text):
-    with pytest.raises(ValueError, match=r"cannot be read|divides by zero|there are x1 to x2"):
+def test_invalid_polynomials_are_refused(text):
+    with pytest.raises(ValueError, match=r"cannot be parsed|divides by zero|x1 to x2"):
         parse_polynomial(text, 2)
 
 
 @pytest.mark.parametrize("term", [[1.0, [2]], [1.0, 2], ["a", [1, 0]], [1.0, [1, -1]], 3])
-def test_no_other_terms(term):
+def test_invalid_terms_are_refused(term):
     with pytest.raises((ValueError, TypeError), match=r"exponents|coefficient"):
         parse_polynomial([term], 2)
 
 
-def test_brackets_in_all_their_forms():
+def test_forms_of_brackets_are_parsed():
     basis = ["e1", "e12", "e2"]
     assert parse_brackets(["[e1,e12]= -1/2*e12 + .5e2 + e12", "[ e1 , e2 ] = 0", "[e12, e2] = 2e1"], basis) == {
         (0, 1): {1: 0.5, 2: 0.5},
@@ -254,11 +257,11 @@ def test_brackets_in_all_their_forms():
     co.ExplicitRungeKutta("runge2"),
     co.Composition(co.GaussLegendre(stages=1), (0.25, 0.5, 0.25)),
 ])  # fmt: skip
-def test_methods_are_made_again_from_their_description(method):
+def test_methods_are_rebuilt_from_descriptions(method):
     assert registry.from_description(registry.description_of(method)) == method
 
 
-def test_every_public_scheme_is_found():
+def test_public_schemes_are_registered():
     public = {
         name for name in ("Splitting", "Composition", "GaussLegendre", "ModifiedGaussLegendre", "IteratedGaussLegendre")
     }
@@ -268,7 +271,7 @@ def test_every_public_scheme_is_found():
         assert registry.summary_of(name).endswith(".")
 
 
-def test_parameter_that_is_called_name(written):
+def test_parameter_named_name(written):
     text = READY_MADE.replace(
         'name = "Splitting"\norder = 4', 'name = "ExplicitRungeKutta"\nparameters = {name = "runge2"}'
     )

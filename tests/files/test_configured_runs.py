@@ -1,4 +1,4 @@
-"""Every key of a configuration file reaches the run, the archive and the estimates, alone and beside the others."""
+"""Keys of configuration files reach the run, the archive, the estimates and the dry run."""
 
 import dataclasses
 import inspect
@@ -15,6 +15,7 @@ from coadjoint.files.configuration import dry_run as planning
 from coadjoint.files.configuration.configuration import CONFIGURATION, ConfigurationError, load
 from coadjoint.files.configuration.dry_run import plan
 from coadjoint.files.datasets.content_checksum import CHECKSUM
+from coadjoint.files.datasets.export import rebuild
 from coadjoint.runs import prepared_run
 from coadjoint.runs.times import times_of
 
@@ -70,7 +71,7 @@ def test_every_key_is_in_the_configuration(read):
 
 
 def test_every_setting_reaches_the_run(read, monkeypatch):
-    """Each has a value of its own, so that none is dropped or exchanged with another."""
+    """Distinct values show settings that are dropped or exchanged."""
     found = read(FULL)
     given = {}
     monkeypatch.setattr(configurations, "with_choice", lambda solution, choice: (solution, choice))
@@ -79,8 +80,8 @@ def test_every_setting_reaches_the_run(read, monkeypatch):
     marked = dataclasses.replace(found, **values)
 
     def spy(name, wanted):
-        def call(*arguments, **named):
-            given[name] = inspect.signature(wanted).bind(*arguments, **named).arguments
+        def call(*arguments, **kwargs):
+            given[name] = inspect.signature(wanted).bind(*arguments, **kwargs).arguments
             return name
 
         return call
@@ -96,18 +97,18 @@ def test_every_setting_reaches_the_run(read, monkeypatch):
     }  # fmt: skip
 
 
-def test_an_archive_has_all_of_the_run(read, tmp_path, capsys):
+def test_archive_contains_the_whole_run(read, tmp_path, capsys):
     over = '[sweep.over]\n"system.parameters.inertia[2]" = [2.5, 2.25]\n"initial.x[0]" = [1.0, 0.5]\n'
     found = read(FULL + over, (
         "x = [[1.0, 0.1, 0.5], [0.2, 1.0, 0.3], [0.1, -0.2, 1.0], [0.3, 0.4, -1.0]]", "x = [1.0, 0.1, 0.5]"
     ))  # fmt: skip
     sol = found.integrate()
-    kept = found.integrate(archive=tmp_path / "run.zarr", progress=True)
+    stored = found.integrate(archive=tmp_path / "run.zarr", progress=True)
     assert "steps (100 %)" in capsys.readouterr().err
     for name in ("t", "x", "energy", "attitude"):
-        assert np.array_equal(getattr(kept, name), getattr(sol, name))
-    assert kept.t.tolist() == [2.0 - 0.375 * k for k in range(9)] and not kept.watched
-    assert np.array_equal(kept.observed["x1 x2"], sol.x[..., 0] * sol.x[..., 1])
+        assert np.array_equal(getattr(stored, name), getattr(sol, name))
+    assert stored.t.tolist() == [2.0 - 0.375 * k for k in range(9)] and not stored.watched
+    assert np.array_equal(stored.observed["x1 x2"], sol.x[..., 0] * sol.x[..., 1])
     again = co.open_archive(tmp_path / "run.zarr").to_xarray()
     assert again["swept_inertia_2"].values.tolist() == [2.5, 2.5, 2.25, 2.25]
     assert again["swept_x_0"].values.tolist() == sol.x[0, :, 0].tolist() == [1.0, 0.5] * 2
@@ -115,42 +116,40 @@ def test_an_archive_has_all_of_the_run(read, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "more",
-    ["t_eval = [0.25, 0.5]\n", '[events.flip]\ng = "x2"\n', 't_eval = [0.5]\n[events.flip]\ng = "x2"\n'],
+    "lines", ["t_eval = [0.25, 0.5]\n", '[events.flip]\ng = "x2"\n', 't_eval = [0.5]\n[events.flip]\ng = "x2"\n']
 )
-def test_what_an_archive_cannot_have_is_refused_for_any_archive(read, tmp_path, more):
-    found = read(READY_MADE + more)
-    with pytest.raises(ConfigurationError, match=r"^run.toml: (run.t_eval|events): an archive keeps every"):
-        found.integrate(archive=tmp_path / "run.zarr")
+def test_options_without_archive_support_are_refused(read, tmp_path, lines):
+    with pytest.raises(ConfigurationError, match=r"^run.toml: (run.t_eval|events): an archive"):
+        read(READY_MADE + lines).integrate(archive=tmp_path / "run.zarr")
     assert cli.main(["run", "run.toml", "--archive", "run.zarr"]) == 2
     assert not (tmp_path / "run.zarr").exists()
-    with pytest.raises(ConfigurationError, match=r"an archive keeps every"):
-        read(READY_MADE + more + '[output]\narchive = "run.zarr"\n')
+    with pytest.raises(ConfigurationError, match="an archive"):
+        read(READY_MADE + lines + '[output]\narchive = "run.zarr"\n')
 
 
 MANY = "x = [[1.0, 0.1, 0.5], [0.2, 1.0, 0.3]]"
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
-        ((), "the file has one state; omit workers"),
-        ((("x = [1.0, 0.1, 0.5]", MANY), ("workers = 2", "workers = 2\nt_eval = [0.5]")), "give neither t_eval nor"),
-        ((("x = [1.0, 0.1, 0.5]", MANY), ("workers = 2", 'workers = 2\n[events.flip]\ng = "x1"')), "give neither t_ev"),
+        ((), "one state"),
+        ((("x = [1.0, 0.1, 0.5]", MANY), ("workers = 2", "workers = 2\nt_eval = [0.5]")), "neither t_eval nor"),
+        ((("x = [1.0, 0.1, 0.5]", MANY), ("workers = 2", 'workers = 2\n[events.flip]\ng = "x1"')), "neither t_eval"),
         ((("x = [1.0, 0.1, 0.5]", MANY), ("workers = 2", "workers = 0")), "must be 1 or more, not 0"),
     ],
 )
-def test_workers_are_for_members_saved_at_steps(read, changes, said):
-    with pytest.raises(ConfigurationError, match=f"^run.toml: run.workers: .*{said}"):
+def test_workers_require_members_saved_at_steps(read, changes, message):
+    with pytest.raises(ConfigurationError, match=f"^run.toml: run.workers: .*{message}"):
         read(READY_MADE + "workers = 2\n", *changes)
     assert read(READY_MADE + "workers = 2\n", ("x = [1.0, 0.1, 0.5]", MANY)).workers == 2
 
 
-def test_workers_need_their_package_before_the_run(read, monkeypatch):
-    asked = []
-    monkeypatch.setattr(configurations, "need", lambda what, *packages: asked.append((what, packages)))
+def test_workers_require_their_package(read, monkeypatch):
+    needed = []
+    monkeypatch.setattr(configurations, "need", lambda feature, *packages: needed.append((feature, packages)))
     read(READY_MADE + "workers = 2\n", ("x = [1.0, 0.1, 0.5]", MANY))
-    assert ("workers", ("distributed",)) in asked
+    assert ("workers", ("distributed",)) in needed
 
 
 @pytest.mark.parametrize(
@@ -164,8 +163,8 @@ def test_workers_need_their_package_before_the_run(read, monkeypatch):
     ],
     ids=["all", "every step", "no attitude", "times", "observed"],
 )
-def test_memory_is_that_of_what_is_saved(read, monkeypatch, changes):
-    """Less memory than the saved arrays have is refused; three times as much is enough."""
+def test_memory_check_covers_the_saved_arrays(read, monkeypatch, changes):
+    """Less memory than the saved arrays is refused; three times as much is enough."""
     found = read(FULL, *changes)
     sol = found.integrate()
     saved = [sol.x, sol.energy, *sol.casimirs.values(), *sol.observed.values()]
@@ -178,7 +177,7 @@ def test_memory_is_that_of_what_is_saved(read, monkeypatch, changes):
     found.check_memory()
 
 
-def test_a_dataset_has_the_text_of_its_file_and_no_sum_of_less(read):
+def test_dataset_contains_the_configuration(read):
     found = read(READY_MADE)
     sol = found.integrate()
     dataset = found.dataset(sol)
@@ -189,14 +188,7 @@ def test_a_dataset_has_the_text_of_its_file_and_no_sum_of_less(read):
     }
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["unix", "windows", "old mac"])
-def test_line_ends_of_all_systems(tmp_path, end):
-    (tmp_path / "run.toml").write_bytes(READY_MADE.replace("\n", end).encode())
-    found = load(tmp_path / "run.toml")
-    assert found.text == READY_MADE and found.integrate().x.shape == (11, 3)
-
-
-def test_an_accuracy_beside_an_attitude_is_chosen_with_it(read):
+def test_accuracy_with_attitude_is_chosen_for_both(read):
     text = READY_MADE.replace("step = 0.1", "accuracy = 1e-6").replace("0.5]", "0.5]\nattitude = true")
     found, body = read(text), co.systems.rigid_body((1.0, 2.0, 2.5))
     x0, span, method = (1.0, 0.1, 0.5), (0.0, 1.0), co.Splitting(order=4)
@@ -207,7 +199,7 @@ def test_an_accuracy_beside_an_attitude_is_chosen_with_it(read):
 # Hamiltonians, algebras and their parts.
 
 
-def test_parts_of_a_quadratic_energy(read):
+def test_quadratic_energy_terms(read):
     x = np.array([1.0, 2.0, 4.0])
     for lines, energy in (
         ("M = 2.0", x @ x),
@@ -222,7 +214,7 @@ def test_parts_of_a_quadratic_energy(read):
             read(OWN, ("M = [1.0, 0.5, 0.25]", f'polynomial = "x1^2"\n{key}'))
 
 
-def test_names_of_a_basis(read):
+def test_basis_names(read):
     names = 'basis = ["a", "b", "c"]\nbrackets = ["[a, b] = c", "[b, c] = a", "[c, a] = b"]'
     text = OWN.replace('brackets = ["[e1, e2] = e3", "[e2, e3] = e1", "[e3, e1] = e2"]', names)
     for lines in (text, text.replace("dim = 3\n", "")):
@@ -231,7 +223,7 @@ def test_names_of_a_basis(read):
 
 
 @pytest.mark.parametrize("casimirs", [None, "", '"|x|^2" = "x1^2 + x2^2 + x3^2"'])
-def test_casimirs_are_found_only_where_none_are_written(read, casimirs):
+def test_casimirs_are_computed_only_by_default(read, casimirs):
     table = '[casimirs]\n"|x|^2" = "x1^2 + x2^2 + x3^2"\n'
     found = read(OWN, (table, "" if casimirs is None else f"[casimirs]\n{casimirs}\n"))
     wanted = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])).casimirs
@@ -239,7 +231,7 @@ def test_casimirs_are_found_only_where_none_are_written(read, casimirs):
 
 
 @pytest.mark.parametrize(
-    ("text", "changes", "said"),
+    ("text", "changes", "message"),
     [
         (READY_MADE, [("[system]", 'name = "a"\n[system]')], "name: belongs to [algebra]"),
         (READY_MADE, [("[initial]", "[hamiltonian]\nM = 1.0\n[initial]")], "hamiltonian: belongs to [algebra]"),
@@ -261,14 +253,14 @@ def test_casimirs_are_found_only_where_none_are_written(read, casimirs):
         (READY_MADE, [("0.5]", '0.5]\nparameters = {seed = 1}')], "initial: parameters belong to a kind"),
     ],
 )  # fmt: skip
-def test_refused_with_the_key(read, text, changes, said):
+def test_errors_have_the_key(read, text, changes, message):
     with pytest.raises(ConfigurationError) as error:
         read(text, *changes)
-    assert str(error.value).startswith(f"run.toml: {said}"), str(error.value)
+    assert str(error.value).startswith(f"run.toml: {message}"), str(error.value)
     assert "parameters, " not in str(error.value) and ", name" not in str(error.value)
 
 
-def test_a_dimension_does_not_hinder_states_in_a_file(read, tmp_path):
+def test_dimension_check_allows_states_in_a_file(read, tmp_path):
     np.save(tmp_path / "x.npy", [1.0, 0.1, 0.5])
     assert read(OWN, ("[1.0, 0.1, 0.5]", '"x.npy"')).x0.tolist() == [1.0, 0.1, 0.5]
     np.save(tmp_path / "x.npy", np.array([True, False, True]))
@@ -276,7 +268,7 @@ def test_a_dimension_does_not_hinder_states_in_a_file(read, tmp_path):
         read(OWN, ("[1.0, 0.1, 0.5]", '"x.npy"'))
 
 
-def test_a_named_state_has_an_attitude_key_of_the_table(read):
+def test_named_state_with_an_attitude(read):
     text = (
         'system = {name = "torus_euler", parameters = {N = 3}}\ninitial = {kind = "random", seed = 1, attitude = A}\n'
     )
@@ -287,61 +279,63 @@ def test_a_named_state_has_an_attitude_key_of_the_table(read):
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "message"),
     [
         (ValueError("x is wrong"), "x is wrong"),
         (TypeError("x\nis wrong"), "x is wrong"),
         (ZeroDivisionError("division by zero"), "a number is too large, or too small, to compute with (division"),
         (OverflowError("huge"), "a number is too large, or too small, to compute with (huge)"),
-        (RecursionError("deep"), "lists or tables are nested too deeply; nest less"),
-        (MemoryError(), "does not fit into memory; take something smaller"),
+        (RecursionError("deep"), "lists or tables are nested too deeply"),
+        (MemoryError(), "does not fit into memory"),
     ],
 )
-def test_errors_inside_a_section_have_its_key(error, said):
+def test_errors_in_a_section_have_its_key(error, message):
     with pytest.raises(ConfigurationError) as raised, configurations.section("run.toml", "forces[1]"):
         raise error
-    assert str(raised.value).startswith(f"run.toml: forces[1]: {said}") and raised.value.__cause__ is error
+    assert str(raised.value).startswith(f"run.toml: forces[1]: {message}") and raised.value.__cause__ is error
     own = ConfigurationError("run.toml: run.step: step is 0")
     with pytest.raises(ConfigurationError) as raised, configurations.section("run.toml", "forces[1]"):
         raise own
     assert raised.value is own
 
 
-# What is said before a run.
+# Dry runs.
 
 
-def test_a_plan_describes_the_run(read):
+def test_plan_describes_the_run(read):
     found = plan(read(FULL))
     sol = found.configuration.integrate()
     assert (found.dim, found.members) == (3, 4)
     saved = [sol.x, sol.attitude, sol.energy, *sol.casimirs.values()]
     assert found.memory >= sum(array.nbytes for array in saved)
-    assert found.ready > 0.0 and found.seconds > 0.0
-    told = dataclasses.replace(found, ready=60.0, seconds=30.0, memory=7_000_000, written=59_300, tried=5)
-    lines = dict(line.split(maxsplit=1) for line in str(told).splitlines())
+    assert found.preparation_seconds > 0.0 and found.seconds > 0.0
+    example = dataclasses.replace(
+        found, preparation_seconds=60.0, seconds=30.0, memory=7_000_000, written=59_300, tried=5
+    )
+    lines = dict(line.split(maxsplit=1) for line in str(example).splitlines())
     assert list(lines) == ["system", "members", "scheme", "keeps", "steps", "saved", "memory", "output", "time"]
     assert lines["system"] == "rigid_body, dimension 3" and lines["members"] == "4"
     assert lines["steps"] == "24 of 0.125, from t = 2 to -1" and lines["saved"] == "9 points of 4 members"
     assert lines["memory"].startswith("7 MB, ") and lines["memory"].endswith(" are free")
     assert lines["output"] == "59 kB before compression; to a.nc, a.png, a.gif"
     assert (
-        lines["time"] == "about 1.5 minutes; estimated from a trial of 5 of its steps, 1 minutes of it to make it ready"
+        lines["time"] == "about 1.5 minutes; estimated from a trial of 5 of its steps, 1 minutes of it for preparation"
     )
-    archived = dataclasses.replace(told.configuration, archive="a.zarr", output=None, figure=None, movie=None)
-    assert str(dataclasses.replace(told, configuration=archived)).splitlines()[7].endswith("compression; to a.zarr")
+    archived = dataclasses.replace(example.configuration, archive="a.zarr", output=None, figure=None, movie=None)
+    assert str(dataclasses.replace(example, configuration=archived)).splitlines()[7].endswith("compression; to a.zarr")
     nowhere = dataclasses.replace(archived, archive=None)
-    assert "; the file names no place for it" in str(dataclasses.replace(told, configuration=nowhere))
-    assert "so that nothing can be written" in str(dataclasses.replace(told, written=None))
+    assert "; the file names no output" in str(dataclasses.replace(example, configuration=nowhere))
+    assert "so that nothing can be written" in str(dataclasses.replace(example, written=None))
 
 
-def test_a_plan_of_a_sweep_names_what_is_swept(read):
+def test_plan_of_a_sweep_names_the_swept_keys(read):
     more = '[sweep.over]\n"system.parameters.inertia[2]" = [2.5, 2.25]\n"initial.x[0]" = [1.0, 0.5, 0.25]\n'
     lines = dict(line.split(maxsplit=1) for line in str(plan(read(READY_MADE + more))).splitlines())
     assert lines["system"] == "rigid_body, dimension 3; 6 systems, one for each member"
     assert lines["swept"] == "system.parameters.inertia[2], initial.x[0]" and lines["members"] == "6"
 
 
-def test_a_plan_of_a_chosen_step_and_of_forces(read):
+def test_plan_of_a_chosen_step_and_of_forces(read):
     found = plan(read(READY_MADE, ("step = 0.1", "accuracy = 1e-6")))
     choice = found.configuration.choice
     assert f"Splitting(order=4), of order 4; chosen, expected error {choice.error:.1e}\n" in str(found)
@@ -350,14 +344,14 @@ def test_a_plan_of_a_chosen_step_and_of_forces(read):
     assert "broken by forces (Poisson map: LinearDamping, Casimirs: LinearDamping)" in str(found)
 
 
-def test_the_trial_looks_for_events_too(read):
+def test_trial_run_detects_events(read):
     found = read(READY_MADE + '[events.zero]\ng = "x1 - 0.99"\n')
     ready, times = found.ready(), times_of(found.t_span, found.step, found.save_every)
     assert planning._trial_run(found, ready, times, 4, 1).events.names == ("zero",)
 
 
-def test_a_trial_grows_until_it_is_long_enough(read, monkeypatch):
-    """Trials of 0.15 s, of which each has at least twice the steps of the one before, and one of a second."""
+def test_trial_run_grows_until_it_is_long_enough(read, monkeypatch):
+    """Trials of 0.15 s, each with at least twice the steps of the previous one, and one of a second."""
     clock, tried = [0.0], []
 
     def short_run(configuration, ready, times, steps, every, short=planning._trial_run):
@@ -369,3 +363,79 @@ def test_a_trial_grows_until_it_is_long_enough(read, monkeypatch):
     monkeypatch.setattr(planning, "time", types.SimpleNamespace(perf_counter=lambda: clock[0]))
     found = plan(read(READY_MADE, ("[0, 1]", "[0, 100]")))
     assert tried[:4] == [1, 2, 4, 8] and found.tried == 8
+
+
+# Accuracy and output times.
+
+ACCURATE = READY_MADE.replace("step = 0.1", "accuracy = 1e-8")
+BODY, X0 = co.systems.rigid_body((1.0, 2.0, 2.5)), (1.0, 0.1, 0.5)
+
+
+@pytest.mark.parametrize("method", [None, co.Splitting(order=4)])
+@pytest.mark.parametrize("span", [(0, 1), (1, -2)])
+def test_accuracy_gives_the_bits_of_python(read, method, span):
+    without = () if method else (('[method]\nname = "Splitting"\norder = 4\n', ""),)
+    found = read(ACCURATE, ("[0, 1]", str(list(span))), *without)
+    sol, expected = found.integrate(), co.integrate(BODY, X0, span, accuracy=1e-8, method=method)
+    assert (found.step, found.method) == (expected.step, expected.method) and sol.choice == expected.choice
+    assert sol.x.tobytes() == expected.x.tobytes()
+    assert np.linalg.norm(sol.x[-1] - BODY.exact(X0, float(span[1] - span[0]))) < 1e-8
+
+
+def test_accuracy_with_an_archive(read, tmp_path):
+    found = read(ACCURATE)
+    sol = found.integrate(archive=tmp_path / "run.zarr")
+    assert np.asarray(sol.x).tobytes() == found.integrate().x.tobytes() and sol.choice is found.choice is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (READY_MADE.replace("step = 0.1", ""), "run: step is missing; give step, or accuracy"),
+        (READY_MADE.replace("step = 0.1", "step = 0.1\naccuracy = 1e-8"), "run: step and accuracy"),
+        (ACCURATE.replace("1e-8", "1.5"), "run.accuracy: "),
+        (ACCURATE.replace("1e-8", "1e-19"), "run.accuracy: "),
+        (ACCURATE.replace("1e-8", "1e-8\nt_eval = [2.0]"), "run: "),
+        (ACCURATE + '[sweep.over]\n"system.parameters.inertia[2]" = [2.5, 3.0]\n', "run.accuracy: .*batch"),
+    ],
+)
+def test_invalid_accuracy_is_refused(read, text, message):
+    with pytest.raises(ConfigurationError, match=message):
+        read(text)
+
+
+TIMED = READY_MADE.replace("0.5]", "0.5]\nattitude = true").replace("[0, 1]", "[0, 10]")
+
+
+def test_output_times_of_a_file(read):
+    found = read(TIMED + "t_eval = [0.25, 3, 9.99]\n").integrate()
+    expected = co.integrate(BODY, X0, (0, 10), 0.1, co.Splitting(order=4), attitude=True, t_eval=[0.25, 3, 9.99])
+    assert np.array_equal(found.t, [0.25, 3, 9.99]) and np.array_equal(found.x, expected.x)
+    assert np.array_equal(found.attitude, expected.attitude)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("t_eval = [11]", r"run: t_eval\[0\] is 11; .*t_span"),
+        ("t_eval = [3, 2]", r"run: t_eval\[1\] is 2 .*3"),
+        ("t_eval = [3]\nsave_every = 2", "run: .*save_every and t_eval"),
+        ("t_eval = 3", "run.t_eval: must be a"),
+        ("t_eval = []", "run"),
+    ],
+)
+def test_invalid_output_times_are_refused(read, line, message):
+    with pytest.raises(ConfigurationError, match=message):
+        read(TIMED + line)
+
+
+def test_dataset_with_output_times_is_rebuilt():
+    times = np.array([0.33, 0.5, 1.77])
+    for x0 in ((1.0, 0.1, 0.5), [(1.0, 0.1, 0.5), (0.1, 1.0, 0.5)]):
+        sol = co.integrate(BODY, x0, (0, 2), 0.1, co.Splitting(order=4), attitude=True, t_eval=times)
+        data = sol.to_xarray()
+        assert np.array_equal(data["time"], times) and np.array_equal(data["x0"], sol.x0)
+        assert np.array_equal(data["attitude0"], sol.attitude0)
+        again = rebuild(data)
+        assert np.array_equal(again.x, sol.x) and np.array_equal(again.t, times)
+        assert np.array_equal(again.attitude, sol.attitude) and again.drift() == sol.drift()

@@ -1,4 +1,4 @@
-"""The check sum of a dataset: every entry and name counts, and nothing of how the content is laid out in memory."""
+"""Checksums of datasets depend on every entry, name and attribute, and not on the memory layout."""
 
 import random
 import signal
@@ -41,26 +41,26 @@ def small_pieces(monkeypatch):
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_every_entry_counts(name):
-    """In the first piece, in those behind, and in the last one, which is shorter."""
+def test_checksum_depends_on_every_entry(name):
+    """In the first piece, the following ones, and the shorter last one."""
     sums = [checksum_of(dataset())]
-    for place in range(LENGTH):
+    for index in range(LENGTH):
         values = VALUES[name].copy()
         kind = values.dtype.kind
-        values[place] = (
-            not values[place] if kind == "b" else values[place] + 1 if kind == "i" else
-            np.nextafter(values[place], values.dtype.type(9)) if kind == "f" else "z"
+        values[index] = (
+            not values[index] if kind == "b" else values[index] + 1 if kind == "i" else
+            np.nextafter(values[index], values.dtype.type(9)) if kind == "f" else "z"
         )  # fmt: skip
         sums.append(checksum_of(dataset(**{name: values})))
     assert len(set(sums)) == LENGTH + 1
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_the_order_of_entries_counts(name):
+def test_checksum_depends_on_the_order(name):
     assert checksum_of(dataset(**{name: VALUES[name][::-1]})) != checksum_of(dataset())
 
 
-def test_names_dimensions_shapes_types_and_attributes_count():
+def test_checksum_depends_on_names_types_and_attributes():
     first = dataset()
     square = xarray.Dataset({"x": (("row", "column"), np.zeros((2, 3)))})
     others = [
@@ -82,7 +82,7 @@ def test_names_dimensions_shapes_types_and_attributes_count():
     assert len(set(sums)) == len(sums)
 
 
-def test_memory_layout_does_not_count():
+def test_checksum_ignores_memory_layout():
     """Byte order, strides, width of integers, order of variables, and text as bytes."""
     wanted = checksum_of(dataset())
     swapped = {
@@ -100,19 +100,19 @@ def test_memory_layout_does_not_count():
     assert len(sums) == 1
 
 
-def test_files_of_earlier_versions_keep_their_sum(monkeypatch):
+def test_checksum_of_earlier_versions(monkeypatch):
     monkeypatch.undo()
     assert checksum_of(dataset()) == GOLDEN
 
 
-def test_the_sum_is_made_again_where_attributes_are_added():
+def test_checksum_is_updated_with_attributes():
     once = with_checksum(dataset())
     assert once.attrs[CHECKSUM] == checksum_of(once) == checksum_of(dataset())
     error = co.IntegrationError("overflow", step=3, time=0.25, residual=0.5)
     marked = mark_failed(once, error)
     assert marked.attrs[CHECKSUM] == checksum_of(marked) != once.attrs[CHECKSUM]
-    said = {name: marked.attrs[name] for name in ("run_failed", "failed_step", "failed_time", "failed_residual")}
-    assert said == {"run_failed": 1, "failed_step": 3, "failed_time": 0.25, "failed_residual": 0.5}
+    failure = {name: marked.attrs[name] for name in ("run_failed", "failed_step", "failed_time", "failed_residual")}
+    assert failure == {"run_failed": 1, "failed_step": 3, "failed_time": 0.25, "failed_residual": 0.5}
     assert marked.attrs["failed_reason"] == str(error)
 
 
@@ -137,18 +137,18 @@ COMMANDS = {"members": (CONFIGURED, 0), "sweep": (SWEPT, 0), "failure": (GROWING
 ENGINE = {"nc": "h5netcdf", "zarr": "zarr"}
 
 
-def written_by_the_command(text, status, path, monkeypatch):
+def write_by_command(text, status, path, monkeypatch):
     (path.parent / "run.toml").write_text(text)
     with monkeypatch.context() as patch:
         if status == 130:
-            told = Interrupted(signal.SIGINT)
-            told.partial = load_configuration(path.parent / "run.toml").integrate()
-            patch.setattr(Configuration, "integrate", lambda *given, **more: (_ for _ in ()).throw(told))
+            interrupt = Interrupted(signal.SIGINT)
+            interrupt.partial = load_configuration(path.parent / "run.toml").integrate()
+            patch.setattr(Configuration, "integrate", lambda *args, **kwargs: (_ for _ in ()).throw(interrupt))
         assert cli.main(["run", str(path.parent / "run.toml"), "--out", str(path), "--quiet"]) == status
 
 
 def another(value):
-    """Floats may be NaN, or too large for a sum to be another number."""
+    """Return a different value; floats may be NaN, or too large for a sum to differ."""
     if isinstance(value, str):
         return f"{value}z"
     if isinstance(value, bool | np.bool_):
@@ -156,8 +156,8 @@ def another(value):
     return value + 1 if isinstance(value, int | np.integer) else 0.375
 
 
-def changed_in_each_way(found):
-    """A dataset with one change: the last entry of each variable, and each attribute."""
+def single_changes(found):
+    """Yield datasets with one change each: the last entry of a variable, or an attribute."""
     for name in found.variables:
         numbers = found[name].dtype.kind in "iubf"
         values = found[name].values.copy() if numbers else found[name].values.astype(object)
@@ -170,26 +170,26 @@ def changed_in_each_way(found):
 
 @pytest.mark.parametrize("suffix", ENGINE)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_file_of_the_command_is_refused_once_anything_in_it_is_changed(tmp_path, monkeypatch, command, suffix):
-    """Each change has a sum of its own, and one of them, which is drawn, is loaded."""
+def test_changed_files_of_the_command_are_refused(tmp_path, monkeypatch, command, suffix):
+    """All changes have different checksums; a random one of them is loaded."""
     monkeypatch.undo()
     path = tmp_path / f"run.{suffix}"
-    written_by_the_command(*COMMANDS[command], path, monkeypatch)
+    write_by_command(*COMMANDS[command], path, monkeypatch)
     with xarray.open_dataset(path, engine=ENGINE[suffix]) as opened:
         found = opened.load()
     assert co.load(path).x.shape == found["x"].shape
-    changes = dict(changed_in_each_way(found))
+    changes = dict(single_changes(found))
     assert len({found.attrs[CHECKSUM], *map(checksum_of, changes.values())}) == len(changes) + 1
     drawn = list(changes)[random.Random(f"{command} {suffix}").randrange(len(changes))]
-    monkeypatch.setattr(xarray, "open_dataset", lambda *given, **options: nullcontext(changes[drawn]))
-    with pytest.raises(ValueError, match="its content does not match its check sum"):
+    monkeypatch.setattr(xarray, "open_dataset", lambda *args, **options: nullcontext(changes[drawn]))
+    with pytest.raises(ValueError, match="checksum"):
         co.load(path)
 
 
 @pytest.mark.parametrize("suffix", ENGINE)
 @pytest.mark.parametrize("stale", [{}, {CHECKSUM: "0" * 64}, {CHECKSUM: GOLDEN}], ids=["none", "of nothing", "another"])
-def test_a_file_has_the_sum_of_what_is_written(tmp_path, suffix, stale):
-    """Whatever sum the dataset came with, and although files have no types of their own for text and flags."""
+def test_files_have_the_checksum_of_their_content(tmp_path, suffix, stale):
+    """Whatever checksum the dataset had; files have no types of their own for text and flags."""
     first = dataset().drop_vars("object").assign_attrs(step=0.25, **stale)
     write_dataset(first, tmp_path / f"run.{suffix}")
     with xarray.open_dataset(tmp_path / f"run.{suffix}", engine=ENGINE[suffix]) as found:

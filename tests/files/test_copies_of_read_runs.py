@@ -1,7 +1,6 @@
-"""Copies of runs that were read from files: the system given for functions, which are not stored, is theirs as well."""
+"""Copies of runs read from files preserve the given system, whose functions are not stored."""
 
 import copy
-import os
 import pickle
 
 import numpy as np
@@ -21,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:the stream .* is called in Pytho
 
 
 class Weighted:
-    """Entries times weights; an object that can be pickled."""
+    """Entries times weights, picklable."""
 
     def __init__(self, weights):
         self.weights = weights
@@ -50,7 +49,7 @@ class Slope(Weighted):
 
 
 def of_matrices(kind, size, seed):
-    """A system of Python functions, and an initial state."""
+    """Return a system of Python functions, and an initial state."""
     rng = np.random.default_rng(seed)
     algebra, weights = co.MatrixAlgebra(kind, size), rng.uniform(0.5, 1.5, (size, size))
     weights = weights + weights.T
@@ -66,11 +65,11 @@ def method_of(system):
     return METHODS["matrices" if isinstance(system, co.MatrixSystem) else "vectors"]
 
 
-def whole(system, x0, path):
+def full_run(system, x0, path):
     return co.integrate(system, x0, SPAN, STEP, method_of(system), save_every=EVERY, archive=path)
 
 
-def cut(system, x0, path):
+def interrupted_run(system, x0, path):
     return archive_run(PreparedRun(system, method_of(system), STEP), x0, SPAN, EVERY, path, until=7)
 
 
@@ -90,7 +89,13 @@ def dataset(system, x0, path):
     write_dataset(co.integrate(system, x0, SPAN, STEP, method_of(system), save_every=EVERY).to_xarray(), path)
 
 
-WRITERS = {"archive": whole, "archive of a part": cut, "members": members, "blocks": blocks, "dataset": dataset}
+WRITERS = {
+    "archive": full_run,
+    "archive of a part": interrupted_run,
+    "members": members,
+    "blocks": blocks,
+    "dataset": dataset,
+}
 COPIES = {
     "copy": copy.copy,
     "deepcopy": copy.deepcopy,
@@ -100,20 +105,17 @@ COPIES = {
 
 
 @pytest.fixture(autouse=True)
-def without_waiting(monkeypatch):
-    """For the disk, or for a compiler."""
-
+def without_compiler(monkeypatch, no_fsync):
     def missing(*_):
         raise MissingPackageError("a compiled stream", "numba")
 
     monkeypatch.setattr(matrix_functions, "need", missing)
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 @pytest.mark.parametrize("writer", WRITERS)
 @pytest.mark.parametrize("name", MATRICES)
-def test_a_copy_has_the_functions_that_were_given(tmp_path, writer, name):
-    """And all that uses them, such as states between the saved ones; without them these are refused."""
+def test_copies_preserve_given_functions(tmp_path, writer, name):
+    """States between the saved ones use them; without functions these are refused."""
     system, x0 = of_matrices(*MATRICES[name])
     path = tmp_path / "run.zarr"
     WRITERS[writer](system, x0, path)
@@ -134,8 +136,8 @@ def test_a_copy_has_the_functions_that_were_given(tmp_path, writer, name):
 
 
 @pytest.mark.parametrize("writer", WRITERS)
-def test_a_copy_has_the_given_system_and_not_the_stored_one(tmp_path, writer):
-    """What is stored is rebuilt only if nothing was given."""
+def test_copies_prefer_the_given_system(tmp_path, writer):
+    """The stored system is rebuilt only if none is given."""
     stored = co.systems.heavy_top()
     x0 = np.array([0.1, 0.3, 2.0, 0.6, 0.0, 0.8])
     path = tmp_path / "run.zarr"

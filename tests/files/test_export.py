@@ -1,4 +1,4 @@
-"""The dataset of a solution: what is in it, that files keep it, and that it can be run again to the same bits."""
+"""Datasets of solutions: content, files, and rebuilding of runs to the same bits."""
 
 import json
 from fractions import Fraction
@@ -10,6 +10,7 @@ import xarray
 
 import coadjoint as co
 from coadjoint.files.datasets.export import dataset_of, mark_failed, rebuild, solution_inputs
+from coadjoint.files.datasets.variables import parameters_of
 from coadjoint.files.output.output_files import write_dataset
 from coadjoint.files.records.records import record_of, system_of
 from coadjoint.optional_packages import MissingPackageError
@@ -17,14 +18,14 @@ from coadjoint.optional_packages import MissingPackageError
 X = (1.0, 0.1, 0.5)
 
 
-def own_system(hamiltonian=None, **more):
+def own_system(hamiltonian=None, **kwargs):
     algebra = co.LieAlgebra.from_brackets(
         3, {(0, 1): {1: 2.0}, (0, 2): {2: -2.0}, (1, 2): {0: 1.0}}, basis=("h", "e", "f"), name="mine"
     )
     full = [[2.0, 0.3, 0.1], [0.3, 1.5, -0.2], [0.1, -0.2, 1.0]]
     casimirs = {"x1*x1/4": co.Polynomial({(2, 0, 0): 0.25, (0, 1, 1): 1})}
     H = co.Quadratic(full, linear=[0.1, 0.0, 0.0]) if hamiltonian is None else hamiltonian
-    return co.LiePoissonSystem(algebra, H, sign=-1, casimirs=casimirs, name="own", **more)
+    return co.LiePoissonSystem(algebra, H, sign=-1, casimirs=casimirs, name="own", **kwargs)
 
 
 QUARTIC = co.Polynomial({(4, 0, 0): 0.1, (2, 0, 0): Fraction(1, 3), (0, 2, 0): 1, (0, 0, 2): 0.25})
@@ -53,7 +54,7 @@ RUNS = {
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 @pytest.mark.parametrize("name", RUNS)
-def test_run_again_from_its_file_to_the_same_bits(name, suffix, tmp_path):
+def test_rebuilt_runs_have_the_same_bits(name, suffix, tmp_path):
     first = RUNS[name]()
     dataset = dataset_of(first)
     path = tmp_path / f"run{suffix}"
@@ -61,8 +62,8 @@ def test_run_again_from_its_file_to_the_same_bits(name, suffix, tmp_path):
     with xarray.open_dataset(path, engine={".nc": "h5netcdf", ".zarr": "zarr"}[suffix]) as read:
         xarray.testing.assert_identical(read.load(), dataset)
         again = rebuild(read)
-    for mine, others in ((again.x, first.x), (again.t, first.t), (again.energy, first.energy)):
-        np.testing.assert_array_equal(mine, others)
+    for actual, others in ((again.x, first.x), (again.t, first.t), (again.energy, first.energy)):
+        np.testing.assert_array_equal(actual, others)
     np.testing.assert_array_equal(again.drift()["energy"].tenths, first.drift()["energy"].tenths)
     if first.attitude is not None:
         np.testing.assert_array_equal(again.attitude, first.attitude)
@@ -71,7 +72,7 @@ def test_run_again_from_its_file_to_the_same_bits(name, suffix, tmp_path):
     )  # fmt: skip
 
 
-def test_what_is_in_it():
+def test_variables_and_attributes():
     sol = co.integrate(
         co.systems.rigid_body(), X, (0.0, 2.0), 0.1, observe={"x1 x2": co.Polynomial({(1, 1, 0): 1})}, attitude=True
     )
@@ -91,14 +92,14 @@ def test_what_is_in_it():
     assert dataset.attrs["not_stored"] == "functions are not stored: observed: x1 x2"
 
 
-def test_ensemble_has_members():
+def test_ensembles_have_members():
     dataset = RUNS["implicit"]().to_xarray()
     assert dataset["x"].dims == ("time", "member", "component")
     assert dataset["drift"].dims == ("member", "invariant", "tenth")
     assert dataset["failed"].values.tolist() == [False, False]
 
 
-def test_names_that_differ_only_in_signs_have_variables_of_their_own():
+def test_names_differing_in_symbols_are_distinct():
     algebra = co.LieAlgebra([(0, 1, 2, 1.0)], dim=3)
     z = co.Polynomial({(0, 0, 1): 1})
     system = co.LiePoissonSystem(algebra, co.Quadratic(1.0), casimirs={"z+": z, "z-": 2 * z, "*": 3 * z})
@@ -109,8 +110,8 @@ def test_names_that_differ_only_in_signs_have_variables_of_their_own():
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("seed", range(4))
-def test_any_number_of_names_that_differ_only_in_signs_keep_their_values(seed, tmp_path):
-    """Drawn names of few letters, among them those that would be made for others, in a dataset and in an archive."""
+def test_many_similar_names_keep_their_values(seed, tmp_path):
+    """Random names of few letters, in a dataset and in an archive."""
     rng = np.random.default_rng(seed)
     drawn = {"".join(rng.choice(["z", "_2", "+", " ", "_3"], rng.integers(1, 4))) for _ in range(40)}
     names = ["z", "z+", "z_2", "z*", "z ", *sorted(drawn - {"z", "z+", "z_2", "z*", "z "})]
@@ -127,7 +128,7 @@ def test_any_number_of_names_that_differ_only_in_signs_keep_their_values(seed, t
                 np.testing.assert_allclose(found[name], (k + 1) * sol.x[:, coordinate], rtol=1e-15)
 
 
-def test_functions_are_named_and_not_stored():
+def test_unstored_functions_are_named():
     def height(x):
         return x[0] * x[0]
 
@@ -136,13 +137,11 @@ def test_functions_are_named_and_not_stored():
 
     record = record_of(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(height, slope)))
     assert record["not_stored"] == ["hamiltonian: height"]
-    with pytest.raises(
-        ValueError, match=r"functions are not stored \(hamiltonian: height\); make the system in Python"
-    ):
+    with pytest.raises(ValueError, match=r"functions are not stored \(hamiltonian: height\)"):
         system_of(json.loads(json.dumps(record)))
 
 
-def test_casimir_that_is_a_function_is_left_out_when_run_again():
+def test_casimir_functions_are_not_rebuilt():
     system = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 2.0, 0.01]))
     sol = co.integrate(system, X, (0.0, 1.0), 0.1)
     dataset = sol.to_xarray()
@@ -153,13 +152,13 @@ def test_casimir_that_is_a_function_is_left_out_when_run_again():
 
 
 @pytest.mark.parametrize("attitude", [True, "coadjoint"])
-def test_attitude_in_matrices_of_the_same_size(attitude):
+def test_attitudes_of_equal_size_are_rebuilt(attitude):
     sol = co.integrate(co.systems.paper_a37(), X, (0.0, 1.0), 0.1, attitude=attitude)
     np.testing.assert_array_equal(rebuild(sol.to_xarray()).attitude, sol.attitude)
 
 
 def element_of(system):
-    """A coadjoint matrix that is not the unit matrix."""
+    """Return a coadjoint matrix other than the unit matrix."""
     return scipy.linalg.expm(system.algebra.coadjoint([0.1, 0.25, 0.4]))
 
 
@@ -178,15 +177,15 @@ OWN_ELEMENTS = {
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", OWN_ELEMENTS)
-def test_a_run_from_its_own_coadjoint_matrix_is_rebuilt_from_it(name, tmp_path):
+def test_initial_coadjoint_matrix_is_rebuilt(name, tmp_path):
     system, method, x0, span, element, options = OWN_ELEMENTS[name]
     sol = co.prepare(system, method, 0.05, attitude="coadjoint").run(x0, span, attitude=element, **options)
     dataset = dataset_of(sol)
     again = rebuild(dataset)
-    for what in ("t", "x", "attitude", "attitude0", "energy"):
-        np.testing.assert_array_equal(getattr(again, what), getattr(sol, what))
+    for part in ("t", "x", "attitude", "attitude0", "energy"):
+        np.testing.assert_array_equal(getattr(again, part), getattr(sol, part))
     assert (again.carried, again.t_span, again.save_every) == (sol.carried, sol.t_span, sol.save_every)
-    with pytest.raises(ValueError, match=r"began with its own coadjoint matrix, .*; use `rebuild`"):
+    with pytest.raises(ValueError, match=r"coadjoint matrix, .*`rebuild`"):
         solution_inputs(dataset)
     write_dataset(dataset, tmp_path / "run.nc")
     read = co.load(tmp_path / "run.nc")
@@ -196,11 +195,13 @@ def test_a_run_from_its_own_coadjoint_matrix_is_rebuilt_from_it(name, tmp_path):
         np.testing.assert_array_equal(found.attitude, wanted.attitude)
 
 
-def test_failed_run_fails_again_at_the_same_step():
-    growing = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
+GROWING = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
+
+
+def test_failed_run_is_rebuilt_to_the_same_failure():
     members = [(1.0, 1.0), (1.0, 0.0)]
     with pytest.raises(co.IntegrationError) as first:
-        co.integrate(growing, members, (0.0, 1000.0), 1.0, save_every=500)
+        co.integrate(GROWING, members, (0.0, 1000.0), 1.0, save_every=500)
     dataset = mark_failed(first.value.partial.to_xarray(), first.value)
     assert dataset["failed"].values.tolist() == [True, False]
     assert dataset["x"].sel(member=1).notnull().all()
@@ -210,19 +211,54 @@ def test_failed_run_fails_again_at_the_same_step():
     assert again.value.step == first.value.step == dataset.attrs["failed_step"] == 710
 
 
-def test_times_of_a_run_that_failed_at_once():
-    growing = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
+def test_span_of_a_run_that_failed_at_once():
     with pytest.raises(co.IntegrationError) as failure:
-        co.integrate(growing, (1.0, 1.0), (0.0, 1000.0), 1.0, save_every=1000)
+        co.integrate(GROWING, (1.0, 1.0), (0.0, 1000.0), 1.0, save_every=1000)
     assert solution_inputs(dataset_of(failure.value.partial))["t_span"] == (0.0, 1000.0)
 
 
 def test_other_datasets_are_refused():
-    with pytest.raises(ValueError, match="no attribute 'system'; it was not written by coadjoint"):
+    with pytest.raises(ValueError, match="no attribute 'system'"):
         solution_inputs(xarray.Dataset())
 
 
-def test_netcdf_without_its_library_is_refused_before_the_run(tmp_path, monkeypatch):
+def test_netcdf_requires_its_packages(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"NetCDF needs the packages xarray, h5netcdf and h5py, which"):
+    with pytest.raises(MissingPackageError, match="xarray, h5netcdf and h5py"):
         write_dataset(xarray.Dataset(), tmp_path / "run.nc")
+
+
+# Parameters in which the systems of a batch differ.
+
+CONSTANTS = np.array([2.5, 3.0, 4.0])
+BODIES = co.batch([co.systems.rigid_body(inertia=(2, 3, c)) for c in CONSTANTS])
+STATES = np.array([(1.0, 0.2, 0.1), (0.3, 1.0, 0.1), (0.1, 0.2, 1.0)])
+
+
+def test_swept_parameters_are_coordinates():
+    found = co.integrate(BODIES, STATES, (0, 1), 0.1).to_xarray()
+    assert found["swept_inertia_2"].dims == ("member",) and np.array_equal(found["swept_inertia_2"], CONSTANTS)
+    assert found["swept_inertia_2"].attrs["long_name"] == "system.parameters.inertia[2]"
+    assert "swept_inertia_0" not in found.coords and "swept_inertia_1" not in found.coords
+    chosen = found.x.isel(time=-1).swap_dims(member="swept_inertia_2").sel(swept_inertia_2=3.0)
+    assert np.array_equal(chosen, found.x[-1, 1])
+
+
+@pytest.mark.parametrize(("run", "options"), [(co.integrate, {}), (co.ensemble, {"members_per_block": 2})])
+def test_swept_parameters_of_archives(tmp_path, run, options):
+    run(BODIES, STATES, (0, 1), 0.1, archive=tmp_path / "run.zarr", **options)
+    found = co.open_archive(tmp_path / "run.zarr").to_xarray()
+    assert "swept_inertia_2" in found.coords and np.array_equal(found["swept_inertia_2"], CONSTANTS)
+
+
+def test_equal_and_unknown_parameters_are_omitted():
+    alike = co.batch([co.systems.rigid_body(inertia=(2, 3, 4))] * 3)
+    plain = co.batch([co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, c])) for c in CONSTANTS])
+    for system in (alike, plain, BODIES[0]):
+        assert parameters_of(system) == {}
+
+
+def test_swept_parameters_of_forced_bodies():
+    forced = co.batch([body.with_forces(co.forces.LinearDamping(0.1)) for body in BODIES])
+    ((_, numbers, attributes),) = parameters_of(forced).values()
+    assert np.array_equal(numbers, CONSTANTS) and attributes == {"long_name": "system.parameters.inertia[2]"}

@@ -1,4 +1,4 @@
-"""Fingerprints of functions and systems: which comparison is made, and that every part of a system counts."""
+"""Fingerprints of functions and systems: comparison across versions, and dependence on every part."""
 
 import functools
 import itertools
@@ -18,15 +18,15 @@ OLD = {name: NEW[name] for name in ("python", "code", "text")}
 @pytest.mark.parametrize(
     ("one", "other", "same"),
     [
-        # Archives of one version of Python: what functions read.
+        # One version of Python: the values that functions read.
         (NEW, NEW | {"code": "z", "text": "z", "written": "z"}, True),
         (NEW, NEW | {"contents": "z"}, False),
-        # Of two versions: the source text, where there is one.
+        # Two versions of Python: the source text, if there is one.
         (NEW, NEW | {"python": "3.13", "contents": "z", "code": "z", "text": "z"}, True),
         (NEW, NEW | {"python": "3.13", "written": "z"}, False),
         (NEW | {"written": None}, NEW | {"written": None, "python": "3.13"}, False),
         (NEW | {"written": None}, NEW | {"written": None}, True),
-        # Archives of earlier versions of the library have the first digests alone.
+        # Earlier versions of the library stored the first digests only.
         (OLD, NEW | {"text": "z"}, True),
         (OLD, NEW | {"code": "z"}, False),
         (OLD, NEW | {"python": "3.13", "code": "z"}, True),
@@ -35,7 +35,7 @@ OLD = {name: NEW[name] for name in ("python", "code", "text")}
         (OLD | {"text": None}, NEW | {"text": None}, True),
     ],
 )
-def test_what_is_compared(one, other, same):
+def test_comparison_of_fingerprints(one, other, same):
     assert same_fingerprint(one, other) == same and same_fingerprint(other, one) == same
 
 
@@ -76,18 +76,18 @@ class Machine:
         return self.own + y
 
     @functools.cached_property
-    def kept(self):
+    def cached(self):
         return self.own
 
 
-def of_earlier_versions(value):
+def earlier_fingerprint(value):
     found = fingerprint_of(value)
     return {name: found[name] for name in ("python", "code", "text")}
 
 
-def both_ways(one, other):
-    """Whether two values are equal by the code, and by the text, of archives without later digests."""
-    one, other = of_earlier_versions(one), of_earlier_versions(other)
+def same_by_code_and_text(one, other):
+    """Return whether two values are equal by the code and by the text of earlier versions."""
+    one, other = earlier_fingerprint(one), earlier_fingerprint(other)
     return same_fingerprint(one, other), same_fingerprint(one, other | {"python": "another"})
 
 
@@ -134,16 +134,16 @@ VALUES = {
 
 
 @pytest.mark.parametrize("kind", VALUES)
-def test_archives_of_earlier_versions_tell_values_apart(kind):
+def test_earlier_fingerprints_distinguish_values(kind):
     one, other = VALUES[kind]
-    assert both_ways(one, one) == both_ways(other, other) == (True, True)
-    assert both_ways(one, other) == (False, False)
+    assert same_by_code_and_text(one, one) == same_by_code_and_text(other, other) == (True, True)
+    assert same_by_code_and_text(one, other) == (False, False)
 
 
 @pytest.mark.parametrize("change", ["a number", "an array", "a function", "nested", "a default", "a keyword"])
-def test_archives_of_earlier_versions_see_what_is_read_by_name(monkeypatch, change):
+def test_earlier_fingerprints_include_global_names(monkeypatch, change):
     read = {"nested": nested, "a default": with_defaults, "a keyword": with_defaults}.get(change, read_by_name)
-    before = of_earlier_versions(read)
+    before = earlier_fingerprint(read)
     if change in ("a number", "nested"):
         monkeypatch.setitem(globals(), "FACTOR", 2.5)
     elif change == "an array":
@@ -154,22 +154,22 @@ def test_archives_of_earlier_versions_see_what_is_read_by_name(monkeypatch, chan
         monkeypatch.setattr(with_defaults, "__defaults__", (1.5,))
     else:
         monkeypatch.setattr(with_defaults, "__kwdefaults__", {"b": 1.5})
-    after = of_earlier_versions(read)
+    after = earlier_fingerprint(read)
     assert before["code"] != after["code"] and before["text"] != after["text"]
 
 
-def test_what_is_cached_does_not_count():
+def test_cached_properties_are_ignored():
     machine = Machine(1.0)
     before = fingerprint_of(machine)
-    assert machine.kept == 1.0
+    assert machine.cached == 1.0
     after = fingerprint_of(machine)
     assert same_fingerprint(before, after) and before["code"] == after["code"] and before["text"] == after["text"]
 
 
 def test_functions_without_source_have_no_text():
     names: dict = {}
-    exec("def made(y):\n    return 2 * y", names)
-    found = fingerprint_of(names["made"])
+    exec("def created(y):\n    return 2 * y", names)
+    found = fingerprint_of(names["created"])
     assert found["text"] is None and found["written"] is None and found["code"]
 
 
@@ -190,7 +190,7 @@ FLUID, SPHERE = co.systems.torus_euler(3), co.systems.sphere_euler(3)
 
 
 class OwnStream(Weights):
-    """A stream of another package, which a record does not have."""
+    """A stream of another package, which records do not contain."""
 
 
 def layers(second):
@@ -201,8 +201,8 @@ def matrices(linear=None, energy_sign=1, stream=None):
     return co.MatrixSystem(FLUID.algebra, stream or FLUID.stream, linear, energy_sign=energy_sign)
 
 
-def separable(hamiltonian, **more):
-    return co.LiePoissonSystem(SO3, hamiltonian, **{"name": "mine", **more})
+def separable(hamiltonian, **kwargs):
+    return co.LiePoissonSystem(SO3, hamiltonian, **{"name": "mine", **kwargs})
 
 
 def bodies():
@@ -210,7 +210,7 @@ def bodies():
 
 
 def systems():
-    """Yield systems each of which differs from the others in one part."""
+    """Yield systems that differ from each other in one part."""
     one = co.Separable({0: (well, slope)})
     square = {"C": co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})}
     yield separable(one)
@@ -246,15 +246,15 @@ def systems():
     yield layers(OwnStream(np.full((3, 3), 3.0)))
 
 
-def test_every_part_of_a_system_counts():
+def test_fingerprints_depend_on_every_part():
     found = [fingerprint_of(system_contents(system)) for system in systems()]
     again = [fingerprint_of(system_contents(system)) for system in systems()]
     for (j, one), (k, other) in itertools.product(enumerate(found), enumerate(again)):
-        # Those of functions are made once more with the functions.
+        # Functions are created anew for the second list.
         assert same_fingerprint(one, other) == (j == k), (j, k)
 
 
-def test_names_of_functions_that_are_not_stored():
+def test_names_of_unstored_functions():
     known = [functions_in(system) for system in systems()]
     hamiltonians = [["hamiltonian: well"]] * 2 + [["hamiltonian: <lambda>"]] + [["hamiltonian: well"]] * 7
     for k in (7, 8):

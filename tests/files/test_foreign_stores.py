@@ -1,4 +1,4 @@
-"""Zarr stores of other writers: what xarray and Zarr write of a run is read, chunks of other lengths are refused."""
+"""Zarr stores written by xarray and Zarr: runs are read, chunks of wrong lengths are refused."""
 
 import json
 import random
@@ -30,8 +30,8 @@ def sol():
 
 @pytest.mark.parametrize("names", ["fixed", "variable"])
 @pytest.mark.parametrize(("version", "index"), [(2, "whole"), (2, "absent"), (3, "whole"), (3, "absent"), (3, "null")])
-def test_a_run_is_read_with_any_index_and_any_kind_of_text(tmp_path, sol, version, index, names):
-    """The index of format 3 is a part of its root, and may be null there."""
+def test_runs_are_read_with_any_index_and_text_type(tmp_path, sol, version, index, names):
+    """The index of format 3 is part of its root and may be null."""
     path, dataset = tmp_path / "run.zarr", sol.to_xarray()
     texts = [name for name, values in dataset.variables.items() if values.dtype.kind in "UO"]
     assert texts
@@ -47,8 +47,8 @@ def test_a_run_is_read_with_any_index_and_any_kind_of_text(tmp_path, sol, versio
 
 
 @pytest.mark.parametrize("consolidated", [True, False])
-def test_an_archive_that_is_copied_by_xarray_is_read(tmp_path, consolidated):
-    """The copy has the codecs of the archive, with a check sum behind each chunk."""
+def test_archive_copied_by_xarray_is_read(tmp_path, consolidated):
+    """The copy has the codecs of the archive, with a checksum after each chunk."""
     system = co.systems.paper_a37()
     sol = co.integrate(system, [(0.3, 1.0, 0.7), (0.1, 0.5, 0.2)], (7.5, 8.5), 0.125, archive=tmp_path / "archive.zarr")
     with xarray.open_zarr(tmp_path / "archive.zarr", chunks=None) as opened:
@@ -76,8 +76,8 @@ TEXTS = [str, "<U3", ">U12", "S11"]
 SHAPES = [((5, 3), (2, 2)), ((7,), (7,)), ((4, 1, 3), (1, 1, 3)), ((), ()), ((0, 3), (1, 3)), ((70,), (64,))]
 
 
-def stored(path, version, packer, kind, shape, chunk, rng):
-    """Write an array as Zarr does, with chunks in folders or not; return the files of its chunks."""
+def write_array(path, version, packer, kind, shape, chunk, rng):
+    """Write an array by Zarr, with or without folders of chunks; return the chunk files."""
     separator = {"name": {2: "v2", 3: "default"}[version], "separator": rng.choice("./")}
     group = zarr.open_group(path, mode="w", zarr_format=version)
     array = group.create_array(
@@ -95,20 +95,20 @@ def stored(path, version, packer, kind, shape, chunk, rng):
 
 
 def longer_and_shorter(packed, packer):
-    """Return what a compressed chunk becomes with a byte more, and with one less."""
+    """Compress the content of a chunk with one byte more, and with one byte less."""
     codec = {"blosc": numcodecs.Blosc("zstd"), "zstd": numcodecs.Zstd(1)}[packer]
     content = bytes(codec.decode(packed))
     return [bytes(codec.encode(other)) for other in (content + b"\0", content[:-1])]
 
 
 @pytest.mark.parametrize(("version", "packer"), PACKERS, ids=str)
-def test_arrays_of_every_kind_are_as_long_as_their_chunks(tmp_path, version, packer):
-    """Numbers and text of every type, in any shape, behind any codecs; chunks at an edge are stored whole."""
+def test_wrong_chunk_lengths_are_refused(tmp_path, version, packer):
+    """Numbers and text of every type and shape, with any codecs; chunks at an edge are stored in full."""
     rng = random.Random(f"{version} {packer}")
     shapes = rng.sample(SHAPES, len(SHAPES)) * 3
     for k, (kind, (shape, chunk)) in enumerate(zip([*NUMBERS, *TEXTS], shapes, strict=False)):
         path = tmp_path / str(k)
-        files = stored(path, version, packer, kind, shape, chunk, rng)
+        files = write_array(path, version, packer, kind, shape, chunk, rng)
         assert bool(files) == (0 not in shape)
         check_zarr(path)
         name = next((name for name in ("blosc", "zstd") if name in packer), None)
@@ -125,14 +125,13 @@ def test_arrays_of_every_kind_are_as_long_as_their_chunks(tmp_path, version, pac
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("kind", ["<c16", "<M8[s]"])
-def test_other_types_are_refused(tmp_path, version, kind):
-    """No variable of a run has them."""
+def test_complex_and_time_types_are_refused(tmp_path, version, kind):
     zarr.open_group(tmp_path, mode="w", zarr_format=version).create_array("x", shape=(3,), dtype=kind)
     with pytest.raises(ValueError, match="neither numbers nor text"):
         check_zarr(tmp_path)
 
 
-def endless(blocks):
+def zstd_frame_without_length(blocks):
     """Return a Zstd frame (RFC 8878) of blocks that repeat a byte 2^17 times, without its length."""
     size = 2**17
     head = b"\x28\xb5\x2f\xfd\x00\x48"  # a window of 2^19
@@ -142,29 +141,27 @@ def endless(blocks):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_text_that_does_not_declare_its_length_is_not_unpacked(tmp_path, monkeypatch, version):
-    """A few bytes would become any number of them."""
-    (file,) = stored(tmp_path, version, "zstd", str, (3,), (3,), random.Random(0))
-    assert len(bytes(numcodecs.Zstd().decode(endless(3)))) == 3 * 2**17
-    file.write_bytes(endless(3))
-    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *given: pytest.mark_failed("it is unpacked"))
+def test_text_of_undeclared_length_is_not_decompressed(tmp_path, monkeypatch, version):
+    (file,) = write_array(tmp_path, version, "zstd", str, (3,), (3,), random.Random(0))
+    assert len(bytes(numcodecs.Zstd().decode(zstd_frame_without_length(3)))) == 3 * 2**17
+    file.write_bytes(zstd_frame_without_length(3))
+    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *args: pytest.fail("it is unpacked"))
     with pytest.raises(ValueError, match="another length"):
         check_zarr(tmp_path)
 
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("packer", ["blosc", "zstd"])
-def test_text_that_declares_too_much_is_not_unpacked(tmp_path, monkeypatch, version, packer):
-    """The declared length alone is read."""
-    (file,) = stored(tmp_path, version, packer, str, (3,), (3,), random.Random(0))
+def test_text_of_excessive_length_is_not_decompressed(tmp_path, monkeypatch, version, packer):
+    (file,) = write_array(tmp_path, version, packer, str, (3,), (3,), random.Random(0))
     length = UNCHECKED_BYTES + 1
     head = {
         "blosc": b"\x02\x01\x21\x01" + length.to_bytes(4, "little"),
         "zstd": b"\x28\xb5\x2f\xfd\xa0" + length.to_bytes(4, "little"),
     }
     file.write_bytes(head[packer] + bytes(24))
-    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *given: pytest.mark_failed("it is unpacked"))
-    monkeypatch.setattr(numcodecs.Blosc, "decode", lambda *given: pytest.mark_failed("it is unpacked"))
+    monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *args: pytest.fail("it is unpacked"))
+    monkeypatch.setattr(numcodecs.Blosc, "decode", lambda *args: pytest.fail("it is unpacked"))
     with pytest.raises(ValueError, match="another length"):
         check_zarr(tmp_path)
     with pytest.raises(LoadError):
@@ -172,8 +169,8 @@ def test_text_that_declares_too_much_is_not_unpacked(tmp_path, monkeypatch, vers
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_large_array_may_be_one_chunk(tmp_path, version):
-    """A chunk is no longer than its array, beyond a size that is not checked; nothing of it need be stored."""
+def test_large_array_may_be_one_chunk(tmp_path, version):
+    """Above a size that is not checked, a chunk must not exceed its array; it need not be stored."""
     group, count = zarr.open_group(tmp_path, mode="w", zarr_format=version), UNCHECKED_BYTES // 8 + 1
     group.create_array("x", shape=(count,), chunks=(count,), dtype="f8")
     check_zarr(tmp_path)

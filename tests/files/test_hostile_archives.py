@@ -1,5 +1,6 @@
-"""Archives of strangers: one sentence, bounded memory, and nothing outside of the archive is written or removed."""
+"""Archives of untrusted origin: refused in one sentence, in bounded memory, without effects outside the archive."""
 
+import itertools
 import json
 import os
 import shutil
@@ -9,7 +10,7 @@ import sys
 import google_crc32c
 import numpy as np
 import pytest
-from hostile_archives import BODY, HIDDEN, ROOT, SPAN, STEP, X, archives, attacked, outside_names, seen
+from hostile_archives import BODY, HIDDEN, ROOT, SPAN, STEP, X, archives, attacked, outside_names, snapshot
 from numcodecs import Blosc
 
 import coadjoint as co
@@ -22,12 +23,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 
 NAMES = ("vector", "members", "finished", "blocks")
 KINDS = ("metadata", "chunk", "state", "link")
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="links and FIFOs")
-
-
-@pytest.fixture(autouse=True)
-def without_waiting_for_the_disk(monkeypatch):
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+pytestmark = [pytest.mark.skipif(os.name == "nt", reason="links and FIFOs"), pytest.mark.usefixtures("no_fsync")]
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +43,14 @@ def check(base, tmp_path, name, kind, seeds):
 @pytest.mark.thinned(7)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", NAMES)
-def test_drawn(base, tmp_path, name, kind):
+def test_random_attacks(base, tmp_path, name, kind):
     check(base, tmp_path, name, kind, range(4))
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", NAMES)
-def test_drawn_many_times(base, tmp_path, name, kind):
-    check(base, tmp_path, name, kind, range(4, 130))
+def test_many_random_attacks(base, tmp_path):
+    for name, kind in itertools.product(NAMES, KINDS):
+        check(base, tmp_path, name, kind, range(4, 130))
 
 
 def half(path):
@@ -81,17 +76,17 @@ def edit_root(path, change):
 @pytest.mark.parametrize(
     "name", [0, 1, 2, 3, 4, "..", ".", "...", "", " ", "a b", "a-b", "1x", ".hidden", "x.0", "x\0", "x" * 256]
 )
-def test_names_of_arrays_are_plain(run, name, capsys):
-    """Neither a way out of the archive, each of them by its number, nor any other name that is no identifier."""
+def test_paths_as_array_names_are_refused(run, name, capsys):
+    """Paths that lead out of the archive, and other names that are no identifiers, are refused."""
     path, outside = run
     name = outside_names(outside)[name] if isinstance(name, int) else name
     edit_root(path, lambda _, arrays: arrays.update({name: arrays.pop("energy")}))
-    before = seen(outside)
-    for ask in (co.open_archive, co.resume, co.load):
+    before = snapshot(outside)
+    for call in (co.open_archive, co.resume, co.load):
         with pytest.raises(ArchiveError, match="which is no plain name"):
-            ask(path)
+            call(path)
     assert cli.main(["resume", str(path)]) == 2 and capsys.readouterr().err.count("\n") == 1
-    assert seen(outside) == before
+    assert snapshot(outside) == before
 
 
 @pytest.mark.parametrize(
@@ -107,32 +102,31 @@ def test_names_of_arrays_are_plain(run, name, capsys):
     ],
 )
 def test_links_are_not_followed(run, name):
-    """A link stands where a folder or a file of the archive is, or where one will be written."""
+    """A link replaces a folder or a file of the archive, or a file to be written."""
     path, outside = run
-    place = path / name
-    if place.is_dir():
-        shutil.move(place, outside / "there")
-        place.symlink_to(outside / "there")
+    link = path / name
+    if link.is_dir():
+        shutil.move(link, outside / "there")
+        link.symlink_to(outside / "there")
     else:
-        place.unlink(missing_ok=True)
-        place.symlink_to(outside / ("new" if name.endswith("lock") else "kept"))
-    before = seen(outside)
+        link.unlink(missing_ok=True)
+        link.symlink_to(outside / ("new" if name.endswith("lock") else "kept"))
+    before = snapshot(outside)
     if name.endswith(".writing"):
-        assert co.resume(path).finished  # it is taken for what a killed process has left
+        assert co.resume(path).finished  # taken for a leftover of a killed process
     else:
-        with pytest.raises(ArchiveError, match="a symbolic link, which an archive never contains"):
+        with pytest.raises(ArchiveError, match="symbolic link"):
             co.resume(path)
-    assert seen(outside) == before
+    assert snapshot(outside) == before
 
 
-def test_an_archive_may_be_reached_through_a_link(run, tmp_path):
-    """A link that the user names is followed."""
+def test_archive_path_may_be_a_link(run, tmp_path):
     (tmp_path / "link").symlink_to(run[0])
     assert co.resume(tmp_path / "link").finished and co.open_archive(run[0]).finished
 
 
-def test_leftovers_are_folders_and_no_links(tmp_path):
-    """A link with the name of what a killed run has left is not followed, and nothing is removed behind it."""
+def test_links_are_not_removed_as_leftovers(tmp_path):
+    """A link with the name of a leftover is not followed."""
     target, precious = tmp_path / "run.zarr", tmp_path / "precious"
     precious.mkdir()
     for name in ("lock", "kept"):
@@ -159,85 +153,85 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
-def with_sum(body):
+def with_checksum(body):
     return body + int(google_crc32c.value(body)).to_bytes(4, "little")
 
 
-def test_a_small_chunk_does_not_become_large(run):
-    """A few kilobytes that are 128 MB when they are unpacked; a process of its own measures the memory."""
+def test_decompression_bomb_takes_bounded_memory(run):
+    """A few kilobytes decompress to 128 MB; memory is measured in a separate process."""
     path, _ = run
     packed = bytes(Blosc("zstd", 1, Blosc.SHUFFLE).encode(np.zeros(2**24)))
     assert len(packed) < 2**17
-    (path / "x" / "c.0.0").write_bytes(with_sum(packed))
-    said = subprocess.run([sys.executable, "-c", CHILD, path], capture_output=True, text=True, check=True).stdout
-    *refused, more = said.splitlines()
+    (path / "x" / "c.0.0").write_bytes(with_checksum(packed))
+    output = subprocess.run([sys.executable, "-c", CHILD, path], capture_output=True, text=True, check=True).stdout
+    *refused, more = output.splitlines()
     assert len(refused) == 2 and all("x/c.0.0 cannot be read" in line for line in refused)
-    assert int(more) < 2**15  # kB, a quarter of it
+    assert int(more) < 2**15  # kB, a quarter of the decompressed size
 
 
-def test_what_a_chunk_may_hold_is_known_before_it_is_unpacked(monkeypatch):
+def test_chunk_lengths_are_checked_before_decompression(monkeypatch):
     array = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
     good = array.encoded(np.arange(24.0).reshape(8, 3))
     assert np.array_equal(array.decoded(good), np.arange(24.0).reshape(8, 3))
     monkeypatch.setattr("numcodecs.Blosc.decode", None)
     for held in (23, 25, 2**25):
-        with pytest.raises(ValueError, match="its header contradicts its length"):
-            array.decoded(with_sum(bytes(Blosc("zstd", 3, Blosc.SHUFFLE).encode(np.zeros(held)))))
+        with pytest.raises(ValueError, match="header"):
+            array.decoded(with_checksum(bytes(Blosc("zstd", 3, Blosc.SHUFFLE).encode(np.zeros(held)))))
     names = StoredArray(("component",), "string", (3,), (3,), {})
     for body in (b"\4\0\0\0" + bytes(16), (2**31 - 1).to_bytes(4, "little") + bytes(12), b"\3\0\0\0" + bytes(11), b""):
         with pytest.raises(ValueError, match=r"another number of texts|texts have other lengths"):
-            names.decoded(with_sum(body))
+            names.decoded(with_checksum(body))
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
-        (lambda _, arrays: arrays["x"].update(shape=[7, 2**40]), "the arrays along component have the lengths"),
-        (lambda _, arrays: arrays["x"].update(shape=[2**40, 3]), "arrays over time have the lengths"),
+        (lambda _, arrays: arrays["x"].update(shape=[7, 2**40]), "along component"),
+        (lambda _, arrays: arrays["x"].update(shape=[2**40, 3]), "over time"),
         (lambda _, arrays: arrays["x"]["chunk_grid"]["configuration"].update(chunk_shape=[2**17, 3]), "the chunk is"),
-        (lambda _, arrays: arrays["x"]["codecs"].insert(1, {"name": "gzip"}), "not those that the library writes"),
+        (lambda _, arrays: arrays["x"]["codecs"].insert(1, {"name": "gzip"}), "codecs|not those"),
         (lambda _, arrays: arrays["x"].update(data_type="object"), "damaged"),
-        (lambda given, _: given.update(archive_steps=14), "it must be a list of states, of which the last one"),
-        (lambda given, _: given.update(archive_finished=2), "archive_finished is 2; it must be 0 or 1"),
-        (lambda given, _: given.update(steps=10**400), "steps is"),
-        (lambda given, _: given.update(archive_accounts="[" * 10**5), "archive_accounts is"),
+        (lambda attributes, _: attributes.update(archive_steps=14), "list of states"),
+        (lambda attributes, _: attributes.update(archive_finished=2), "archive_finished is 2"),
+        (lambda attributes, _: attributes.update(steps=10**400), "steps is"),
+        (lambda attributes, _: attributes.update(archive_accounts="[" * 10**5), "archive_accounts is"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named(run, change, said):
+def test_wrong_metadata_is_named(run, change, message):
     edit_root(run[0], change)
-    for ask in (co.open_archive, co.resume):
-        with pytest.raises(ArchiveError, match=said):
-            ask(run[0])
+    for call in (co.open_archive, co.resume):
+        with pytest.raises(ArchiveError, match=message):
+            call(run[0])
 
 
 @pytest.mark.thinned(3)
 @pytest.mark.parametrize("finished", [False, True])
 @pytest.mark.parametrize("name", ["x", "time", "energy", "x0", "drift", "component", "attitude"])
-def test_a_missing_chunk_is_named_and_not_read_as_nothing(tmp_path, name, finished):
+def test_missing_chunk_is_named(tmp_path, name, finished):
     path, options = tmp_path / "run.zarr", {"attitude": True}
     ready = PreparedRun(BODY, co.GaussLegendre(2), STEP, **options)
     archive_run(ready, X, SPAN, 2, path, until=None if finished else 13)
     (chunk,) = (path / name).glob("c.*")
     chunk.unlink()
     found = co.open_archive(path)
-    said = rf"{name}/{chunk.name} is missing"
+    message = rf"{name}/{chunk.name} is missing"
     for read in (lambda: found.to_xarray().load(), lambda: found._read_entire(name)):
-        with pytest.raises(ArchiveError, match=said):
+        with pytest.raises(ArchiveError, match=message):
             read()
     if not finished:
-        with pytest.raises(ArchiveError, match=said):
+        with pytest.raises(ArchiveError, match=message):
             co.resume(path)
 
 
-def test_missing_chunks_of_an_ensemble(tmp_path):
-    """Members that are not computed yet are NaN; those that are, by the marker of their block or the root, are not."""
+def test_missing_chunks_of_an_ensemble_are_refused(tmp_path):
+    """Only chunks of members that are not computed yet are NaN."""
     path, x0 = tmp_path / "many.zarr", np.multiply.outer([1.0, 0.5, 0.2], X)
     co.ensemble(BODY, x0, SPAN, STEP, archive=path, members_per_block=2)
     chunk, marker = path / "x" / "c.0.1.0", path / HIDDEN / "block-000001"
     chunk.unlink()
     with pytest.raises(ArchiveError, match="is missing"):
         _ = co.open_archive(path).x
-    edit_root(path, lambda given, _: given.update(archive_finished=0))
+    edit_root(path, lambda attributes, _: attributes.update(archive_finished=0))
     with pytest.raises(ArchiveError, match="is missing"):
         _ = co.open_archive(path).x
     marker.unlink()
@@ -247,8 +241,8 @@ def test_missing_chunks_of_an_ensemble(tmp_path):
     assert np.array_equal(co.resume(path).x, co.integrate(BODY, x0, SPAN, STEP).x)
 
 
-def test_parts_are_read_as_of_any_array(tmp_path):
-    """By xarray: slices in both directions, single entries and lists, over several chunks."""
+def test_indexing_equals_numpy_indexing(tmp_path):
+    """Slices in both directions, single entries and lists, over several chunks, by xarray."""
     path = tmp_path / "run.zarr"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("coadjoint.files.archives.stored_arrays.MIN_CHUNK_ROWS", 5)
@@ -264,6 +258,6 @@ def test_parts_are_read_as_of_any_array(tmp_path):
             list(rng.integers(0, 33, 4)),
         ]
         if rows[0].step < 0 and not len(x[rows[0]]):
-            continue  # xarray itself fails
+            continue  # fails in xarray
         key = (rows[rng.integers(3)], [slice(None), slice(None, None, -1), 1, [2, 0]][rng.integers(4)])
         assert np.array_equal(found[key].values, x[key[0]][..., key[1]]), key

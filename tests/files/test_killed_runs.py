@@ -1,4 +1,4 @@
-"""Archives of runs that are killed, and of full disks: what was committed is there, and the run goes on."""
+"""Archives of killed runs and full disks: committed data remain, and the run resumes."""
 
 import errno
 import itertools
@@ -23,8 +23,8 @@ RUN = (BODY, X, (0.0, 5.0), 0.125, co.GaussLegendre(2))
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 @pytest.mark.parametrize("seed", long_beyond(1, range(3)))
-def test_killed_at_random_moments(tmp_path, seed):
-    """`make soak` does the same a hundred times more."""
+def test_killed_runs_resume(tmp_path, seed):
+    """`make soak` repeats this with more seeds."""
     killed(seed, tmp_path)
 
 
@@ -42,14 +42,14 @@ def small_pieces(monkeypatch):
 FULL = "No space left on device"
 
 
-def from_then_on(calls, original):
-    """Return what fails from some call on, as a full disk does; until then it does what the original does."""
+def fail_from(calls, original):
+    """Return a function that fails from some call on, as on a full disk."""
     left = itertools.count(calls, -1)
 
-    def full(*given, **options):
+    def full(*args, **options):
         if next(left) <= 1:
             raise OSError(errno.ENOSPC, FULL)
-        return original(*given, **options)
+        return original(*args, **options)
 
     return full
 
@@ -57,59 +57,59 @@ def from_then_on(calls, original):
 @pytest.mark.long
 @pytest.mark.parametrize("every", long_beyond(1, [3, 1]))
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_disk_that_is_full_at_any_write(tmp_path, monkeypatch, small_pieces, call, every):
-    """At each write, or some: one sentence, an archive that is read up to its last commit, and the whole run later."""
+def test_full_disk_at_any_write(tmp_path, monkeypatch, small_pieces, call, every):
+    """At each write: one sentence, an archive up to its last commit, and the complete run later."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     run, original, reached, unmade = (BODY, X, (0.0, 2.0), 0.125, co.GaussLegendre(2)), getattr(os, call), set(), 0
-    whole = co.integrate(*run)
+    expected = co.integrate(*run)
     for calls in itertools.chain(range(1, 24, 4), range(24, 48, every), itertools.count(48, 7 * every)):
         path = tmp_path / f"run{calls}.zarr"
         try:
             with monkeypatch.context() as patched:
-                patched.setattr(os, call, from_then_on(calls, original))
+                patched.setattr(os, call, fail_from(calls, original))
                 co.integrate(*run, archive=path)
             break
         except ArchiveError as refused:
-            assert str(refused) == f"{path}: cannot be made ({FULL}); give another name"
+            assert str(refused) == f"{path}: cannot be created ({FULL}); give another name"
             assert not list(tmp_path.glob(f"*run{calls}.zarr*"))
             unmade += 1
             continue
         except ArchiveUnwritten as unwritten:
             steps = co.open_archive(path).reached
             assert str(unwritten) == (
-                f"{path}: the archive could not be written ({FULL}); it holds the run up to step {steps}, and the run "
-                "goes on from there when it is resumed"
+                f"{path}: the archive could not be written ({FULL}); it holds the run up to step {steps}, "
+                "from which co.resume continues"
             )
         reached.add(steps)
-        check_what_is_there(path, whole)
+        check_what_is_there(path, expected)
         found = co.resume(path)
-        assert np.array_equal(found.x, whole.x) and not list(path.rglob("*.writing"))
-        assert np.array_equal(found.drift()["energy"].tenths, whole.drift()["energy"].tenths)
+        assert np.array_equal(found.x, expected.x) and not list(path.rglob("*.writing"))
+        assert np.array_equal(found.drift()["energy"].tenths, expected.drift()["energy"].tenths)
     assert unmade > 3 and calls > 80 and len(reached) > 5
 
 
-@pytest.mark.parametrize(("number", "heard"), [(errno.ENOSPC, True), (errno.EIO, True), (errno.EINVAL, False)])
-def test_what_a_disk_says_of_a_folder(tmp_path, monkeypatch, number, heard):
-    """A file system that does not sync folders is no reason to stop; a full or broken one is."""
+@pytest.mark.parametrize(("number", "raised"), [(errno.ENOSPC, True), (errno.EIO, True), (errno.EINVAL, False)])
+def test_errors_of_syncing_a_folder(tmp_path, monkeypatch, number, raised):
+    """File systems that cannot sync folders are accepted; full or broken ones are not."""
 
     def said(descriptor):
         if stat.S_ISDIR(os.fstat(descriptor).st_mode):
             raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", said)
-    if heard:
-        with pytest.raises(ArchiveError, match=re.escape(f"cannot be made ({os.strerror(number)})")):
+    if raised:
+        with pytest.raises(ArchiveError, match=re.escape(f"cannot be created ({os.strerror(number)})")):
             co.integrate(*RUN, archive=tmp_path / "run.zarr")
     else:
         assert co.integrate(*RUN, archive=tmp_path / "run.zarr").finished
 
 
-def test_no_room_for_a_later_end(tmp_path, monkeypatch):
+def test_full_disk_while_extending_a_run(tmp_path, monkeypatch):
     path = tmp_path / "run.zarr"
     co.integrate(*RUN, archive=path)
     with monkeypatch.context() as patched:
-        patched.setattr("coadjoint.files.archives.extended_runs.ArchiveStore.store_state", from_then_on(1, None))
-        with pytest.raises(ArchiveError, match=re.escape(f"cannot be written ({FULL}); what it holds stays")):
+        patched.setattr("coadjoint.files.archives.extended_runs.ArchiveStore.store_state", fail_from(1, None))
+        with pytest.raises(ArchiveError, match=re.escape(f"cannot be written ({FULL}); its content is unchanged")):
             co.resume(path, 10.0)
     assert co.open_archive(path).finished
     assert np.array_equal(co.resume(path, 10.0).x, co.integrate(BODY, X, (0.0, 10.0), *RUN[3:]).x)
@@ -149,16 +149,16 @@ def can_mount(folder):
 
 
 @pytest.mark.long
-def test_a_small_disk(tmp_path):
-    """On a file system of 1 MB the run ends by one sentence, and goes on when there is more room."""
+def test_run_on_a_small_disk(tmp_path):
+    """A file system of 1 MB: the run ends with one sentence, and resumes after more space is added."""
     if not can_mount(tmp_path):
-        pytest.skip("no file system can be mounted here")
+        pytest.skip("file systems cannot be mounted here")
     command = ["unshare", "-rm", "sh", "-c", f'{MOUNT} && "$1" -c "$2" "$0"', tmp_path, sys.executable, SMALL_DISK]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    said, *refused, last = done.stdout.splitlines()
-    assert f"could not be written ({FULL})" in said and last == "whole"
-    assert refused == [f"{tmp_path}/run.zarr: cannot be written ({FULL}); what it holds stays"] * 2
+    message, *refused, last = done.stdout.splitlines()
+    assert f"could not be written ({FULL})" in message and last == "whole"
+    assert refused == [f"{tmp_path}/run.zarr: cannot be written ({FULL}); its content is unchanged"] * 2
 
 
 def contents(folder):
@@ -166,8 +166,8 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("other", [False, True], ids=["moved", "replaced"])
-def test_a_folder_that_is_moved_while_the_run_goes_on(tmp_path, monkeypatch, small_pieces, other):
-    """What was computed is in the folder that was moved, and an archive that was put in its place stays as it is."""
+def test_folder_moved_during_the_run(tmp_path, monkeypatch, small_pieces, other):
+    """The computed part is in the moved folder; another archive in its place stays unchanged."""
     path, original = tmp_path / "run.zarr", os.replace
     if other:
         co.integrate(BODY, X, (0.0, 1.0), 0.125, archive=tmp_path / "other.zarr")
@@ -181,19 +181,19 @@ def test_a_folder_that_is_moved_while_the_run_goes_on(tmp_path, monkeypatch, sma
                 (tmp_path / "other.zarr").rename(path)
 
     monkeypatch.setattr(os, "replace", aside)
-    with pytest.raises(ArchiveUnwritten, match=r"could not be written \(its folder was moved or replaced") as told:
+    with pytest.raises(ArchiveUnwritten, match=r"could not be written \(its folder was moved or replaced") as reported:
         co.integrate(*RUN, archive=path)
     assert sorted(os.listdir(tmp_path)) == ["aside"] + ["run.zarr"] * other
-    assert told.value.partial is None
+    assert reported.value.partial is None
     monkeypatch.undo()
     if other:
         assert contents(path) == before
     assert np.array_equal(co.resume(tmp_path / "aside").x, co.integrate(*RUN).x)
 
 
-def test_points_that_an_archive_lacks_are_in_the_error(tmp_path, monkeypatch, small_pieces):
-    """An archive that is removed, or locked anew, while its run goes on: nothing computed is lost."""
-    path, original, whole = tmp_path / "run.zarr", co.Solution.change, co.integrate(*RUN)
+def test_error_contains_unwritten_points(tmp_path, monkeypatch, small_pieces):
+    """The archive is removed or locked again during the run; computed points are not lost."""
+    path, original, expected = tmp_path / "run.zarr", co.Solution.change, co.integrate(*RUN)
 
     def remove():
         shutil.rmtree(path)
@@ -202,26 +202,28 @@ def test_points_that_an_archive_lacks_are_in_the_error(tmp_path, monkeypatch, sm
         (path / ".coadjoint" / "lock").unlink()
         (path / ".coadjoint" / "lock").touch()
 
-    for what in (remove, lock_again):
+    for disturb in (remove, lock_again):
         pieces = itertools.count()
 
-        def meanwhile(self, what=what, pieces=pieces):
+        def meanwhile(self, disturb=disturb, pieces=pieces):
             if path.exists() and next(pieces) == 4:
-                what()
+                disturb()
             return original(self)
 
         with monkeypatch.context() as patched:
             patched.setattr(co.Solution, "change", meanwhile)
-            with pytest.raises(ArchiveUnwritten) as told:
+            with pytest.raises(ArchiveUnwritten) as reported:
                 co.integrate(*RUN, archive=path)
-        held, partial = co.open_archive(path).x if path.exists() else whole.x[:0], told.value.partial
-        assert len(partial.x) and np.array_equal(partial.x, whole.x[np.isin(whole.t, partial.t)])
-        assert not len(held) or np.array_equal(np.concatenate([held, partial.x]), whole.x[: len(held) + len(partial.x)])
+        held, partial = co.open_archive(path).x if path.exists() else expected.x[:0], reported.value.partial
+        assert len(partial.x) and np.array_equal(partial.x, expected.x[np.isin(expected.t, partial.t)])
+        assert not len(held) or np.array_equal(
+            np.concatenate([held, partial.x]), expected.x[: len(held) + len(partial.x)]
+        )
         shutil.rmtree(path, ignore_errors=True)
 
 
-def test_two_writers(tmp_path, monkeypatch):
-    """The second one is refused while the first one is at work, and nothing happens to the archive."""
+def test_second_writer_is_refused(tmp_path, monkeypatch):
+    """The archive stays unchanged while the first process writes."""
     path, refusals = tmp_path / "run.zarr", []
     original = co.Solution.change
 

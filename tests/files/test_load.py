@@ -1,4 +1,4 @@
-"""Runs opened again from whatever they were written to: every part has the bits that it had."""
+"""Loading runs from NetCDF, Zarr and archives: every part has its original bits."""
 
 import json
 import os
@@ -52,7 +52,7 @@ WAYS = {
 }
 
 
-def same(one, other):
+def same_bits(one, other):
     if one is None or other is None:
         return one is other
     one, other = np.asarray(one), np.asarray(other)
@@ -61,15 +61,15 @@ def same(one, other):
 
 def check_same(found, sol):
     for name in ("t", "x", "energy", "attitude", "x0", "attitude0", "failed", "t_eval"):
-        assert same(getattr(found, name), getattr(sol, name)), name
+        assert same_bits(getattr(found, name), getattr(sol, name)), name
     for name in ("casimirs", "observed", "initial"):
         one, other = getattr(found, name), getattr(sol, name)
-        assert list(one) == list(other) and all(same(one[key], other[key]) for key in other), name
+        assert list(one) == list(other) and all(same_bits(one[key], other[key]) for key in other), name
     for name in ("change", "balance"):
         one, other = getattr(found, name)(), getattr(sol, name)()
         assert list(one) == list(other), name
         for key in other:
-            assert same(one[key].tenths, other[key].tenths) and same(one[key].initial, other[key].initial)
+            assert same_bits(one[key].tenths, other[key].tenths) and same_bits(one[key].initial, other[key].initial)
     assert {f: {k: v.tolist() for k, v in w.items()} for f, w in found.work.items()} == {
         f: {k: v.tolist() for k, v in w.items()} for f, w in sol.work.items()
     }
@@ -80,7 +80,7 @@ def check_same(found, sol):
     if sol.events is not None:
         assert (found.events.names, found.events.coordinates) == (sol.events.names, sol.events.coordinates)
         for name in ("t", "x", "which", "member", "direction", "attitude"):
-            assert same(getattr(found.events, name), getattr(sol.events, name)), name
+            assert same_bits(getattr(found.events, name), getattr(sol.events, name)), name
 
 
 @pytest.mark.thinned(11)
@@ -88,7 +88,7 @@ def check_same(found, sol):
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", [*RUNS, *ONLY_IN_FILES])
-def test_every_part_has_its_bits(tmp_path, name, way):
+def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
     sol, path = (RUNS | ONLY_IN_FILES)[name](), tmp_path / "kept"
     WAYS[way](sol, path)
     found = co.load(next(tmp_path.iterdir()))
@@ -99,14 +99,14 @@ def test_every_part_has_its_bits(tmp_path, name, way):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_archives_are_opened_as_such(tmp_path, name):
+def test_archives_are_loaded(tmp_path, name):
     sol = RUNS[name](archive=tmp_path / "run.zarr")
     found = co.load(tmp_path / "run.zarr")
     assert isinstance(found, ArchivedSolution) and found.finished
-    assert same(found.x, sol.x)
+    assert same_bits(found.x, sol.x)
 
 
-def test_what_the_command_wrote_with_a_sweep(tmp_path, monkeypatch):
+def test_swept_output_of_the_command_is_loaded(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = READY_MADE + '[sweep.over]\n"system.parameters.inertia[2]" = [2.25, 2.5, 2.75]\n'
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
@@ -116,19 +116,19 @@ def test_what_the_command_wrote_with_a_sweep(tmp_path, monkeypatch):
     assert [body.parameters["inertia"][2] for body in found.system] == [2.25, 2.5, 2.75]
 
 
-def test_a_system_with_functions_is_asked_for(tmp_path):
+def test_system_with_functions_must_be_given(tmp_path):
     H = co.Hamiltonian(lambda x: float(x @ x), lambda x: 2 * x)
     system = co.LiePoissonSystem(co.algebras.so(3), H)
     sol = co.integrate(system, X, (0, 1), 0.125, co.GaussLegendre(2))
     sol.to_xarray().to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
     found = co.load(tmp_path / "run.nc")
-    assert same(found.x, sol.x) and found.drift() == sol.drift()
+    assert same_bits(found.x, sol.x) and found.drift() == sol.drift()
     with pytest.raises(ValueError, match="not stored"):
         _ = found.system
     assert co.load(tmp_path / "run.nc", system=system).system is system
 
 
-def test_a_run_that_failed_is_opened_as_far_as_it_came(tmp_path):
+def test_failed_run_is_loaded_up_to_the_failure(tmp_path):
     grows = co.LiePoissonSystem(co.algebras.get("A2_1"), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
     with pytest.raises(co.IntegrationError) as failed:
         co.integrate(grows, (1.0, 1.0), (0, 1000), 1.0, save_every=100)
@@ -137,11 +137,11 @@ def test_a_run_that_failed_is_opened_as_far_as_it_came(tmp_path):
     partial = failed.value.partial
     mark_failed(partial.to_xarray(), failed.value).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
     found = co.load(tmp_path / "run.nc")
-    assert same(found.x, partial.x) and found.stats == partial.stats
+    assert same_bits(found.x, partial.x) and found.stats == partial.stats
 
 
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
-def test_other_files_are_refused_in_one_sentence(tmp_path):
+def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("nothing", encoding="utf-8")
     (tmp_path / "empty.nc").touch()
     (tmp_path / "folder").mkdir()
@@ -152,19 +152,19 @@ def test_other_files_are_refused_in_one_sentence(tmp_path):
     xarray.Dataset({"x": ("time", np.ones(3))}).to_zarr(tmp_path / "other.zarr")
     sol = RUNS["one member"]()
     sol.to_xarray().drop_vars("x0").to_netcdf(tmp_path / "less.nc", engine="h5netcdf")
-    said = {
+    messages = {
         "none.nc": "cannot be read (No such file or directory)",
-        "a.txt": "is no NetCDF file; give what to_xarray() or the command wrote",
+        "a.txt": "is no NetCDF file",
         "empty.nc": "is no NetCDF file",
-        "folder": "is a folder that holds no run; give a .nc file or a .zarr folder",
+        "folder": "holds no run",
         "cut.nc": "cannot be read as a dataset (",
         "cdf.nc": "cannot be read as a dataset (",
         "other.nc": "",
-        "other.zarr": "holds no run: it was not written by this library",
-        "less.nc": "holds no run: it was not written by this library",
+        "other.zarr": "holds no run; it was not written by this library",
+        "less.nc": "holds no run; it was not written by this library",
         "x" * 3000: "",
     }
-    for name, message in said.items():
+    for name, message in messages.items():
         with pytest.raises(ValueError, match=r".") as raised:
             co.load(tmp_path / name)
         text = str(raised.value)
@@ -174,8 +174,8 @@ def test_other_files_are_refused_in_one_sentence(tmp_path):
             co.load(wrong)
 
 
-class Running:
-    """An object that makes a folder when it is read by `pickle`."""
+class CreatingFolder:
+    """An object that creates a folder when it is unpickled."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -195,8 +195,8 @@ class Running:
 )
 @pytest.mark.parametrize("consolidated", [True, False])
 @pytest.mark.parametrize("name", ["x", "time"])
-def test_nothing_in_a_dataset_is_executed(tmp_path, monkeypatch, codecs, consolidated, name):
-    """Whatever the version of numcodecs allows; xarray reads the coordinates when it opens a dataset."""
+def test_pickled_codecs_are_not_executed(tmp_path, monkeypatch, codecs, consolidated, name):
+    """Whatever numcodecs allows; xarray reads coordinates when it opens a dataset."""
     monkeypatch.setattr("numcodecs.pickles.ALLOW_UNSAFE_PICKLE_DECODE", True, raising=False)
     assert pickle.loads(numcodecs.Pickle().encode([1])) == [1]
     path, run = tmp_path / "run.zarr", tmp_path / "run"
@@ -204,11 +204,11 @@ def test_nothing_in_a_dataset_is_executed(tmp_path, monkeypatch, codecs, consoli
     metadata = json.loads((path / name / ".zarray").read_text()) | codecs
     (path / name / ".zarray").write_text(json.dumps(metadata))
     if consolidated:
-        whole = json.loads((path / ".zmetadata").read_text())
-        whole["metadata"][f"{name}/.zarray"] = metadata
-        (path / ".zmetadata").write_text(json.dumps(whole))
+        expected = json.loads((path / ".zmetadata").read_text())
+        expected["metadata"][f"{name}/.zarray"] = metadata
+        (path / ".zmetadata").write_text(json.dumps(expected))
     for chunk in (path / name).glob("[0-9]*"):
-        chunk.write_bytes(pickle.dumps(Running(run)))
+        chunk.write_bytes(pickle.dumps(CreatingFolder(run)))
     with pytest.raises(ValueError, match=r"is stored by pickle|cannot be read as a dataset"):
         co.load(path)
     assert not run.exists()
@@ -232,8 +232,8 @@ def driven():
 
 @pytest.mark.parametrize("x0", [X, [X, X[::-1], (0.5, -0.5, 0.25)]], ids=["one member", "three members"])
 @pytest.mark.parametrize("span", [(7.5, 9.5), (7.5, 5.5)])
-def test_the_energy_at_the_start_is_that_of_the_time_of_the_start(tmp_path, x0, span):
-    """Also where the first saved time is another one: by the system that is given when the file is read."""
+def test_initial_energy_uses_the_initial_time(tmp_path, x0, span):
+    """Also if the first saved time is later, with a system given to `load`."""
     times = 7.5 + np.sign(span[1] - 7.5) * np.array([0.4, 1.3])
     sol = co.integrate(BODY, x0, span, 0.125, t_eval=times)
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")
@@ -246,7 +246,7 @@ def test_the_energy_at_the_start_is_that_of_the_time_of_the_start(tmp_path, x0, 
     assert list(found.initial) == list(sol.initial)
 
 
-def test_the_start_of_members_with_systems_of_their_own(tmp_path):
+def test_initial_invariants_of_a_batch(tmp_path):
     batch = co.batch([co.systems.rigid_body((1, 2, c)) for c in (2.25, 2.5, 3.0)])
     sol = co.integrate(batch, [X, X[::-1], (0.5, -0.5, 0.25)], (7.5, 9.5), 0.125, t_eval=[8.1, 9.0])
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")
@@ -255,7 +255,7 @@ def test_the_start_of_members_with_systems_of_their_own(tmp_path):
         np.testing.assert_allclose(found.initial[name], values, rtol=0, atol=1e-15)
 
 
-def test_a_copy_keeps_the_system_that_was_given(tmp_path):
+def test_copies_preserve_the_given_system(tmp_path):
     body = co.systems.rigid_body((1, 2, 3))
     co.integrate(body, X, (7.5, 9.5), 0.125).to_xarray().to_netcdf(tmp_path / "body.nc", engine="h5netcdf")
     co.integrate(body, X, (7.5, 9.5), 0.125, archive=tmp_path / "body.zarr")
@@ -269,7 +269,7 @@ def test_a_copy_keeps_the_system_that_was_given(tmp_path):
     assert again.system.energy(np.array(X), 2.0) == system.energy(np.array(X), 2.0)
 
 
-def test_what_is_done_to_a_dataset_does_not_change_the_solution(tmp_path):
+def test_changing_the_dataset_leaves_the_solution(tmp_path):
     sol = RUNS["observed"]()
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")
     found = co.load(tmp_path / "run.nc")
@@ -278,11 +278,15 @@ def test_what_is_done_to_a_dataset_does_not_change_the_solution(tmp_path):
     dataset["more"] = ("time", np.zeros(len(sol.t)))
     dataset.attrs["watch"] = 0
     del dataset["energy"]
-    assert same(found.energy, sol.energy) and "more" not in found.to_xarray() and found.to_xarray().attrs["watch"] == 1
+    assert (
+        same_bits(found.energy, sol.energy)
+        and "more" not in found.to_xarray()
+        and found.to_xarray().attrs["watch"] == 1
+    )
 
 
 @pytest.mark.parametrize("attitude", [False, "coadjoint"])
-def test_the_end_by_an_event(tmp_path, attitude):
+def test_run_ended_by_an_event_is_loaded(tmp_path, attitude):
     sol = co.integrate(BODY, X, (7.0, 27.0), 0.1, attitude=attitude, save_every=3, events=co.Event(2, terminal=True))
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")
     found = co.load(tmp_path / "run.nc")
@@ -296,19 +300,19 @@ def test_the_end_by_an_event(tmp_path, attitude):
             read.at(sol.t[-1] + 0.05)
 
 
-def test_a_run_that_does_not_fit_into_memory_is_refused(tmp_path, monkeypatch):
+def test_run_beyond_memory_is_refused(tmp_path, monkeypatch):
     sol = RUNS["one member"]()
     write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
     size = sol.to_xarray().nbytes
     monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
     monkeypatch.setattr("coadjoint.memory.available", lambda: size)
-    with pytest.raises(ValueError, match=r"run\.zarr: the run in it needs about .*; read parts of it with xarray"):
+    with pytest.raises(ValueError, match=r"run\.zarr: .*needs about .*xarray"):
         co.load(tmp_path / "run.zarr")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
-def test_nobody_waits_for_a_pipe(tmp_path, monkeypatch):
-    """Also for one that takes the place of a file when it has been looked at."""
+def test_pipes_are_refused_without_waiting(tmp_path, monkeypatch):
+    """Also if the pipe replaces a file after the check."""
     os.mkfifo(tmp_path / "run.nc")
     with pytest.raises(ValueError, match="is no file and no folder"):
         co.load(tmp_path / "run.nc")

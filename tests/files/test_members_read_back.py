@@ -1,7 +1,7 @@
-"""What is saved of runs is what is read, by every way to save them: each member, each name, each time.
+"""Saved runs equal the runs read back, by every format: each member, name and time.
 
-Runs are batches of different systems with forces, spans that start at a time other than 0, backward runs, times that
-leave the start out, and complex matrices.
+Runs are batches with forces, spans with a nonzero start, backward runs, output times without the start, and complex
+matrices.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ RUNS: dict[str, Callable[[], Arguments]] = {
 }
 
 
-def arguments(system: Any, x0: Any, sense: float, **more: Any) -> Arguments:
-    return {"system": system, "x0": x0, "t_span": (T0, T0 + sense * 5.0), "step": STEP, "save_every": 3, **more}
+def arguments(system: Any, x0: Any, sense: float, **kwargs: Any) -> Arguments:
+    return {"system": system, "x0": x0, "t_span": (T0, T0 + sense * 5.0), "step": STEP, "save_every": 3, **kwargs}
 
 
 @cache
@@ -86,8 +86,8 @@ def by_archive(name: str, folder: Path) -> co.Solution:
 
 
 def by_ensemble(name: str, folder: Path) -> co.Solution:
-    given = RUNS[name]()
-    return co.ensemble(**given, archive=folder / "run.zarr", members_per_block=2)
+    arguments = RUNS[name]()
+    return co.ensemble(**arguments, archive=folder / "run.zarr", members_per_block=2)
 
 
 WAYS = {
@@ -107,10 +107,10 @@ PARTS = (
 )  # fmt: skip
 
 
-def test_every_way_to_read_a_run_is_tried():
-    """Public functions of the package that return a run from a file, and the parts of a solution that a file has."""
+def test_every_reader_and_part_is_covered():
+    """Public functions that return runs from files, and parts of a solution that files contain."""
     home = {name for name in co.__all__ if getattr(getattr(co, name), "__module__", "").startswith("coadjoint.files.")}
-    assert home == {"load", "open_archive", "resume", "ensemble"}, "resume is tried in test_archives.py"
+    assert home == {"load", "open_archive", "resume", "ensemble"}, "resume is tested in test_archives.py"
     derived = {
         "system",
         "method",
@@ -138,14 +138,14 @@ def plain(value: Any) -> Any:
 
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize(("way", "name"), PAIRS)
-def test_what_is_read_is_what_was_saved(way, name, tmp_path):
+def test_read_run_equals_the_saved_run(way, name, tmp_path):
     wanted, found = run(name), WAYS[way](name, tmp_path)
     for part in PARTS:
         if part == "observed" and way == "rebuilt":
             continue  # functions are not stored
         read, saved = plain(getattr(found, part)), plain(getattr(wanted, part))
         if part == "initial" and name == "start left out":
-            # They are not in a file, and are computed again, by sums in another order.
+            # They are not stored, and are computed again with another order of summation.
             for invariant, values in saved.items():
                 np.testing.assert_allclose(read[invariant], values, rtol=16 * UNIT_ROUNDOFF)
             continue
@@ -162,7 +162,7 @@ def test_what_is_read_is_what_was_saved(way, name, tmp_path):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_coordinates_name_what_stands_beside_them(name):
+def test_coordinates_match_the_solution(name):
     sol = run(name)
     data = sol.to_xarray()
     np.testing.assert_array_equal(data["time"], sol.t)
@@ -172,24 +172,24 @@ def test_coordinates_name_what_stands_beside_them(name):
         named = {v.attrs["long_name"]: v.values for label, v in data.variables.items() if label.startswith(kind)}
         np.testing.assert_equal(named, dict(series))
     if sol.work:
-        for place, account in enumerate(data["account"].values):
+        for index, account in enumerate(data["account"].values):
             force, _, invariant = str(account).rpartition(": ")
-            np.testing.assert_array_equal(data["work"][..., place], sol.work[force][invariant])
-    for place, invariant in enumerate(data["invariant"].values):
-        tenths = data["change" if sol.work else "drift"].isel(invariant=place)
+            np.testing.assert_array_equal(data["work"][..., index], sol.work[force][invariant])
+    for index, invariant in enumerate(data["invariant"].values):
+        tenths = data["change" if sol.work else "drift"].isel(invariant=index)
         np.testing.assert_array_equal(tenths, sol.change()[str(invariant)].tenths)
         if sol.work:
-            balance = data["balance"].isel(invariant=place)
+            balance = data["balance"].isel(invariant=index)
             known = str(invariant) in sol.balance()
             assert known or np.all(np.isnan(balance))
             np.testing.assert_array_equal(balance, sol.balance()[str(invariant)].tenths if known else balance)
     swept = [name for name in data.coords if str(name).startswith("swept_")]
     if isinstance(sol.system, Batch):
         for label in swept:
-            place = int(str(label).rpartition("_")[2])
-            wanted = [getattr(each, "system", each).parameters["inertia"][place] for each in sol.system]
+            index = int(str(label).rpartition("_")[2])
+            wanted = [getattr(each, "system", each).parameters["inertia"][index] for each in sol.system]
             np.testing.assert_array_equal(data[label], wanted)
-        assert swept, "the parameters in which members differ are coordinates"
+        assert swept, "parameters in which members differ are coordinates"
     if "part" in data.dims:
         np.testing.assert_array_equal(data["x"].isel(part=0), sol.x.real)
         np.testing.assert_array_equal(data["x"].isel(part=1), sol.x.imag)

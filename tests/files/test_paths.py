@@ -90,7 +90,7 @@ def test_names_are_not_expanded(folders, capsys, monkeypatch, name):
     monkeypatch.setenv("HOME", str(work))
     (work / "run.toml").write_text(READY_MADE + f"[output]\nfile = '{name}'\n")
     assert cli.main(["run", "run.toml"]) == 2
-    assert "does not exist; make it first" in capsys.readouterr().err
+    assert "does not exist; create it first" in capsys.readouterr().err
     assert [path.name for path in work.iterdir()] == ["run.toml"]
 
 
@@ -115,8 +115,10 @@ def test_links_in_a_circle_are_refused(folders, capsys):
 def test_a_header_that_promises_more_than_the_file_has(folders, capsys):
     work, _ = folders
     np.save(work / "states.npy", np.ones((2, 3)))
-    whole = (work / "states.npy").read_bytes()
-    (work / "states.npy").write_bytes(whole.replace(b"(2, 3)", b"(9" + b"0" * 12 + b", 3)").replace(b" " * 12, b"", 1))
+    expected = (work / "states.npy").read_bytes()
+    (work / "states.npy").write_bytes(
+        expected.replace(b"(2, 3)", b"(9" + b"0" * 12 + b", 3)").replace(b" " * 12, b"", 1)
+    )
     (work / "run.toml").write_text(STATES.format("states.npy"))
     assert cli.main(["run", "run.toml"]) == 2
     assert "holds no array of numbers" in capsys.readouterr().err

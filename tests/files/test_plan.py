@@ -103,8 +103,8 @@ def test_output_times_are_counted_one_by_one(folder, monkeypatch, kind, system, 
     """
     times, tried = output_times(kind, end), []
 
-    def short_run(*given, short=planning._trial_run):
-        tried.append(short(*given))
+    def short_run(*args, short=planning._trial_run):
+        tried.append(short(*args))
         return tried[-1]
 
     monkeypatch.setattr(planning, "_trial_run", short_run)
@@ -135,9 +135,9 @@ def test_output_times_are_counted_one_by_one(folder, monkeypatch, kind, system, 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_every_example(folder, capsys, example):
     assert cli.main(["check", str(example)]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     for name in ("system", "members", "scheme", "keeps", "steps", "saved", "memory", "output", "time"):
-        assert f"\n{name} " in f"\n{said}", name
+        assert f"\n{name} " in f"\n{message}", name
     assert not [*folder.iterdir()]
 
 
@@ -155,7 +155,7 @@ def test_the_time_is_estimated_from_a_trial(folder, monkeypatch):
     found = planned(folder, text)
     taken = a_step * found.steps
     assert taken < found.seconds <= taken * (1 + a_call / (planning.TRIAL_SECONDS - a_call)) * (1 + 1e-12)
-    assert found.ready == 0.0 and 0 < found.tried < found.steps
+    assert found.preparation_seconds == 0.0 and 0 < found.tried < found.steps
 
 
 def test_what_is_printed(folder, capsys):
@@ -176,7 +176,7 @@ def test_what_is_printed(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (READY_MADE.replace("step", "stpe"), "run.toml: run.stpe: unknown key; did you mean 'step'?\n"),
         (READY_MADE + '[output]\nfile = "none/a.nc"\n', "run.toml: output.file: none/a.nc: the folder none does not"),
@@ -190,17 +190,17 @@ def test_what_is_printed(folder, capsys):
         ),
     ],
 )
-def test_bad_input_is_one_line_each(folder, capsys, text, said):
+def test_bad_input_is_one_line_each(folder, capsys, text, message):
     (folder / "run.toml").write_text(text, encoding="utf-8")
     assert cli.main(["check", "run.toml"]) == 2
-    given = capsys.readouterr()
-    assert given.out == "" and given.err.startswith(said)
-    assert all(line.startswith("run.toml: ") for line in given.err.splitlines()) and given.err.endswith("\n")
+    arguments = capsys.readouterr()
+    assert arguments.out == "" and arguments.err.startswith(message)
+    assert all(line.startswith("run.toml: ") for line in arguments.err.splitlines()) and arguments.err.endswith("\n")
 
 
 def test_a_trial_that_fails_is_told(folder, capsys):
     (folder / "run.toml").write_text(GROWING, encoding="utf-8")
     assert cli.main(["check", "run.toml"]) == 1
-    said = capsys.readouterr()
-    assert "time          not known: the trial failed (in step 710, " in said.out and said.err == ""
-    assert "output        not known: the trial failed" in said.out and "xarray" not in said.out
+    message = capsys.readouterr()
+    assert "time          not known: the trial failed (in step 710, " in message.out and message.err == ""
+    assert "output        not known: the trial failed" in message.out and "xarray" not in message.out

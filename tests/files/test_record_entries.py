@@ -65,16 +65,16 @@ ASKED = {
 
 @pytest.mark.parametrize("kind", ASKED)
 def test_what_an_entry_accepts(kind):
-    ask, accepted, result = ASKED[kind]
+    call, accepted, result = ASKED[kind]
     for value in STRANGE:
         entry = Entry(copy.deepcopy(value), "place")
         if accepted(value):
-            found = ask(entry)
+            found = call(entry)
             plain = list(value) if isinstance(value, dict) else value
             assert found == (float(plain) if result is float else plain) and type(found) is result, (kind, value)
         else:
             with pytest.raises(ValueError, match=r"^place is .*; it must be "):
-                ask(entry)
+                call(entry)
 
 
 def test_exact_numbers():
@@ -93,11 +93,11 @@ def test_rows_have_indices_below_their_bounds():
         [2, 0, 1.0], [0, 3, 1.0], [-1, 0, 1.0], [0, -1, 1.0], [0.5, 0, 1.0], [0, 1.5, 1.0], [0, 0, NAN],
         [0, 0, INFINITE], [0, 0, -INFINITE], [0, 0], [0, 0, 1.0, 1.0], ["a", 0, 1.0], [None, 0, 1.0],
     ):  # fmt: skip
-        for given in ([wrong], [*rows, wrong], [wrong, *rows]):
+        for arguments in ([wrong], [*rows, wrong], [wrong, *rows]):
             with pytest.raises(
                 ValueError, match=r"^M is .*; it must be rows of 2 whole numbers below 2, 3 and a finite"
             ):
-                Entry(given, "M").rows(2, 3)
+                Entry(arguments, "M").rows(2, 3)
     for value in (None, 0, "", {}, (), tuple(rows)):
         with pytest.raises(ValueError, match=r"^M is "):
             Entry(value, "M").rows(2, 3)
@@ -129,7 +129,7 @@ def test_plain_values_are_unconverted():
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "message"),
     [
         (ValueError("no"), "s.a: no"),
         (TypeError("no\nnumber"), "s.a: no number"),
@@ -138,10 +138,10 @@ def test_plain_values_are_unconverted():
         (MemoryError("full"), "s.a: MemoryError: full"),
     ],
 )
-def test_errors_of_the_library_have_the_place(error, said):
+def test_errors_of_the_library_have_the_place(error, message):
     with pytest.raises(ValueError) as raised, as_value_errors(Entry({}, "s.a")):
         raise error
-    assert str(raised.value) == said
+    assert str(raised.value) == message
     with np.errstate(all="raise"), as_value_errors(Entry({}, "s.a")):
         assert np.float64(1e308) * 10 == INFINITE
 
@@ -163,9 +163,9 @@ WEIGHTS = np.add.outer(np.arange(1.0, 4.0), np.arange(1.0, 4.0))
 SPHERE, TORUS = co.systems.sphere_euler(N=3), co.systems.torus_euler(N=3)
 
 
-def own(hamiltonian, **more):
+def own(hamiltonian, **kwargs):
     free = co.LieAlgebra([], dim=3, name="free")
-    return co.LiePoissonSystem(free if hamiltonian is SPLIT else SO3, hamiltonian, name="own", **more)
+    return co.LiePoissonSystem(free if hamiltonian is SPLIT else SO3, hamiltonian, name="own", **kwargs)
 
 
 def value(x):
@@ -223,7 +223,9 @@ def test_the_dimension_of_the_states_is_that_of_the_system(name):
     first = system[0] if name.startswith("batch") else system
     system_of(record, first.dim)
     for wrong in (1, first.dim - 1, first.dim + 1, 10**6):
-        with pytest.raises(ValueError, match=rf"has the dimension {first.dim}, and the stored states have {wrong}$"):
+        with pytest.raises(
+            ValueError, match=rf"has dimension {first.dim}, but the stored states have dimension {wrong}$"
+        ):
             system_of(record, wrong)
 
 
@@ -295,7 +297,7 @@ def test_functions_anywhere_in_a_system_are_named():
     for name, (system, wanted) in lost.items():
         record = through_json(system)
         assert len(record["not_stored"]) == len(wanted), name
-        assert all(found.startswith(said) for found, said in zip(record["not_stored"], wanted, strict=True)), name
+        assert all(found.startswith(message) for found, message in zip(record["not_stored"], wanted, strict=True)), name
         with pytest.raises(ValueError, match="functions are not stored"):
             system_of(record)
 
@@ -320,7 +322,7 @@ def test_functions_beside_the_motion_are_named_and_left_out():
 
 def test_sums_and_monomials_are_checked():
     record = through_json(SYSTEMS["polynomial"])
-    for monomials, said in (
+    for monomials, message in (
         ([[1, [2, 0, 0]], [2, [2, 0, 0]]], r"monomials\[1\]\[1\] is .*in no other term"),
         ([[1, [1000, 25, 0]]], r"monomials\[0\]\[1\] is .*of a degree up to 1024"),
         ([[1, [1, 0]]], r"monomials\[0\]\[1\] is .*a list of 3 whole numbers"),
@@ -328,7 +330,7 @@ def test_sums_and_monomials_are_checked():
     ):
         changed = copy.deepcopy(record)
         changed["hamiltonian"]["monomials"] = monomials
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             system_of(changed)
     changed["hamiltonian"] = {"kind": "sum", "summands": []}
     with pytest.raises(ValueError, match="at least one Hamiltonian"):

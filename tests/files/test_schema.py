@@ -80,7 +80,7 @@ WRONG = {
 @pytest.mark.parametrize("what", WRONG)
 def test_wrong_ones_are_refused_by_both(validator, what, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Configuration, "integrate", lambda *given, **more: pytest.mark_failed("it ran"))
+    monkeypatch.setattr(Configuration, "integrate", lambda *args, **kwargs: pytest.fail("it ran"))
     assert WRONG[what] not in (OWN, READY_MADE)
     (tmp_path / "run.toml").write_text(WRONG[what])
     assert not validator.is_valid(tomllib.loads(WRONG[what]))

@@ -5,7 +5,7 @@ import pytest
 from coadjoint import cli
 from coadjoint.errors import in_one_line
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.error_collector import MAX_LINE_LENGTH, join_messages
+from coadjoint.files.configuration.construction import MAX_LINE_LENGTH, join_messages
 
 FILE = """
 [system]
@@ -36,10 +36,10 @@ def refused(tmp_path, **wrong):
 
 
 def test_three_wrong_keys_and_values_are_told_at_once(tmp_path):
-    said = refused(tmp_path, step="stepp", x='[1.0, "a", 0.5]', end='"late"')
-    assert "run.stepp: unknown key; did you mean 'step'?" in said
-    assert "initial.x: " in said and "run.t_span: must be a list of numbers, not [0.0, 'late']" in said
-    assert "run.step: is missing" not in said and "\n" not in said and said.count("; and ") == 2
+    message = refused(tmp_path, step="stepp", x='[1.0, "a", 0.5]', end='"late"')
+    assert "run.stepp: unknown key; did you mean 'step'?" in message
+    assert "initial.x: " in message and "run.t_span: must be a list of numbers, not [0.0, 'late']" in message
+    assert "run.step: is missing" not in message and "\n" not in message and message.count("; and ") == 2
 
 
 def test_a_misspelled_key_is_not_told_as_missing_too(tmp_path):
@@ -51,29 +51,31 @@ def test_a_misspelled_key_is_not_told_as_missing_too(tmp_path):
 
 
 def test_a_wrong_system_is_told_beside_wrong_keys(tmp_path):
-    said = refused(tmp_path, name="rigid_bodi", step="stepp", end='"late"')
-    assert "system: unknown system 'rigid_bodi'; did you mean 'rigid_body'?" in said
-    assert "run.stepp: " in said and "run.t_span: " in said
+    message = refused(tmp_path, name="rigid_bodi", step="stepp", end='"late"')
+    assert "system: unknown system 'rigid_bodi'; did you mean 'rigid_body'?" in message
+    assert "run.stepp: " in message and "run.t_span: " in message
 
 
 @pytest.mark.parametrize("wrong", [("x", "method", "end"), ("x", "end"), ("method", "end"), ("x", "method")])
 def test_what_the_system_refuses_is_told_at_once(tmp_path, wrong):
-    said = refused(tmp_path, **{key: SAID[key][0] for key in wrong})
-    assert all(SAID[key][1] in said for key in wrong) and said.count("; and ") == len(wrong) - 1
+    message = refused(tmp_path, **{key: SAID[key][0] for key in wrong})
+    assert all(SAID[key][1] in message for key in wrong) and message.count("; and ") == len(wrong) - 1
 
 
 @pytest.mark.parametrize("wrong", SAID)
 def test_one_mistake_is_told_as_it_is(tmp_path, wrong):
-    said = refused(tmp_path, **{wrong: SAID[wrong][0]})
-    assert SAID[wrong][1] in said and "; and " not in said
+    message = refused(tmp_path, **{wrong: SAID[wrong][0]})
+    assert SAID[wrong][1] in message and "; and " not in message
 
 
 def test_many_and_long_ones_stay_in_one_line():
-    said = join_messages([f"key{k}: " + "long " * 100 for k in range(7)])
+    message = join_messages([f"key{k}: " + "long " * 100 for k in range(7)])
     assert (
-        len(said) <= MAX_LINE_LENGTH + 30 and said.endswith("; and 3 more") and all(f"key{k}" in said for k in range(4))
+        len(message) <= MAX_LINE_LENGTH + 30
+        and message.endswith("; and 3 more")
+        and all(f"key{k}" in message for k in range(4))
     )
-    assert in_one_line(said) == said
+    assert in_one_line(message) == message
     assert join_messages(["a", "a"]) == "a"
 
 
@@ -105,14 +107,14 @@ def lines_of(text, tmp_path, monkeypatch, capsys, *command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.toml").write_text(text)
     assert cli.main([*command, "run.toml"]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and all(line.startswith("run.toml: ") for line in said.err.splitlines())
-    return [line.removeprefix("run.toml: ") for line in said.err.splitlines()]
+    message = capsys.readouterr()
+    assert message.out == "" and all(line.startswith("run.toml: ") for line in message.err.splitlines())
+    return [line.removeprefix("run.toml: ") for line in message.err.splitlines()]
 
 
 @pytest.mark.parametrize("command", ["run", "check", "certify"])
 def test_mistakes_of_all_stages_are_told_at_once_each_in_a_line(tmp_path, monkeypatch, capsys, command):
-    said = lines_of(MANY, tmp_path, monkeypatch, capsys, command)
+    message = lines_of(MANY, tmp_path, monkeypatch, capsys, command)
     wanted = [
         "system.parameters.inertai: unknown key; did you mean 'inertia'?",
         "method.odrer: unknown key; did you mean 'order'?",
@@ -124,8 +126,8 @@ def test_mistakes_of_all_stages_are_told_at_once_each_in_a_line(tmp_path, monkey
         "observe.area: ",
         "events.flip: ",
     ]
-    assert len(said) == len(wanted)
-    assert all(sum(line.startswith(one) for line in said) == 1 for one in wanted)
+    assert len(message) == len(wanted)
+    assert all(sum(line.startswith(one) for line in message) == 1 for one in wanted)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +153,7 @@ def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
 
 
 @pytest.mark.parametrize(
-    ("table", "wrong", "told"),
+    ("table", "wrong", "reported"),
     [
         ("initial", 'x = "one"', ["initial.x: must be", "method: unknown", "run: step"]),
         ("run", 't_span = "late"\nstep = 0.3', ["initial.x: x0", "method: unknown", "run.t_span: must be"]),
@@ -164,7 +166,7 @@ def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
         ("output", "file = 3", ["initial.x: x0", "method: unknown", "output.file: must be", "run: step"]),
     ],
 )
-def test_a_table_that_cannot_be_read_hides_no_other(tmp_path, monkeypatch, capsys, table, wrong, told):
+def test_a_table_that_cannot_be_read_hides_no_other(tmp_path, monkeypatch, capsys, table, wrong, reported):
     tables = {
         "system": 'name = "rigid_body"',
         "initial": "x = [1.0, 0.1]",
@@ -172,29 +174,35 @@ def test_a_table_that_cannot_be_read_hides_no_other(tmp_path, monkeypatch, capsy
         "run": "t_span = [0, 10]\nstep = 0.3",
         table: wrong,
     }
-    said = lines_of(
+    message = lines_of(
         "\n".join(f"[{key}]\n{lines}" for key, lines in tables.items()), tmp_path, monkeypatch, capsys, "run"
     )
-    assert len(said) == len(told) and all(line.startswith(one) for line, one in zip(sorted(said), told, strict=True))
+    assert len(message) == len(reported) and all(
+        line.startswith(one) for line, one in zip(sorted(message), reported, strict=True)
+    )
 
 
 def test_a_misspelled_key_beside_the_right_one(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT).replace("step = 0.125", "step = 0.3\nstepp = 0.125")
-    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert len(said) == 2 and said[0].startswith("run.stepp: ") and said[1].startswith("run: step 0.3 does not divide")
+    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert (
+        len(message) == 2
+        and message[0].startswith("run.stepp: ")
+        and message[1].startswith("run: step 0.3 does not divide")
+    )
 
 
 def test_all_places_of_a_sweep_and_the_rest_of_the_file(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT).replace("Splitting", "Spliting")
     text += '[sweep.over]\n"initial.x[7]" = [1.0, 2.0]\n"initial.x[2]" = [1.0, "a"]\n"run.step" = [0.1]\n'
-    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert said[-1].startswith("method: unknown method 'Spliting'") and len(said) > 1
+    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert message[-1].startswith("method: unknown method 'Spliting'") and len(message) > 1
     text = text.replace('[1.0, "a"]', "[1.0, 2.0]").replace('"initial.x[7]"', '"system.nam"')
-    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert [line.split(": ")[0] for line in said] == ["sweep.over.system.nam", "sweep.over.run.step", "method"]
+    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert [line.split(": ")[0] for line in message] == ["sweep.over.system.nam", "sweep.over.run.step", "method"]
 
 
 def test_more_mistakes_than_are_told(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT) + "".join(f"key{k} = {k}\n" for k in range(30))
-    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert len(said) == 21 and said[-1] == "10 more" and len(set(said)) == 21
+    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert len(message) == 21 and message[-1] == "10 more" and len(set(message)) == 21

@@ -8,8 +8,8 @@ import pytest
 import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.initial_states import state_by_name
 from coadjoint.files.configuration.models import InitialTable
-from coadjoint.files.configuration.named_states import state_by_name
 
 FLUID = """
 [system]
@@ -75,7 +75,7 @@ def test_a_path_begins_in_the_folder_of_the_file(read, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("initial", "said"),
+    ("initial", "message"),
     [
         ('kind = "radnom"\nseed = 1', "initial.kind: unknown initial state 'radnom'; did you mean 'random'?"),
         ('kind = "spectrum"', "initial.kind: unknown initial state 'spectrum'"),
@@ -92,10 +92,10 @@ def test_a_path_begins_in_the_folder_of_the_file(read, tmp_path, monkeypatch):
         ("seed = 1", "initial.seed: unknown key"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_key(read, initial, said):
+def test_what_is_wrong_is_said_with_its_key(read, initial, message):
     with pytest.raises(ConfigurationError) as refused:
         read(initial)
-    assert said in str(refused.value) and "\n" not in str(refused.value)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
 def test_other_systems_have_no_states_by_name(read, tmp_path):
@@ -111,8 +111,8 @@ def test_other_systems_have_no_states_by_name(read, tmp_path):
 
 def test_fluids_with_forces_are_named_too():
     """A system with forces has the one without them as ``system``."""
-    given = InitialTable(kind="random", seed=1)
-    np.testing.assert_array_equal(state_by_name("fluid.toml", given, SimpleNamespace(system=BALL)), BALL.random(1))
+    arguments = InitialTable(kind="random", seed=1)
+    np.testing.assert_array_equal(state_by_name("fluid.toml", arguments, SimpleNamespace(system=BALL)), BALL.random(1))
 
 
 @pytest.mark.long

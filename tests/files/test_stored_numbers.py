@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from coadjoint.files.archives.stored_numbers import deserialize_numbers, serialize_numbers
+from coadjoint.files.archives.stored_arrays import deserialize_numbers, serialize_numbers
 
 GRID = np.arange(24.0).reshape(2, 3, 4)
 ARRAYS = {
@@ -75,8 +75,8 @@ ENTRIES = {
 
 @pytest.mark.parametrize("name", ENTRIES)
 def test_entries_that_are_refused(name):
-    content, said = ENTRIES[name]
-    with pytest.raises(ValueError, match=said):
+    content, message = ENTRIES[name]
+    with pytest.raises(ValueError, match=message):
         deserialize_numbers(archive(lambda file: file.writestr("x.npy", content)))
 
 

@@ -10,7 +10,8 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.files.configuration.configuration import ConfigurationError, load
 from coadjoint.files.configuration.sweeps import replace_values
-from coadjoint.files.configuration.swept_settings import as_coordinates, move_on_orbit, random_settings
+from coadjoint.files.configuration.swept_settings import move_on_orbit, random_settings
+from coadjoint.files.datasets.variables import as_coordinates
 
 BODY = """
 [system]
@@ -182,7 +183,7 @@ def test_files_are_beside_the_configuration(swept, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("over", "said"),
+    ("over", "message"),
     [
         ('"initial.x[1]" = [1.0]\n"initial.x" = [[1.0, 0, 0]]', "sweep.over.initial.x: initial.x[1] is swept too"),
         ('"initial.attitude[0][1]" = [1.0]', "sweep.over.initial.attitude[0][1]: initial.attitude is the same"),
@@ -198,21 +199,21 @@ def test_files_are_beside_the_configuration(swept, tmp_path):
         ('"initial.x[0]" = { linear = [0, 1, 2], count = 3 }', "sweep.over.initial.x[0].linear: must be a list of two"),
         ('"initial.x[0]" = { values = [1.0], count = 1 }', "sweep.over.initial.x[0]: count belongs to a grid"),
         ('"initial.x[0]" = {}', "sweep.over.initial.x[0]: has none of values, linear"),
-        ('"initial.x[0][1]" = [1.0]', "sweep.over.initial.x[0][1]: the file has no entry 1 there"),
+        ('"initial.x[0][1]" = [1.0]', "sweep.over.initial.x[0][1]: the list in the file has no entry 1"),
         ('"system.parameters.inertia[2]" = [3.0, -1.0]\n"initial.x[0]" = [1, 2, 3]', "system: inertia[2] is -1; every "
          "principal moment must be positive (member 3 of the sweep)"),
     ],
 )  # fmt: skip
-def test_refused_with_the_key(swept, tmp_path, over, said):
+def test_refused_with_the_key(swept, tmp_path, over, message):
     for name, array in (("table", np.ones((2, 3))), ("empty", np.ones((0, 3))), ("one", np.ones(()))):
         np.save(tmp_path / f"{name}.npy", array)
     with pytest.raises(ConfigurationError) as error:
         swept(over)
-    assert str(error.value).startswith(f"{tmp_path / 'run.toml'}: {said}"), str(error.value)
+    assert str(error.value).startswith(f"{tmp_path / 'run.toml'}: {message}"), str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("beside", "over", "said"),
+    ("beside", "over", "message"),
     [
         ("samples = 2", '"initial.x" = { sphere = 1.0 }', "sweep: over 'initial.x' is random; give samples"),
         ("seed = 2", '"initial.x" = { sphere = 1.0 }', "sweep: over 'initial.x' is random; give samples"),
@@ -226,10 +227,10 @@ def test_refused_with_the_key(swept, tmp_path, over, said):
         ("samples = 2\nseed = 1", '"initial.x" = { normal = [0, [1, 2]] }', "sweep.over.initial.x: mean or deviation "),
     ],
 )  # fmt: skip
-def test_random_settings_refused_with_the_key(swept, tmp_path, beside, over, said):
+def test_random_settings_refused_with_the_key(swept, tmp_path, beside, over, message):
     with pytest.raises(ConfigurationError) as error:
         swept(over, beside)
-    assert str(error.value).startswith(f"{tmp_path / 'run.toml'}: {said}"), str(error.value)
+    assert str(error.value).startswith(f"{tmp_path / 'run.toml'}: {message}"), str(error.value)
 
 
 def test_tables_of_the_file_are_not_changed():
@@ -246,8 +247,8 @@ FULL = [[2.0, 0.1, 0.0], [0.1, 3.0, 0.0], [0.0, 0.0, 4.0]]
     ("module", "beside", "over", "least"),
     [
         ("sweeps", "", '"initial.x[0]" = [1, 2, 3]\n"initial.x[1]" = [1, 2]', 6 * 8),
-        ("swept_members", "", '"initial.x[0]" = [1, 2, 3]\n"initial.x[1]" = [1, 2]', 6 * 3 * 8),
-        ("swept_members", "", '"system.parameters.inertia[2]" = [2.5, 3]\n"initial.x[1]" = [1, 2, 3]', 6 * 1000),
+        ("sweeps", "", '"initial.x[0]" = [1, 2, 3]\n"initial.x[1]" = [1, 2]', 6 * 3 * 8),
+        ("sweeps", "", '"system.parameters.inertia[2]" = [2.5, 3]\n"initial.x[1]" = [1, 2, 3]', 6 * 1000),
         (
             "swept_settings",
             "samples = 5\nseed = 1",

@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.files.configuration.configuration import ConfigurationError, load
-from coadjoint.files.configuration.swept_settings import as_coordinates, move_on_orbit, random_settings
+from coadjoint.files.configuration.swept_settings import move_on_orbit, random_settings
+from coadjoint.files.datasets.variables import as_coordinates
 
 BODY = """
 [system]
@@ -173,9 +174,9 @@ def test_what_is_swept_are_coordinates_of_the_dataset(written, tmp_path):
     from coadjoint import cli
 
     assert cli.main(["run", "run.toml", "--out", "run.nc", "--quiet"]) == 0
-    with xarray.open_dataset("run.nc", engine="h5netcdf") as kept:
-        assert kept.swap_dims(member="swept_x_2").sizes["swept_x_2"] == 4
-        assert kept["swept_inertia_0"].dims == ("member",)
+    with xarray.open_dataset("run.nc", engine="h5netcdf") as stored:
+        assert stored.swap_dims(member="swept_x_2").sizes["swept_x_2"] == 4
+        assert stored["swept_inertia_0"].dims == ("member",)
 
 
 def test_coordinates_of_equal_names_are_told_apart():
@@ -186,10 +187,10 @@ def test_coordinates_of_equal_names_are_told_apart():
 
 
 @pytest.mark.parametrize(
-    ("over", "said"),
+    ("over", "expected"),
     [
         ("", "sweep: over is empty; give at least one key of the file"),
-        ('"initial.x[3]" = [1.0]', "sweep.over.initial.x[3]: the file has no entry 3 there"),
+        ('"initial.x[3]" = [1.0]', "sweep.over.initial.x[3]: the list in the file has no entry 3"),
         ('"initial.x[0]" = []', "sweep.over.initial.x[0]: is an empty list; give at least one value"),
         ('"initial.x[0]" = { linaer = [0, 1], count = 2 }', "sweep.over.initial.x[0].linaer: unknown key; did you"),
         ('"initial.x[0]" = { linear = [0, 1] }', "sweep.over.initial.x[0]: count belongs to a grid"),
@@ -216,19 +217,19 @@ def test_coordinates_of_equal_names_are_told_apart():
         ('"initial.x" = { file = "no.npy" }', "sweep.over.initial.x: 'no.npy' cannot be read (No such file"),
         ('"initial.x" = { file = "run.toml" }', "sweep.over.initial.x: 'run.toml' is no state; give numbers, or the"),
         ('"initial.x[0]" = { sphere = 0 }', "sweep.over.initial.x[0].sphere: must be a positive number, not 0"),
-        ('"forces[0].rate" = [0.1]', "sweep.over.forces[0].rate: the file has no entry 0 there"),
+        ('"forces[0].rate" = [0.1]', "sweep.over.forces[0].rate: the list in the file has no entry 0"),
         ('"initial.x" = [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]', "initial.x: x0 has the shape (2, 3), already"),
     ],
 )  # fmt: skip
-def test_wrong_sweeps(written, over, said):
+def test_wrong_sweeps(written, over, expected):
     with pytest.raises(ConfigurationError) as error:
         load(written(swept(over)))
     message = str(error.value)
-    assert "\n" not in message and message.startswith(f"run.toml: {said}"), message
+    assert "\n" not in message and message.startswith(f"run.toml: {expected}"), message
 
 
 @pytest.mark.parametrize(
-    ("over", "said"),
+    ("over", "message"),
     [
         ('"initial.x[0]" = [1.0]', "sweep: samples and seed belong to random settings"),
         ('"initial.x" = { sphere = 1.0 }', "sweep.over.initial.x: 1000000000000 samples needs about"),
@@ -237,11 +238,11 @@ def test_wrong_sweeps(written, over, said):
         ('"initial.x" = { uniform = [[0, 1], [1, 2]] }', "sweep.over.initial.x: "),
     ],
 )
-def test_wrong_random_sweeps(written, over, said):
-    samples = 10**12 if "needs about" in said else 2
+def test_wrong_random_sweeps(written, over, message):
+    samples = 10**12 if "needs about" in message else 2
     with pytest.raises(ConfigurationError) as error:
         load(written(swept(over, f"samples = {samples}\nseed = 1")))
-    assert str(error.value).startswith(f"run.toml: {said}"), str(error.value)
+    assert str(error.value).startswith(f"run.toml: {message}"), str(error.value)
 
 
 def test_too_many_members_are_refused_before_they_are_made(written):

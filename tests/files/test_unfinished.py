@@ -44,8 +44,8 @@ def test_nobody_else_sees_what_is_written(tmp_path, mask):
     old = os.umask(mask)
     try:
         with PendingOutput(tmp_path / "run.nc") as own:
-            assert stat.S_IMODE(own.place.parent.stat().st_mode) == 0o700
-            assert stat.S_IMODE((own.place.parent / LOCK_FILE).stat().st_mode) == 0o600
+            assert stat.S_IMODE(own.path.parent.stat().st_mode) == 0o700
+            assert stat.S_IMODE((own.path.parent / LOCK_FILE).stat().st_mode) == 0o600
     finally:
         os.umask(old)
 
@@ -61,12 +61,12 @@ def test_nothing_stays_open_or_registered(tmp_path, how):
             pass
     elif how == "failed":
         with pytest.raises(KeyError), PendingOutput(target) as own:
-            own.place.write_text("half")
+            own.path.write_text("half")
             raise KeyError
     else:
         with PendingOutput(target) as own:
             assert interruption._cleanups == [*registered, own.abandon]
-            own.place.write_text("whole")
+            own.path.write_text("whole")
             own.finish() if how == "finished" else own.abandon()
     assert open_descriptors() == before and interruption._cleanups == registered
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"] * (how == "finished")
@@ -80,7 +80,7 @@ def test_only_what_is_not_locked_is_removed(tmp_path):
         (begun / "run.nc").unlink()  # killed before it was locked
         remove_leftovers(target)
         assert not left.exists() and not begun.exists()
-        assert own.place.parent.is_dir() and other.is_dir()
+        assert own.path.parent.is_dir() and other.is_dir()
 
 
 def test_without_a_lock_only_an_empty_folder_is_removed(tmp_path):
@@ -160,7 +160,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
     target = tmp_path / "run.nc"
     folder = leftover(target)
     with PendingOutput(target) as own:
-        own.place.write_text("whole")
+        own.path.write_text("whole")
         own.finish()
     remove_leftovers(target)
     assert target.read_text() == "whole" and (folder / "run.nc").exists() and open_descriptors() == before
@@ -201,7 +201,7 @@ def test_a_replaced_store_stays_where_it_cannot_be_put_back(tmp_path, monkeypatc
         patched.setattr(os, "replace", full)
         if by == "the run":
             with pytest.raises(OSError, match="No space left"), PendingOutput(target) as own:
-                own.place.mkdir()
+                own.path.mkdir()
                 own.finish()
         else:
             (leftover(target) / REPLACED_FOLDER).mkdir()
@@ -227,16 +227,16 @@ def cannot_be_removed(folder, kind, monkeypatch):
     elif kind == "file in use":
         unlink = Path.unlink
 
-        def busy(path, **more):
+        def busy(path, **kwargs):
             if path.parent == folder:
                 raise OSError(errno.EBUSY, "Device or resource busy")
-            unlink(path, **more)
+            unlink(path, **kwargs)
 
         monkeypatch.setattr(Path, "unlink", busy)
     elif kind == "folder in use":
         rmtree = shutil.rmtree
         (folder / "inside").mkdir()
-        monkeypatch.setattr(shutil, "rmtree", lambda path, **more: None if path.parent == folder else rmtree(path))
+        monkeypatch.setattr(shutil, "rmtree", lambda path, **kwargs: None if path.parent == folder else rmtree(path))
 
 
 OBSTACLES = ["pipe", "link", "folder", "without a lock", "file", "file in use", "folder in use", "gone", "running"]
@@ -280,9 +280,9 @@ def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at
 def test_leftovers_of_a_name_that_begins_alike_stay(tmp_path):
     """The beginning of a long name is in the name of the folder, and its sum."""
     names = [f"{'a' * 40}{k}.nc" for k in range(2)]
-    mine, other = (leftover(tmp_path / name) for name in names)
+    actual, other = (leftover(tmp_path / name) for name in names)
     remove_leftovers(tmp_path / names[0])
-    assert not mine.exists() and other.is_dir()
+    assert not actual.exists() and other.is_dir()
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -290,22 +290,22 @@ def test_a_folder_that_another_process_takes_is_not_written_to(tmp_path, monkeyp
     """It was seen before it was locked; the next one is used, and it is locked."""
     taken = []
 
-    def lost(path, *given):
+    def lost(path, *args):
         if len(taken) < times:
             path.parent.rmdir()
             taken.append(path.parent)
             return None
-        return open_locked(path, *given)
+        return open_locked(path, *args)
 
     monkeypatch.setattr(unfinished, "open_locked", lost)
     with PendingOutput(tmp_path / "run.nc") as own:
-        folder = own.place.parent
+        folder = own.path.parent
         assert folder not in taken and os.listdir(tmp_path) == [folder.name] and open_locked(folder / LOCK_FILE) is None
     assert not os.listdir(tmp_path)
 
 
 def test_a_lock_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
-    def many(path, *given):
+    def many(path, *args):
         raise OSError(errno.EMFILE, "Too many open files")
 
     registered = list(interruption._cleanups)
@@ -321,7 +321,7 @@ def test_a_lock_is_removed_last(tmp_path, monkeypatch):
     for name in ("a", "z"):
         (folder / name).touch()
     unlink = Path.unlink
-    monkeypatch.setattr(Path, "unlink", lambda self, **more: (removed.append(self.name), unlink(self, **more))[1])
+    monkeypatch.setattr(Path, "unlink", lambda self, **kwargs: (removed.append(self.name), unlink(self, **kwargs))[1])
     remove_leftovers(tmp_path / "run.nc")
     assert sorted(removed) == ["a", LOCK_FILE, "run.nc", "z"] and removed[-1] == LOCK_FILE
 
@@ -330,7 +330,7 @@ def test_a_lock_is_removed_last(tmp_path, monkeypatch):
 def test_any_name_of_a_file(tmp_path, name):
     target = tmp_path / os.fsdecode(name)
     with PendingOutput(target) as own:
-        own.place.write_text("whole")
+        own.path.write_text("whole")
         own.finish()
     leftover(target)
     remove_leftovers(target)
@@ -341,11 +341,11 @@ def test_what_cannot_be_removed_does_not_hide_an_error(tmp_path, monkeypatch):
     """It is a leftover then, which a later run removes."""
     target = tmp_path / "run.nc"
 
-    def busy(path, **more):
+    def busy(path, **kwargs):
         raise OSError(errno.EBUSY, "Device or resource busy")
 
     with monkeypatch.context() as patched, pytest.raises(KeyError, match="first"), PendingOutput(target) as own:
-        own.place.write_text("half")
+        own.path.write_text("half")
         patched.setattr(Path, "unlink", busy)
         raise KeyError("first")
     assert len(os.listdir(tmp_path)) == 1

@@ -46,8 +46,8 @@ def ensemble(path, name, size):
 def check_whole(path, name, size):
     """The next call has the bits of one run."""
     system, x0 = RUNS[name]
-    whole = co.integrate(system, x0, SPAN, 0.125)
-    np.testing.assert_array_equal(ensemble(path, name, size).x, whole.x)
+    expected = co.integrate(system, x0, SPAN, 0.125)
+    np.testing.assert_array_equal(ensemble(path, name, size).x, expected.x)
 
 
 ERRORS = {
@@ -62,7 +62,7 @@ ERRORS = {
 def test_exactly_the_members_of_a_block_that_is_not_written_are_named(tmp_path, monkeypatch, size, number, name, error):
     """The archive lacks these and the later ones, which are not begun."""
     path, before, write = tmp_path / "many.zarr", open_descriptors(), ArchiveFolder.write
-    raised, said = ERRORS[error]
+    raised, message = ERRORS[error]
 
     def full(self, folder, file, content):
         if file == marker_file(number):
@@ -74,7 +74,7 @@ def test_exactly_the_members_of_a_block_that_is_not_written_are_named(tmp_path, 
         ensemble(path, name, size)
     members = np.arange(MEMBERS)[number * size :][:size]
     assert str(unwritten.value) == (
-        f"{path}: members {members[0]} to {members[-1]} could not be written on {platform.node()} ({said}); "
+        f"{path}: members {members[0]} to {members[-1]} could not be written on {platform.node()} ({message}); "
         "the next call with this archive continues"
     )
     assert unwritten.value.__cause__ is raised and unwritten.value.partial is None
@@ -100,8 +100,8 @@ def test_an_archive_that_is_moved_between_its_blocks(tmp_path, monkeypatch, chan
     """Nothing is written to what is in its place then."""
     path, ran, before = tmp_path / "many.zarr", [], open_descriptors()
 
-    def then(archive, *given):
-        ran.append(run_block(archive, *given))
+    def then(archive, *args):
+        ran.append(run_block(archive, *args))
         if len(ran) == blocks:
             change(path)
         return ran[-1]
@@ -110,8 +110,8 @@ def test_an_archive_that_is_moved_between_its_blocks(tmp_path, monkeypatch, chan
     with pytest.raises(ArchiveUnwritten) as unwritten:
         ensemble(path, "a37", 3)
     assert str(unwritten.value) == (
-        f"{path}: the archive could not be written (its folder was moved or replaced; what was computed is in the old "
-        "one); nothing of what is there now was changed"
+        f"{path}: the archive could not be written (its folder was moved or replaced; the computed part is in the "
+        "old one); the new content of this path was not changed"
     )
     assert len(ran) == blocks and open_descriptors() == before
     monkeypatch.undo()
@@ -136,7 +136,7 @@ def test_an_ensemble_that_cannot_be_marked_as_finished(tmp_path, monkeypatch):
     )
     assert open_descriptors() == before
     assert co.open_archive(path).status.tolist() == [1] * MEMBERS and read_root(path)[1][FINISHED] == 0
-    monkeypatch.setattr(ensembles, "run_block", lambda *given: pytest.mark_failed("a block is run again"))
+    monkeypatch.setattr(ensembles, "run_block", lambda *args: pytest.fail("a block is run again"))
     check_whole(path, "a37", 3)
     assert read_root(path)[1][FINISHED] == 1
 
@@ -149,7 +149,7 @@ def a_block(path, number=1):
 def begun(path, monkeypatch):
     """Begin an archive in three blocks and run none of them."""
     with monkeypatch.context() as patched, pytest.raises(ArchiveUnwritten, match="another process is still running"):
-        patched.setattr(ensembles, "run_block", lambda *given: {"busy": True})
+        patched.setattr(ensembles, "run_block", lambda *args: {"busy": True})
         ensemble(path, "a37", 3)
 
 
@@ -163,9 +163,9 @@ def test_an_archive_that_a_worker_cannot_read(tmp_path, case):
         path.mkdir()
     if case == "damaged":
         (path / "zarr.json").write_text("{")
-    said = {"file": "is a file", "damaged": "is damaged"}.get(case, "there is no archive of a run")
-    end = f" on the machine {platform.node()}; every worker must see the folder by the same name"
-    with pytest.raises(ArchiveError, match=rf"^{re.escape(str(path))}: .*{said}.*{re.escape(end)}$"):
+    message = {"file": "is a file", "damaged": "is damaged"}.get(case, "there is no archive of a run")
+    end = f" on the machine {platform.node()}; every worker must reach the folder by the same path"
+    with pytest.raises(ArchiveError, match=rf"^{re.escape(str(path))}: .*{message}.*{re.escape(end)}$"):
         a_block(path)
     assert open_descriptors() == before and not (path / ".coadjoint").exists()
 
@@ -218,7 +218,7 @@ def test_what_is_said_of_the_archive_is_not_wrapped(tmp_path, monkeypatch):
     begun(path, monkeypatch)
     error = ArchiveUnwritten("said below")
 
-    def stopped(self, *given):
+    def stopped(self, *args):
         raise error
 
     monkeypatch.setattr(BlockRun, "advance", stopped)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from coadjoint.files.output import atomic_files as whole_files
-from coadjoint.files.output.atomic_files import sync_to_disk, write_atomically
+from coadjoint.files.output import atomic_output as atomic_output
+from coadjoint.files.output.atomic_output import sync_to_disk, write_atomically
 
 NEW, OLD = b"new" * 100, b"old"
 
@@ -53,11 +53,11 @@ THERE = {
 @pytest.mark.parametrize("name", ["file", ".file.writing"])
 def test_what_is_there_is_replaced_and_not_followed(place, there, name):
     """The file itself, and what a killed process has left of another one."""
-    folder, given = place
+    folder, arguments = place
     THERE[there](folder / name)
     old = os.umask(0o007)
     try:
-        write_atomically(*given())
+        write_atomically(*arguments())
     finally:
         os.umask(old)
     found = os.lstat(folder / "file")
@@ -71,22 +71,22 @@ def test_what_is_there_is_replaced_and_not_followed(place, there, name):
 @pytest.mark.parametrize("call", ["fsync", "replace", "open"])
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()], ids=["full", "interrupted"])
 def test_a_write_that_fails_changes_nothing(place, monkeypatch, call, error, before):
-    folder, given = place
+    folder, arguments = place
     if before is not None:
         (folder / "file").write_bytes(before)
 
-    def failing(*given, **more):
+    def failing(*arguments, **kwargs):
         raise error
 
     with monkeypatch.context() as patched, pytest.raises(type(error)) as raised:
         patched.setattr(os, call, failing)
-        write_atomically(*given())
+        write_atomically(*arguments())
     assert raised.value is error
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == ({} if before is None else {"file": before})
 
 
 def test_the_content_is_on_disk_before_it_has_its_name(place, monkeypatch):
-    folder, given = place
+    folder, arguments = place
     events, fsync, replace = [], os.fsync, os.replace
 
     def synced(descriptor):
@@ -94,13 +94,13 @@ def test_the_content_is_on_disk_before_it_has_its_name(place, monkeypatch):
         events.append(("synced", found.st_size, os.path.samestat(found, os.stat(folder / ".file.writing"))))
         fsync(descriptor)
 
-    def replaced(*names, **more):
+    def replaced(*names, **kwargs):
         events.append("named")
-        replace(*names, **more)
+        replace(*names, **kwargs)
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", replaced)
-    write_atomically(*given())
+    write_atomically(*arguments())
     assert events == [("synced", len(NEW), True), "named"]
 
 
@@ -112,11 +112,11 @@ def test_a_missing_folder_is_not_made(tmp_path):
 
 @pytest.mark.parametrize("name", ["file", ".file.writing"])
 def test_a_folder_in_the_place_of_a_file_stays(place, name):
-    folder, given = place
+    folder, arguments = place
     (folder / name).mkdir()
     (folder / name / "inside").write_bytes(OLD)
     with pytest.raises(OSError):
-        write_atomically(*given())
+        write_atomically(*arguments())
     assert os.listdir(folder) == [name] and (folder / name / "inside").read_bytes() == OLD
 
 
@@ -129,7 +129,7 @@ def test_folders_that_a_file_system_cannot_sync(tmp_path, monkeypatch, number):
     synced, descriptor = [], os.open(tmp_path, os.O_RDONLY)
     try:
         with monkeypatch.context() as patched:
-            patched.setattr(whole_files.os, "fsync", synced.append)
+            patched.setattr(atomic_output.os, "fsync", synced.append)
             sync_to_disk(descriptor)
         assert synced == [descriptor]
 

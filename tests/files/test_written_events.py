@@ -53,8 +53,8 @@ def test_a_configuration_has_events(tmp_path):
         ("terminal = true", "terminall = true", "events.far.terminall: unknown key; did you mean 'terminal'"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, old, new, said):
-    with pytest.raises(ConfigurationError, match=said):
+def test_what_is_wrong_is_named(tmp_path, old, new, message):
+    with pytest.raises(ConfigurationError, match=message):
         written(tmp_path, LINES.replace(old, new)).integrate()
 
 
@@ -74,8 +74,8 @@ def test_a_dataset_repeats_the_run(attitude):
 @pytest.mark.parametrize("linear", [0.0, Fraction(1, 3)])
 def test_quadratic_events_are_stored(linear):
     """With their own coefficients, of which fractions stay exact."""
-    given = co.Quadratic([1, 0, 0], linear=[0, linear, 0], constant=-Fraction(1, 8) if linear else -0.125)
-    events = [co.Event(given, name="far"), co.Event("x2", count=2, terminal=True)]
+    arguments = co.Quadratic([1, 0, 0], linear=[0, linear, 0], constant=-Fraction(1, 8) if linear else -0.125)
+    events = [co.Event(arguments, name="far"), co.Event("x2", count=2, terminal=True)]
     sol = co.integrate(BODY, X0, (0, 40), 0.125, events=events)
     dataset = sol.to_xarray()
     again = rebuild(dataset)
@@ -103,8 +103,8 @@ def test_events_that_are_functions():
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("first", [True, False])
 def test_loaded_crossings_keep_their_names_beside_functions(tmp_path, first, terminal):
-    mine = co.Event(lambda x: x[0] - 0.25, name="mine", count=3, terminal=terminal)
-    events = [mine, co.Event("x2")] if first else [co.Event("x2"), mine]
+    actual = co.Event(lambda x: x[0] - 0.25, name="mine", count=3, terminal=terminal)
+    events = [actual, co.Event("x2")] if first else [co.Event("x2"), actual]
     sol = co.integrate(BODY, [X0, (0.2, 1.0, 0.1)], (0.5, 40.5), 0.125, events=events)
     sol.to_xarray().to_netcdf(tmp_path / "body.nc")
     loaded = co.load(tmp_path / "body.nc")

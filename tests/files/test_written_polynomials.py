@@ -7,8 +7,8 @@ from fractions import Fraction
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.bracket_parser import parse_brackets
-from coadjoint.files.configuration.polynomials import parse_polynomial
+from coadjoint.algebra.brackets import parse_brackets
+from coadjoint.files.configuration.construction import parse_polynomial
 from guards import bounded_work
 
 
@@ -97,7 +97,7 @@ def test_any_names(basis):
 
 
 @pytest.mark.parametrize(
-    ("right", "said"),
+    ("right", "message"),
     [
         ("1e308 e3 + 1e308 e3", "has a number that is too large for float64"),
         ("9" * 401 + " e3", "a number of 401 digits is too large for float64"),
@@ -105,16 +105,16 @@ def test_any_names(basis):
         ("1/" + "9" * 399 + " e3", "is too large for float64"),
         ("1/0.0 e3", "divides by zero"),
         ("1e300/1e-300 e3", "is too large for float64"),
-        ("e3 e1", "cannot be read from 'e1' on"),
-        ("e34", "cannot be read from 'e34' on"),
-        ("2", "cannot be read from '2' on"),
-        ("", "cannot be read from 'its end' on"),
+        ("e3 e1", "cannot be parsed from 'e1' on"),
+        ("e34", "cannot be parsed from 'e34' on"),
+        ("2", "cannot be parsed from '2' on"),
+        ("", "cannot be parsed from 'its end' on"),
     ],
 )
-def test_no_other_brackets(right, said):
+def test_no_other_brackets(right, message):
     with pytest.raises(ValueError) as refused:
         parse_brackets([f"[e1, e2] = {right}"], ["e1", "e2", "e3"])
-    assert said in str(refused.value) and len(str(refused.value)) < 300
+    assert message in str(refused.value) and len(str(refused.value)) < 300
 
 
 @pytest.mark.parametrize(
@@ -140,16 +140,16 @@ def test_a_quotient_by_a_decimal_number_is_rounded_once():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("x1/0", "divides by zero"),
         ("x1/x2", "divides by a coordinate"),
-        ("x1/", "cannot be read from 'its end' on"),
-        ("x1/2^2", "cannot be read from '^2' on"),
-        ("x1**-1", "cannot be read from '-1' on"),
-        ("x1^2^2", "cannot be read from '^2' on"),
+        ("x1/", "cannot be parsed from 'its end' on"),
+        ("x1/2^2", "cannot be parsed from '^2' on"),
+        ("x1**-1", "cannot be parsed from '-1' on"),
+        ("x1^2^2", "cannot be parsed from '^2' on"),
     ],
 )
-def test_quotients_that_are_none(text, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
+def test_quotients_that_are_none(text, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         parse_polynomial(text, 2)

@@ -103,9 +103,9 @@ def _of_objects():
 def _parameters(function):
     """Return the parameters of a function by name, with a right value where one is known."""
     known = inspect.signature(function).parameters.values()
-    named = [given for given in known if given.kind not in (given.VAR_POSITIONAL, given.VAR_KEYWORD)]
+    named = [arguments for arguments in known if arguments.kind not in (arguments.VAR_POSITIONAL, arguments.VAR_KEYWORD)]
     empty = inspect.Parameter.empty
-    return {given.name: RIGHT.get(given.name, None if given.default is empty else given.default) for given in named}
+    return {arguments.name: RIGHT.get(arguments.name, None if arguments.default is empty else arguments.default) for arguments in named}
 
 
 def _all():
@@ -188,21 +188,21 @@ def drawn(seed):
     name, function, known = chosen.choice(ENTRIES)
     optional = {
         key
-        for key, given in inspect.signature(function).parameters.items()
-        if given.default is not inspect.Parameter.empty
+        for key, arguments in inspect.signature(function).parameters.items()
+        if arguments.default is not inspect.Parameter.empty
     }
-    given = {}
+    arguments = {}
     wrong = chosen.choice(list(known)) if known else None
     for key, value in known.items():
         kind = chosen.random()
         if key == wrong or kind < 0.12:
-            given[key] = _any(chosen)
+            arguments[key] = _any(chosen)
         elif key not in optional or kind < 0.6:
-            given[key] = value
+            arguments[key] = value
     if chosen.random() < 0.02:
-        given[chosen.choice(("x", "unknown", "self", ""))] = _any(chosen)
+        arguments[chosen.choice(("x", "unknown", "self", ""))] = _any(chosen)
     positional = [key for key, one in inspect.signature(function).parameters.items() if one.kind is one.POSITIONAL_ONLY]
-    return name, function, [given.pop(key) for key in positional if key in given], given
+    return name, function, [arguments.pop(key) for key in positional if key in arguments], arguments
 
 
 _PLACE = tempfile.TemporaryDirectory()
@@ -214,18 +214,18 @@ def tried(seed):
     if not folder.exists():
         make(folder.parent)
     os.chdir(folder)
-    name, function, positional, given = drawn(seed)
+    name, function, positional, arguments = drawn(seed)
     error = None
     with warnings.catch_warnings(record=True) as noticed:
         warnings.simplefilter("always")
         try:
-            result = function(*positional, **given)
+            result = function(*positional, **arguments)
             if type(result).__module__.partition(".")[0] == "coadjoint":  # others show what they like
                 repr(result)
         except Exception as raised:
             error = raised
         except TooLong:
-            if not AS_LONG_AS_ASKED & {name, *given}:
+            if not AS_LONG_AS_ASKED & {name, *arguments}:
                 raise
             return []
     sentences = [found for found in (error and wrong_error(error, name), wrong_warning(noticed)) if found]
@@ -233,6 +233,6 @@ def tried(seed):
         sentences.append("a solution with numbers that are not finite")
 
     shown = ", ".join(
-        [*(short(value, 60) for value in positional), *(f"{key}={short(value, 60)}" for key, value in given.items())]
+        [*(short(value, 60) for value in positional), *(f"{key}={short(value, 60)}" for key, value in arguments.items())]
     )
     return [f"{name}({shown[:300]}): {sentence}" for sentence in sentences]

@@ -167,8 +167,8 @@ def _of_one_name(chosen, table):
         table["initial"] = {**_table(table.get("initial")), "kind": chosen.choice(("random", "zonal_jet", "from_file"))}
 
 
-def _table(given):
-    return given if isinstance(given, dict) else {}
+def _table(arguments):
+    return arguments if isinstance(arguments, dict) else {}
 
 
 def _written(chosen, table):

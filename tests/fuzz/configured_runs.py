@@ -40,7 +40,7 @@ UNFORESEEN = tuple(
 _integrate = Configuration.integrate
 
 
-def shortened(configuration, *given, **named):
+def shortened(configuration, *args, **kwargs):
     """Run a configuration, no longer than `MOST_STEPS`."""
     configuration.check_memory()
     start, end = configuration.t_span
@@ -48,7 +48,7 @@ def shortened(configuration, *given, **named):
     if steps > MOST_STEPS:
         end = start + (MOST_STEPS if end > start else -MOST_STEPS) * configuration.step
         configuration = dataclasses.replace(configuration, t_span=(start, end), t_eval=None)
-    return _integrate(configuration, *given, **named)
+    return _integrate(configuration, *args, **kwargs)
 
 
 class Runs:
@@ -77,15 +77,15 @@ class Runs:
         """Return what is wrong with the end of the run of a seed, as sentences."""
         (self._folder / "run.toml").write_bytes(draw(seed))
         self._raised = None
-        said, printed = io.StringIO(), io.StringIO()
+        message, printed = io.StringIO(), io.StringIO()
         self._before = seen(self._outside)
-        with warnings.catch_warnings(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+        with warnings.catch_warnings(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(message):
             warnings.simplefilter("default")
             try:
                 status, line = commands.perform(["run", "run.toml", "--quiet"])
             except Exception as error:
                 return [f"raised: {wrong_error(error, '') or type(error).__name__}"]
-        return [*self._of_the_line(status, line, printed.getvalue() + said.getvalue()), *self._of_the_folder()]
+        return [*self._of_the_line(status, line, printed.getvalue() + message.getvalue()), *self._of_the_folder()]
 
     def _of_the_line(self, status, line, printed):
         if status not in (0, 1, 2):
@@ -97,11 +97,11 @@ class Runs:
                 yield f"a warning: {line[:200]!r}"
             return
         # A file with several mistakes is told all of them, each in a line.
-        told = line.split("\n")
-        if not all(told) or not all(each.isprintable() and len(each) <= LONGEST_LINE for each in told):
+        reported = line.split("\n")
+        if not all(reported) or not all(each.isprintable() and len(each) <= LONGEST_LINE for each in reported):
             yield f"not one line for each mistake: {line[:500]!r}"
-        if len(told) > MOST_LINES:
-            yield f"{len(told)} lines: {line[:500]!r}"
+        if len(reported) > MOST_LINES:
+            yield f"{len(reported)} lines: {line[:500]!r}"
         if line.startswith(UNFORESEEN):
             yield f"unforeseen: {line[:300]!r} {wrong_error(self._raised, '')}"
         error = self._raised
@@ -128,7 +128,7 @@ class Runs:
         """Yield where the file says that results go."""
         with contextlib.suppress(ValueError, RecursionError, OSError, AttributeError):
             table = tomllib.loads((self._folder / "run.toml").read_bytes().decode())
-            for named in filter(lambda given: isinstance(given, str), table.get("output", {}).values()):
+            for named in filter(lambda arguments: isinstance(arguments, str), table.get("output", {}).values()):
                 yield (self._folder / named).resolve()
                 yield Path(os.path.normpath(self._folder / named))
 

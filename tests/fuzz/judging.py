@@ -24,11 +24,11 @@ def wrong_error(error, here):
     """Return what is wrong with an error, or None; `here` says what was called."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(last.filename).name}:{last.lineno}"
-    said = str(error)
-    shown = f"{type(error).__name__}: {said[:300]!r} ({place})"
+    message = str(error)
+    shown = f"{type(error).__name__}: {message[:300]!r} ({place})"
     if str(TESTS) in last.filename:  # Python itself refuses the call, or what was made of wild values
         return None
-    if isinstance(error, TypeError) and ("unexpected keyword argument" in said or "multiple values for" in said):
+    if isinstance(error, TypeError) and ("unexpected keyword argument" in message or "multiple values for" in message):
         return None
     if isinstance(error, FileNotFoundError | IsADirectoryError) and "file" in here:
         return None
@@ -36,7 +36,7 @@ def wrong_error(error, here):
         return shown
     if not (last.filename.startswith(SOURCE) and "raise" in linecache.getline(last.filename, last.lineno)):
         return f"not of the library: {shown}"
-    if len(said) > LONGEST or "\n" in said or not said:
+    if len(message) > LONGEST or "\n" in message or not message:
         return f"not one sentence: {shown}"
     return None
 

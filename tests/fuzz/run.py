@@ -70,11 +70,11 @@ def in_processes(kind, seeds):
                 last, *found = json.loads(line)
                 for sentence in found:
                     yield last, sentence
-            said = process.stderr.read()
+            message = process.stderr.read()
         if process.returncode == 0:
             return
-        lines = [line.strip() for line in said.splitlines() if "coadjoint" in line and "File" in line]
-        yield last, f"ended by {process.returncode}: {lines[0] if lines else said[-300:]}"
+        lines = [line.strip() for line in message.splitlines() if "coadjoint" in line and "File" in line]
+        yield last, f"ended by {process.returncode}: {lines[0] if lines else message[-300:]}"
         if last < first:
             return
         first = last + 1
@@ -103,12 +103,12 @@ def main():
     parser.add_argument("count", type=int)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--here", action="store_true", help="in this process")
-    given = parser.parse_args()
-    if given.here:
+    arguments = parser.parse_args()
+    if arguments.here:
         warnings.simplefilter("ignore")
-        tried(given.kind, range(given.first, given.first + given.count))
+        tried(arguments.kind, range(arguments.first, arguments.first + arguments.count))
         return 0
-    return bool(fuzz(given.kind, given.first, given.count, given.jobs))
+    return bool(fuzz(arguments.kind, arguments.first, arguments.count, arguments.jobs))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ BRACKETS = ["[e1, e2] = e3"]
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "expected"),
     {
         "a gradient of other shape": (
             lambda: co.predicted_drift(BODY, X, gradient=lambda x: [1.0, 2.0]),
@@ -54,7 +54,7 @@ BRACKETS = ["[e1, e2] = e3"]
         ),
         "whole numbers without a float": (
             lambda: co.Quadratic(X, linear=X)([HUGE, 1.0, 1.0]),
-            "a number there is too large for float64",
+            "number is too large for float64",
         ),
         "functions that take no objects": (
             lambda: co.Separable({0: (np.sin, np.cos)}).value([HUGE, 1, 1]),
@@ -75,17 +75,17 @@ BRACKETS = ["[e1, e2] = e3"]
         ),
         "pieces that are no list": (
             lambda: co.SplitHamiltonian([(7, co.Quadratic(1.0))]),
-            "where piece 0 acts is 7; give (coordinates, Hamiltonian)",
+            "coordinates of piece 0 is 7; give (coordinates, Hamiltonian)",
         ),
         "a long name of a file": (lambda: load(LONG_NAME), "cannot be read (File name too long)"),
         "a long name of a result": (lambda: check_target(LONG_NAME), "it must be .nc or .zarr"),
     }.values(),
 )
-def test_one_sentence(call, said):
+def test_one_sentence(call, expected):
     with pytest.raises((ValueError, TypeError, OverflowError)) as raised:
         call()
     message = str(raised.value)
-    assert said in message and len(message) < 1000 and "\n" not in message
+    assert expected in message and len(message) < 1000 and "\n" not in message
 
 
 def test_a_torque_may_be_a_function_of_python_itself():
@@ -107,7 +107,7 @@ initial = {x = [1.0, 0.1, 0.5]}
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         ('run = {t_span = [0, 1], step = 0.1, t_eval = [0.25]}\noutput.archive = "a.zarr"', "run.t_eval: an archive"),
         (
@@ -120,9 +120,9 @@ initial = {x = [1.0, 0.1, 0.5]}
         ),
     ],
 )
-def test_files_that_ask_for_what_does_not_go_together(tmp_path, more, said):
+def test_files_that_ask_for_what_does_not_go_together(tmp_path, more, message):
     file = tmp_path / "run.toml"
     file.write_text(BODY_FILE + more, encoding="utf-8")
     with pytest.raises(ValueError, match="toml: ") as raised:
         load(file)
-    assert said in str(raised.value)
+    assert message in str(raised.value)

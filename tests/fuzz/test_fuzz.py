@@ -60,9 +60,9 @@ def test_a_crash_and_a_hang_are_named(monkeypatch, tmp_path):
 
 
 def test_errors_are_judged():
-    def raised(function, *given):
+    def raised(function, *args):
         try:
-            function(*given)
+            function(*args)
         except Exception as error:
             return error
 

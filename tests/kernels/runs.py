@@ -6,11 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from coadjoint.kernels import runge_kutta
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.loop import MemberBatch, StopFlag, scheme_memory
 from coadjoint.kernels.recording_tables import schedule_of
-from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+from coadjoint.kernels.runge_kutta_tables import RUNGE_KUTTA_LOOP, runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
 
 STATE = ("momenta", "errors", "groups", "group_errors", "memory")
@@ -25,7 +24,7 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
     watches = [watch_tables(system, system.casimirs) for system in systems]
     members, n = x0.shape
     d = found[0].tables.group.size
-    memory = scheme_memory(runge_kutta.RUNGE_KUTTA_LOOP, found[0].tables)
+    memory = scheme_memory(RUNGE_KUTTA_LOOP, found[0].tables)
     layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), memory))
     saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state["momenta"][:], state["groups"][:] = x0, np.eye(d).ravel()
@@ -34,7 +33,7 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
         stride = len(systems) + PADDING
         tables = spread([each.tables for each in found])
         watch = spread([each.tables for each in watches])
-    member_batch = MemberBatch(runge_kutta.RUNGE_KUTTA_LOOP, tables, watch, 0, members, stride)
+    member_batch = MemberBatch(RUNGE_KUTTA_LOOP, tables, watch, 0, members, stride)
     return member_batch, (layout, schedule_of(0.0, h, steps, steps, True)), (saved, state), (found, watches)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.bandwidth import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band
+from coadjoint.kernels.runge_kutta_tables import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band
 
 SITES = 40
 

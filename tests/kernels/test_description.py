@@ -12,7 +12,7 @@ import coadjoint as co
 from coadjoint.kernels import interface as description
 from coadjoint.kernels import structures
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.field import GroupField
+from coadjoint.kernels.field_tables import GroupField
 from coadjoint.methods.numerics.projection import independent, project
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import coadjoint
 from coadjoint.kernels import library, structures
-from coadjoint.kernels.field import GroupField
+from coadjoint.kernels.field_tables import GroupField
 
 RUN = """
 import coadjoint as co

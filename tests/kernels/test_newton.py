@@ -9,7 +9,7 @@ from scipy.optimize import root
 from test_runge_kutta import spin_chain, systems
 
 import coadjoint as co
-from coadjoint.kernels import bandwidth as couplings
+from coadjoint.kernels import runge_kutta_tables as couplings
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
 U = 2.0**-53

@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import address
-from coadjoint.systems.forces.normal_deviates import normal_deviates, random_words
+from coadjoint.systems.forces.base import normal_deviates, random_words
 
 U = 2.0**-53
 

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels import stepping
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch, StopFlag
 from coadjoint.kernels.recording_tables import schedule_of
-from coadjoint.kernels.step_tables import step_tables
+from coadjoint.kernels.step_tables import STEP_LOOP, step_tables
 from coadjoint.kernels.tables import watch_tables
 
 pytestmark = pytest.mark.thinned(3)
@@ -30,7 +29,7 @@ def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
     layout = Layout(Extent(members, 2, n, 0, 1 + len(system.casimirs), 0))
     saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state["momenta"][:] = momenta
-    member_batch = MemberBatch(stepping.STEP_LOOP, prepared.tables, watch.tables, 0, members)
+    member_batch = MemberBatch(STEP_LOOP, prepared.tables, watch.tables, 0, members)
     for k0, k1 in pairwise([0, *cuts, steps]):
         member_batch.advance(layout, schedule_of(t0, h, steps, steps, True), saved, state, k0, k1, StopFlag())
     return state["momenta"], state["worst"].max(axis=1), state

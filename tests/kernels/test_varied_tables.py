@@ -5,9 +5,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.structures import per_member_fields
+from coadjoint.kernels.structures import per_member_fields, stacked, structure_of
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.varied_tables import stacked, structure_of
 from coadjoint.runs.batch_loops import groups_of
 
 METHODS = [

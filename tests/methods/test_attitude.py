@@ -58,7 +58,7 @@ def test_gauss_refuses_what_it_would_lose(method, algebra, said):
 def test_schemes_without_group_element(method):
     so3 = co.algebras.so(3)
     for representation in ("coadjoint", so3.representation):
-        with pytest.raises(ValueError, match="carries no group element"):
+        with pytest.raises(ValueError, match="computes no group element"):
             check_attitude(method, system(so3), representation)
 
 

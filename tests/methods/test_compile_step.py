@@ -255,7 +255,7 @@ def failing(folder, text):
         (lambda folder: failing(folder, "kill -9 $$"), r"failed \(exit status -9\)"),
         (lambda folder: failing(folder, "exit 0"), "has written nothing; name another one"),
         (lambda folder: failing(folder, "cat >/dev/null; sleep 60"), "did not end within 0 s"),
-        (lambda folder: failing(folder, "printf '\\377 no licence' >&2; exit 1"), "refuses it: . no licence"),
+        (lambda folder: failing(folder, "printf '\\377 no licence' >&2; exit 1"), "rejects it: . no licence"),
     ],
 )
 def test_compilers_that_do_not_work(tmp_path, monkeypatch, command, said):
@@ -282,8 +282,8 @@ def test_no_compiler_is_installed(monkeypatch):
     [
         ("int main() {}", "has no STEP_SCHEME"),
         ("STEP_SCHEME(one, One)\nSTEP_SCHEME(two, Two)", "has the steps one, two; select one by name"),
-        ('#include "steps/step_scheme.hpp"\nSTEP_SCHEME(one, Unknown)', "the compiler c.. refuses it: .*Unknown"),
-        ("STEP_SCHEME(one, One)\n#include <no_such_header>", "the compiler c.. refuses it: .*no_such_header"),
+        ('#include "steps/step_scheme.hpp"\nSTEP_SCHEME(one, Unknown)', "the compiler c.. rejects it: .*Unknown"),
+        ("STEP_SCHEME(one, One)\n#include <no_such_header>", "the compiler c.. rejects it: .*no_such_header"),
     ],
 )
 def test_what_cannot_be_compiled_is_refused_in_one_line(tmp_path, monkeypatch, text, said):

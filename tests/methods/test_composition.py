@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.formal.order_conditions import composition_order
+from coadjoint.methods.protocol.composed import composition_order
 
 C1 = 1 / (2 - 2 ** (1 / 3))
 YOSHIDA = (C1, 1 - 2 * C1, C1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order
 from coadjoint.methods import even_order
 from long import long_where
 

@@ -317,7 +317,7 @@ def test_the_attitude_goes_with_the_hamiltonian_part(attitude):
         assert np.max(np.abs(space - np.exp(-0.1 * sol.t)[:, None] * space[0])) < 1e-13
         alone = co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 20), 2**-5, method, save_every=64)
         assert np.max(np.abs(alone.x - sol.x)) < 1e-2
-    with pytest.raises(ValueError, match="carries no group element"):
+    with pytest.raises(ValueError, match="computes no group element"):
         co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 1), 2**-5, co.RadauEnergy(2), attitude=attitude)
 
 

@@ -49,7 +49,7 @@ def test_an_attitude_that_nobody_carries():
         def properties(self, system):
             return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="coadjoint")
 
-    with pytest.raises(ValueError, match='carry no group element, but its properties have attitude="coadjoint"'):
+    with pytest.raises(ValueError, match='computes no group element, but its properties have attitude="coadjoint"'):
         run(Boasting(), attitude=True)
     assert run(Boasting()).x.shape == (11, 3)
 
@@ -92,7 +92,7 @@ class Midpoint(co.methods.RungeKuttaMethod):
         ("shape", r"mix of Midpoint has the shape \(2, 1\); node has 2 stages, so it must be \(2, 2\)"),
         ("none", r"node of Midpoint has the shape \(0,\)"),
         ("finite", "out of Midpoint contains NaN"),
-        ("full", r"mix\[1, 1\] of Midpoint is 0.25, and an explicit stage knows only slopes before it"),
+        ("full", r"mix\[1, 1\] of Midpoint is 0.25, but an explicit stage uses only the slopes before it"),
         ("forecast", r"forecast of Midpoint returned the shape \(2,\); it must be \(2, 2\)"),
         ("list", "coefficients of Midpoint must return coadjoint.methods.Coefficients"),
     ],
@@ -130,7 +130,7 @@ def test_flows_need_their_sweeps_alone():
 
 
 def test_sweeps_that_do_not_cover_the_step():
-    with pytest.raises(ValueError, match=r"the sweeps of Swept\(whole=0.5\) cover 0.5 of the step"):
+    with pytest.raises(ValueError, match=r"the sweeps of Swept\(whole=0.5\) add up to 0.5"):
         run(Swept(0.5))
 
 

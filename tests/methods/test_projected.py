@@ -164,7 +164,7 @@ def test_members_of_a_batch_of_bases_that_depend_on_the_member():
 def test_what_the_base_refuses_and_raises_comes_out():
     with pytest.raises(TypeError, match="the base of Projected is a scheme"):
         co.Projected("rk4")
-    with pytest.raises(ValueError, match="SphericalMidpoint moves spins"):
+    with pytest.raises(ValueError, match="SphericalMidpoint integrates spins"):
         co.integrate(E3, start_of(E3), (0, 1), 0.1, co.Projected(co.SphericalMidpoint()))
     driven = co.LiePoissonSystem(
         co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * t, lambda x, t: np.array([t, 0.0, 0.0]))

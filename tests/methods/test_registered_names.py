@@ -24,9 +24,9 @@ def alone(monkeypatch):
     monkeypatch.setattr(registry, "_registered", {})
     monkeypatch.setattr(registry, "_loaded", {})
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [])
-    registry._of_entry_points.cache_clear()
+    registry._entry_point_schemes.cache_clear()
     yield
-    registry._of_entry_points.cache_clear()
+    registry._entry_point_schemes.cache_clear()
 
 
 def packages(monkeypatch, **schemes):
@@ -79,7 +79,7 @@ def test_names_of_packages_and_registered_ones_exclude_each_other(monkeypatch):
     co.methods.register(own)
     second = {name: named(name, "a_second_package") for name in ("Theirs", "Mine", "Splitting")}
     packages(monkeypatch, a=theirs, b=second["Theirs"], c=second["Mine"], d=second["Splitting"])
-    registry._of_entry_points.cache_clear()
+    registry._entry_point_schemes.cache_clear()
     with pytest.warns(RuntimeWarning, match="is skipped: there is another scheme") as warned:
         found = described()
     assert found == {**before, "Mine": own, "Theirs": theirs}

@@ -9,7 +9,7 @@ import coadjoint as co
 from coadjoint.files.configuration.configuration import load
 from coadjoint.files.datasets.export import rebuild
 from coadjoint.methods import registry
-from coadjoint.methods.numerics.motion_speed import speed_of
+from coadjoint.methods.reversible_steps import speed_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 TOP = co.LiePoissonSystem(

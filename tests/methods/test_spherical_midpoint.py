@@ -235,7 +235,7 @@ REFUSED = [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2), co.algebras.g
 @pytest.mark.parametrize("algebra", REFUSED, ids=str)
 def test_other_algebras_are_refused(algebra):
     system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim)))
-    with pytest.raises(ValueError, match=r"SphericalMidpoint moves spins.*does not live on copies of so"):
+    with pytest.raises(ValueError, match=r"SphericalMidpoint integrates spins.*does not live on copies of so"):
         co.integrate(system, np.ones(algebra.dim), (0, 1), 0.1, co.SphericalMidpoint())
 
 
@@ -243,5 +243,5 @@ def test_a_structure_that_is_a_function_is_refused():
     def J(x):
         return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
 
-    with pytest.raises(ValueError, match="SphericalMidpoint moves spins"):
+    with pytest.raises(ValueError, match="SphericalMidpoint integrates spins"):
         co.integrate(co.PoissonSystem(J, co.Quadratic([1.0, 2, 3])), (1, 0, 0), (0, 1), 0.1, co.SphericalMidpoint())

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.formal.power_series import Dual, PowerSeries, expand
 from coadjoint.methods.numerics.projection import independent
+from coadjoint.methods.numerics.taylor_series import Dual, PowerSeries, expand
 from energies import polynomial
 
 pytestmark = pytest.mark.thinned(3)

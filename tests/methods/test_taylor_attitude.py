@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.algebra.representation import invariant_form
-from coadjoint.methods.formal.power_series import PowerSeries, expand
+from coadjoint.methods.numerics.taylor_series import PowerSeries, expand
 from coadjoint.rounding import UNIT_ROUNDOFF
 from energies import polynomial
 from long import long_where

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.numerics.step_length import logarithm_of_step, near_log2, near_power_of_two
+from coadjoint.methods.numerics.taylor_series import logarithm_of_step, near_log2, near_power_of_two
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of

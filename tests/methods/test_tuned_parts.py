@@ -10,9 +10,8 @@ import coadjoint as co
 from coadjoint.methods.numerics import tuned_parts
 from coadjoint.methods.numerics.short_orbit import RELATIVE_STEP, rate_at, short_orbit
 from coadjoint.methods.numerics.tuned_parts import PartOrderErrors
-from coadjoint.program.modified_energy.modified_terms import leading_term
-from coadjoint.program.modified_energy.nested_brackets import NestedBrackets
-from coadjoint.program.modified_energy.second_order import Samples
+from coadjoint.program.modified_energy.modified_series import leading_term
+from coadjoint.program.modified_energy.second_order import NestedBrackets, Samples
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import candidates, decompose
 from coadjoint.program.parts.split import split

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
+from coadjoint.pictures.kinds.spins import site_positions
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.refinement_times import (
     MAX_REFINED_POINTS,
@@ -16,7 +17,6 @@ from coadjoint.pictures.refinement_times import (
     coarse_times,
     times_between,
 )
-from coadjoint.pictures.site_positions import places_of_sites
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.gallery_entry import Picture
 
@@ -55,20 +55,20 @@ def test_chords_stay_by_the_motion_however_sparse_the_saved_points_are(span, eve
 def test_a_run_that_ends_where_it_began_is_a_circle_all_the_same():
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 2 * np.pi / 10]))
     run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 10.0), 0.1, save_every=100)
-    filled = PlottedRun(run).between
+    filled = PlottedRun(run).refined
     assert len(run.t) == 2 and len(filled.t) >= 40 and filled.joined
 
 
 def test_saved_points_that_are_close_stay_as_they_are():
     run = co.integrate(BODY, X0, (0.0, 20.0), 0.05)
     drawn = PlottedRun(run)
-    assert drawn.between is drawn
+    assert drawn.refined is drawn
 
 
 def test_runs_for_an_accuracy_have_smooth_paths_of_their_axes():
     top = co.systems.heavy_top()
     run = co.integrate(top, (0.3, 0.2, 3.0, 0.6, 0.0, 0.8), (0.0, 20.0), accuracy=1e-8, attitude=True)
-    filled = PlottedRun(run).between
+    filled = PlottedRun(run).refined
     path = filled.rotation[0] @ np.array([0.0, 0.0, 1.0])
     turned = np.arccos(np.clip(np.sum(path[1:] * path[:-1], axis=1), -1.0, 1.0))
     assert turned.max() <= 1.05 * REFINED_TURN
@@ -80,7 +80,7 @@ def test_runs_for_an_accuracy_have_smooth_paths_of_their_axes():
 def test_an_attitude_turns_where_the_momentum_rests():
     """A body that spins about its axis has a momentum that never moves, and an attitude that always does."""
     run = co.integrate(BODY, (0.0, 0.0, 3.0), (0.0, 20.0), 0.1, save_every=20, attitude=True)
-    filled = PlottedRun(run).between
+    filled = PlottedRun(run).refined
     first = filled.rotation[0][:, :, 0]
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     # It turns by one radian in a unit of time.
@@ -96,10 +96,10 @@ def test_noise_leaves_dots():
 def test_members_that_failed_leave_dots_where_the_others_went_far():
     fast = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 3]))
     run = co.integrate(fast, [[1.0, 0.0, 0.5]] * 2, (0.0, 20.0), 0.5, save_every=4)
-    assert PlottedRun(run).between is not PlottedRun(run) and len(PlottedRun(run).between.t) > 400
+    assert PlottedRun(run).refined is not PlottedRun(run) and len(PlottedRun(run).refined.t) > 400
     run.x[3:, 1] = np.nan
     drawn = PlottedRun(run)
-    assert drawn.between is drawn and not drawn.close
+    assert drawn.refined is drawn and not drawn.dense
 
 
 def test_too_many_oscillations_are_not_filled():
@@ -108,14 +108,14 @@ def test_too_many_oscillations_are_not_filled():
     assert styles(run.plot(["components"]).axes[0]) == {"None"}
     # One hundredth of it is.
     short = co.integrate(BODY, X0, (0.0, 200.0), 0.1, save_every=500)
-    assert len(short.t) < len(PlottedRun(short).between.t) <= MAX_REFINED_POINTS
+    assert len(short.t) < len(PlottedRun(short).refined.t) <= MAX_REFINED_POINTS
 
 
 def test_members_of_a_batch_have_their_own_fields():
     """The second member turns fifty times faster, and needs as many more points."""
     slow, fast = (co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, w])) for w in (0.1, 5.0))
     run = co.integrate(co.batch([slow, fast]), [[1.0, 0.0, 0.5]] * 2, (0.0, 20.0), 0.5)
-    filled = PlottedRun(run).between
+    filled = PlottedRun(run).refined
     steps = np.linalg.norm(np.diff(filled.x[1], axis=0), axis=1)
     # A circle of the radius 1, whose range has the size 2 sqrt 2: its chords leave it by their square over 8.
     assert steps.max() ** 2 / 8 < 1.1 * REFINED_TOLERANCE * 2 * 2**0.5
@@ -142,10 +142,10 @@ def test_a_flip_too_short_to_be_seen_is_not_written():
 
 
 def test_a_long_chain_is_folded_into_rows():
-    places = places_of_sites("chain", 100, 100)
+    places = site_positions("chain", 100, 100)
     assert len(np.unique(places, axis=0)) == 100
     assert np.ptp(places[:, 0]) == 14 and np.ptp(places[:, 1]) < 14
-    assert places_of_sites("chain", 30, 30)[:, 1].max() == 0.0
+    assert site_positions("chain", 30, 30)[:, 1].max() == 0.0
 
 
 @pytest.mark.long
@@ -190,7 +190,7 @@ def test_points_of_a_curve_that_closes_make_no_ribbon(monkeypatch):
     for every, joined in ((42, False), (18, True)):  # 15 and 35 points each turn
         run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 300.0), 0.01, save_every=every)
         drawn = PlottedRun(run)
-        assert drawn.joined is joined and drawn.close
+        assert drawn.joined is joined and drawn.dense
 
 
 def test_states_between_are_not_computed_if_their_steps_take_long() -> None:

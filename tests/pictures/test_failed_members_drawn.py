@@ -147,9 +147,9 @@ def test_whether_lines_are_drawn_is_seen_on_a_member_that_lives_with_its_own_fie
         t=t, x=x, system=co.batch(systems), failed=np.array([True, False]), carried=None, attitude=None
     )
     drawn = PlottedRun(run)
-    assert (drawn.close, drawn.joined) == (joined, joined)
+    assert (drawn.dense, drawn.joined) == (joined, joined)
     alone = SimpleNamespace(t=t, x=x[:, 1:], system=co.batch(systems[1:]), failed=np.array([False]), carried=None)
-    assert PlottedRun(alone).close is joined
+    assert PlottedRun(alone).dense is joined
 
 
 def made(deviations: Any, energy: Any, failed: Any = None) -> Any:

@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.periods import period
-from coadjoint.pictures.sign_changes import flips
+from coadjoint.pictures.kinds.components import flip_times
 from coadjoint.runs.example_run import run_example
 
 ROOT = Path(__file__).parents[2]
@@ -45,7 +45,7 @@ def test_the_flip_comes_after_half_the_period_of_the_elliptic_functions(inertia,
     middle = int(np.argsort(inertia)[1])
     wanted = half_period(inertia, x0)
     run = co.integrate(body, x0, (0.0, 128.0), 2.0**-5, co.GaussLegendre(4))
-    times = flips(body.vector_field, run.t, run.x, middle)
+    times = flip_times(body.vector_field, run.t, run.x, middle)
     assert len(times) >= 3
     # The cubic between two points misses by h^4 x'''' / 384 over the slope at the flip; all rates are below one.
     np.testing.assert_allclose(np.diff(times), wanted, rtol=0, atol=2.0**-20 / 16)

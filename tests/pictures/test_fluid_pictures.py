@@ -6,13 +6,12 @@ from matplotlib.figure import Figure
 
 import coadjoint as co
 from coadjoint.pictures.fluids import part_on_grid
-from coadjoint.pictures.gallery import piece
+from coadjoint.pictures.gallery import SCENES, Scene, decaying_turbulence, piece
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import CannotShow, kinds
-from coadjoint.pictures.scenes import SCENES, Scene, decaying_turbulence
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.systems.matrices.scale_separation import large_scales
+from coadjoint.systems.matrices.fluid_system import large_scales
 from long import long_beyond
 
 

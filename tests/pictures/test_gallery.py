@@ -53,7 +53,7 @@ def test_the_telling_run_is_true_and_can_be_shown(name):
         assert run.drift()["energy"] <= 1e-5 * size
     assert np.ptp(run.x, axis=0).max() > 0.1 * np.abs(run.x).max(), "nothing moves"
     drawn = PlottedRun(run)
-    assert drawn.close, "the points lie too far apart"
+    assert drawn.dense, "the points lie too far apart"
     for picture in (told.components, *told.pictures):
         found, read = read_picture(picture)
         found.prepare(drawn, **read.options)
@@ -226,7 +226,7 @@ def test_a_kind_and_a_telling_of_ones_own():
         assert axes.lines[0].get_ydata()[0] == 2.0 * np.linalg.norm(run.x[0])
         assert read_picture("speed over time")[0].prepare is speed
     finally:
-        del register._FOUND["speed over time"]
+        del register._KINDS["speed over time"]
     with pytest.raises(TypeError, match="picture"):
         GalleryEntry((1.0, 0.0, 0.0), (0.0, 1.0), 0.1, "It moves.", pictures=["drift"])
     with pytest.raises(ValueError, match="step"):

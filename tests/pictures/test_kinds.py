@@ -11,9 +11,9 @@ from matplotlib.quiver import Quiver
 
 import coadjoint as co
 from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.kinds.spins import site_positions, sites_of_row
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, kinds
-from coadjoint.pictures.site_positions import places_of_sites, sites_of_row
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.lattices.neighbours import CELLS, graph
 from coadjoint.systems.registry import gallery_entry_of
@@ -47,7 +47,7 @@ def test_spins_stand_on_their_sites_and_point_as_they_do():
 def test_neighbours_are_neighbours_in_the_picture(lattice):
     shape = (5,) * len(CELLS[lattice].bonds[0][2])
     count, edges = graph(lattice, shape, False)
-    places = places_of_sites(lattice, shape, count)
+    places = site_positions(lattice, shape, count)
     assert places.shape == (count, 2)
     between = np.linalg.norm(places[:, None] - places, axis=-1) + 9.0 * np.eye(count)
     np.testing.assert_allclose(between[edges[:, 0], edges[:, 1]], 1.0, rtol=1e-14)
@@ -64,7 +64,7 @@ def test_a_lattice_is_drawn_as_it_is_where_its_parameters_are_not_kept(field, mo
     assert lattice.parameters is None and lattice.layout == {"lattice": "square", "shape": (3, 4)}
     run = co.integrate(lattice, np.tile([0.6, 0.0, 0.8], 12), (0.0, 0.5), 0.1)
     axes = shown(run, "spins")
-    assert np.array_equal(axes.collections[0].XY, places_of_sites("square", (3, 4), 12))
+    assert np.array_equal(axes.collections[0].XY, site_positions("square", (3, 4), 12))
     assert "circle" not in axes.get_title()
 
 
@@ -78,8 +78,8 @@ def test_spins_without_a_lattice_say_that_it_is_not_known():
 
 def test_spins_of_space_and_of_any_graph():
     with pytest.raises(CannotShow, match="three-dimensional"):
-        places_of_sites("cubic", (2, 2, 2), 8)
-    ring = places_of_sites("ring", 12, 12)
+        site_positions("cubic", (2, 2, 2), 8)
+    ring = site_positions("ring", 12, 12)
     assert np.ptp(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1)) < 1e-14
     body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
     assert isinstance(shown(body, "spins").collections[0], Quiver), "one spin of any system"
@@ -219,7 +219,7 @@ def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error()
         work={"damping": halves[0], "damping 2": halves[1]},
     )
     drawn = PlottedRun(run)
-    assert drawn.gallery_entry is gallery_entry_of("rigid_body") and drawn.close
+    assert drawn.gallery_entry is gallery_entry_of("rigid_body") and drawn.dense
     axes = Figure().add_subplot()
     kinds()["drift"].prepare(drawn)(axes)
     assert "change of the energy $H$ and the Casimirs" in axes.get_title() and "drift" not in axes.get_title()
@@ -380,20 +380,20 @@ def test_a_field_by_its_values():
 @pytest.mark.parametrize("count", [31, 50, 100])
 def test_long_chains_are_read_like_text(count):
     """Sites run to the right, and each row continues in the next one below."""
-    places = places_of_sites("chain", count, count)
+    places = site_positions("chain", count, count)
     row = int(np.count_nonzero(places[:, 1] == places[0, 1]))
     assert 1 < row < count and sites_of_row("chain", count) == row
     ends = np.arange(1, count) % row == 0
     steps = np.diff(places, axis=0)
     np.testing.assert_allclose(steps[~ends], np.tile([1.0, 0.0], (np.count_nonzero(~ends), 1)), rtol=0, atol=1e-14)
     assert np.all(steps[ends, 1] < -1.0) and np.all(places[1:][ends, 0] == places[0, 0])
-    assert np.array_equal(places_of_sites("chain", 30, 30), np.stack([np.arange(30.0), np.zeros(30)], axis=-1))
+    assert np.array_equal(site_positions("chain", 30, 30), np.stack([np.arange(30.0), np.zeros(30)], axis=-1))
 
 
 @pytest.mark.parametrize("count", [1, 5, 6, 24])
 def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
     """From the top, clockwise; small ones on a circle of radius 1."""
-    x, y = places_of_sites(None, None, count).T
+    x, y = site_positions(None, None, count).T
     radius = max(1.0, count / 6.0)
     turn = np.arctan2(x, y) % (2.0 * np.pi)
     np.testing.assert_allclose(np.hypot(x, y), radius, rtol=1e-14)
@@ -404,4 +404,4 @@ def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
 @pytest.mark.parametrize(("part", "index"), [(-0.5, 0), (0.0, 0), (0.24, 2), (1.0, 10), (7.0, 10)])
 def test_fractions_outside_the_span_are_its_ends(part, index):
     run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (2.0, 1.0), 0.1)
-    assert PlottedRun(run).at(part) == index
+    assert PlottedRun(run).index_at(part) == index

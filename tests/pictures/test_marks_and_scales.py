@@ -13,17 +13,17 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.gallery import _caption
+from coadjoint.pictures.gallery import _describe
 from coadjoint.pictures.globe import VIEW, Globe, view_of
+from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical, axis_in_space
+from coadjoint.pictures.kinds.section import draw_crossings
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.movie import frames_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS
-from coadjoint.pictures.refinement_times import REFINED_TOLERANCE, _length_of_path
+from coadjoint.pictures.refinement_times import REFINED_TOLERANCE, _chord_duration
 from coadjoint.pictures.register import CannotShow
-from coadjoint.pictures.section import draw_crossings
-from coadjoint.pictures.spatial import _rotation_to_vertical, axis_in_space
 from coadjoint.pictures.style import INK, colour
 from coadjoint.systems.gallery_entry import Picture
 
@@ -358,8 +358,8 @@ def test_long_curves_keep_their_first_and_last_points():
     count = 45_000
     x = np.random.default_rng(4).normal(size=(count, 3))
     drawn = PlottedRun(made(x, t=T0 + np.arange(count)))
-    steps = np.diff(drawn.kept)
-    assert (drawn.kept[0], drawn.kept[-1]) == (0, count - 1) and len(drawn.kept) <= 20_001
+    steps = np.diff(drawn.curve_indices)
+    assert (drawn.curve_indices[0], drawn.curve_indices[-1]) == (0, count - 1) and len(drawn.curve_indices) <= 20_001
     assert np.all(steps[:-1] == steps[0]) and 0 < steps[-1] <= steps[0]
 
 
@@ -490,14 +490,14 @@ def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
         turning = [2.0 * 0.7 * rates[m] * np.abs(t).max() / (4.0 * sizes[m]) for m in members]
         wanted = (8.0 * REFINED_TOLERANCE / max(turning)) ** 0.5
         # The difference over 1e-5 of the path leaves the third derivative, of relative size w t dt.
-        assert _length_of_path(run) == pytest.approx(wanted, rel=2e-2)
+        assert _chord_duration(run) == pytest.approx(wanted, rel=2e-2)
 
 
 def test_complex_matrices_are_refined_entry_by_entry():
     fluid = co.systems.torus_euler(5)
     W = np.stack([3.0 * fluid.random(seed, degrees=(1, 2)) for seed in (1, 2)])
     run = co.integrate(fluid, W, (T0, T0 + 8.0), 0.1, co.IsospectralGauss(), save_every=16)
-    filled = PlottedRun(run, [1]).between
+    filled = PlottedRun(run, [1]).refined
     assert len(filled.t) > 2 * len(run.t)
     states = np.ascontiguousarray(run.at(filled.t).x[:, 1]).reshape(len(filled.t), -1)
     np.testing.assert_array_equal(filled.x[0], states.view(np.float64))
@@ -511,11 +511,11 @@ def test_the_fastest_attitude_of_a_batch_decides(sense):
     systems = [co.systems.rigid_body((1.0, 2.0, 3.0)), co.systems.rigid_body((0.5, 0.5, 0.6))]
     span = (T0, T0 + 10.0 * sense)
     run = co.integrate(co.batch(systems), [(0.0, 0.0, 3.0)] * 2, span, 0.1, save_every=10, attitude=True)
-    filled = PlottedRun(run).between
+    filled = PlottedRun(run).refined
     first = filled.rotation[1][:, :, 0]
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     assert 0.9 * 0.14 < turned.max() <= 0.14 * (1.0 + 1e-9)
-    chosen = PlottedRun(run, [1]).between
+    chosen = PlottedRun(run, [1]).refined
     np.testing.assert_array_equal(chosen.rotation[0][np.isin(chosen.t, run.t)], run.attitude[:, 1, :3, :3])
 
 
@@ -577,14 +577,14 @@ class SectionOf:
 
 def test_what_the_page_says_of_a_run():
     run = co.integrate(BODY, (0.1, 1.0, 0.2), (T0, T0 - 2.0), 0.1)
-    text = _caption(run)
+    text = _describe(run)
     assert text.startswith("rigid_body(inertia=(1.0, 2.0, 3.0)), ") and "step 0.1, t from 7.3 to 5.3;" in text
     assert f"up to {np.abs(run.energy).max():.1e}, stays within {run.drift()['energy']:.1e}" in text
 
 
 def test_the_page_has_the_size_of_negative_energies():
     run = co.integrate(SPIN, (1.0, 0.0, -0.5), (T0, T0 + 1.0), 0.1)
-    assert "the energy, up to 5.0e-01" in _caption(run)
+    assert "the energy, up to 5.0e-01" in _describe(run)
 
 
 def test_modified_energies_of_long_runs_are_thinned_in_step():

@@ -19,13 +19,13 @@ from matplotlib.quiver import Quiver
 
 import coadjoint as co
 from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.kinds.components import flip_times
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.phase_drift import draw_phase_drift
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.register import kinds
 from coadjoint.pictures.series import COLUMNS, envelope
-from coadjoint.pictures.sign_changes import flips
 from coadjoint.pictures.style import colour
 from coadjoint.systems.gallery_entry import Picture
 
@@ -426,7 +426,7 @@ def test_errors_ellipses_and_sections_on_a_span_that_starts_elsewhere(sense):
 def test_changes_of_sign_are_found_on_backward_runs(sense):
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
     run = co.integrate(spin, (1.0, 0.0, 0.5), (T0, T0 + sense * 10.0), 0.1)
-    found = flips(spin.vector_field, run.t, run.x, 0)
+    found = flip_times(spin.vector_field, run.t, run.x, 0)
     # x1 = cos(t - t0): zero after a quarter of a turn, and every half. Cubics are wrong by h^4 / 384.
     np.testing.assert_allclose(found, T0 + sense * np.pi * (0.5 + np.arange(3)), rtol=0, atol=1e-6)
 

@@ -7,9 +7,9 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
+from coadjoint.pictures.kinds.components import flip_times
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.series import draw_series, envelope, turning_points
-from coadjoint.pictures.sign_changes import flips
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.gallery_entry import Picture
 
@@ -69,7 +69,7 @@ def test_the_envelope_holds_every_value_and_gaps():
 def test_lines_where_the_motion_between_points_is_flat(every, joined, span, monkeypatch):
     run = co.integrate(BODY, (1.0, 0.2, 0.5), span, 0.05, save_every=every)
     monkeypatch.setattr(Solution, "at", not_to_be_had)
-    assert PlottedRun(run).close is joined
+    assert PlottedRun(run).dense is joined
     lines = run.plot([Picture("components")], axes=Figure().add_subplot()).axes[0].lines
     assert {line.get_linestyle() for line in lines} == {"-" if joined else "None"}
     axes = Figure().add_subplot()
@@ -81,14 +81,14 @@ def test_a_motion_seen_once_in_a_period_is_not_joined():
     """The points nearly stand still, and a line through them would show a slow motion that is none."""
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1]))
     run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 630.0), 0.063, save_every=100)
-    assert not PlottedRun(run).close
+    assert not PlottedRun(run).dense
 
 
 def test_flips_backward_and_forward():
     x0 = (0.02, 1.0, 0.02)
     forward = co.integrate(BODY, x0, (0.0, 60.0), 0.05, co.GaussLegendre(4))
     backward = co.integrate(BODY, x0, (0.0, -60.0), 0.05, co.GaussLegendre(4))
-    there, back = (flips(BODY.vector_field, run.t, run.x, 1) for run in (forward, backward))
+    there, back = (flip_times(BODY.vector_field, run.t, run.x, 1) for run in (forward, backward))
     assert len(there) > 1 and len(back) > 1
     # x2 at a flip is as small as the cubic is wrong: h^4 x2'''' / 384, with rates below 1
     for times in (there, back):
@@ -112,8 +112,8 @@ def test_states_that_are_complex_matrices(stretch, joined, members):
     assert drawn.x.shape == (members or 1, 41, 8) and drawn.names == tuple(f"x{i + 1}" for i in range(8))
     np.testing.assert_array_equal(drawn.x[0, :, 2], turned[:, 0, 1].real)
     np.testing.assert_array_equal(drawn.x[0, :, 3], turned[:, 0, 1].imag)
-    assert drawn.close is joined
-    np.testing.assert_array_equal(drawn.state(drawn.at(0.5)), turned[20])
+    assert drawn.dense is joined
+    np.testing.assert_array_equal(drawn.state(drawn.index_at(0.5)), turned[20])
 
 
 @pytest.mark.parametrize("turns", [3, 290, 310])

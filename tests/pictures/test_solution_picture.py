@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import coadjoint as co
-from coadjoint.pictures.orbit import surface_casimir
+from coadjoint.pictures.kinds.coadjoint_orbit import surface_casimir
 from coadjoint.pictures.solution import draw_solution
 from coadjoint.pictures.style import symbol
 

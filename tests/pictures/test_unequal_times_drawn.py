@@ -14,10 +14,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 import coadjoint as co
+from coadjoint.pictures.kinds.components import flip_times
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.refinement_times import _divided
 from coadjoint.pictures.series import draw_series, envelope
-from coadjoint.pictures.sign_changes import flips
 
 T0 = 7.3
 BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
@@ -40,10 +40,10 @@ def test_a_fraction_of_the_span_is_the_saved_point_nearest_to_that_time(sense):
     t = uneven(40, sense)
     drawn = PlottedRun(made(t, np.random.default_rng(1).normal(size=(40, 3))))
     for part in (0.0, 0.1, 0.25, 0.5, 0.9, 1.0):
-        k = drawn.at(part)
+        k = drawn.index_at(part)
         assert abs(t[k] - (T0 + sense * 4.0 * part)) == np.abs(t - (T0 + sense * 4.0 * part)).min()
-    assert [drawn.at(part) for part in (-3.0, 0.0, 1.0, 7.0)] == [0, 0, 39, 39]
-    assert PlottedRun(made(t[:1], np.ones((1, 3)))).at(0.7) == 0
+    assert [drawn.index_at(part) for part in (-3.0, 0.0, 1.0, 7.0)] == [0, 0, 39, 39]
+    assert PlottedRun(made(t[:1], np.ones((1, 3)))).index_at(0.7) == 0
 
 
 @pytest.mark.parametrize("count", [30, 1001])
@@ -175,16 +175,16 @@ def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense
         x[:, 1] *= -1.0
     field, wanted = spin.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
     error = np.abs(np.diff(t)).max() ** 4 / 384.0
-    np.testing.assert_allclose(flips(field, t, x, 0), wanted, rtol=0, atol=error)
-    np.testing.assert_allclose(flips(field, t, x, 0, most=2), wanted[:2], rtol=0, atol=error)
+    np.testing.assert_allclose(flip_times(field, t, x, 0), wanted, rtol=0, atol=error)
+    np.testing.assert_allclose(flip_times(field, t, x, 0, most=2), wanted[:2], rtol=0, atol=error)
     # A saved point exactly at the second one, and a start and an end at which the coordinate is zero.
     k = int(np.argmin(np.abs(t - wanted[1])))
     t[k], x[k] = wanted[1], [0.0, x[k, 1], 0.5]
-    found = flips(field, t, x, 0)
+    found = flip_times(field, t, x, 0)
     assert len(found) == 3 and found[1] == pytest.approx(wanted[1], abs=1e-12)
-    np.testing.assert_allclose(flips(field, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
+    np.testing.assert_allclose(flip_times(field, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
     x[k] = np.nan
-    assert len(flips(field, t, x, 0)) == 2
+    assert len(flip_times(field, t, x, 0)) == 2
 
 
 def test_changes_of_sign_of_complex_matrices():
@@ -193,7 +193,7 @@ def test_changes_of_sign_of_complex_matrices():
     drawn = PlottedRun(run)
     real = drawn.x[0]
     i = int(np.argmax([np.count_nonzero(np.diff(np.sign(column))) for column in real.T]))
-    found = flips(drawn.slope, run.t, real, i)
+    found = flip_times(drawn.slope, run.t, real, i)
     crossed = np.flatnonzero(np.diff(np.sign(real[:, i])))
     assert len(found) == len(crossed) > 0
     part = real[crossed, i] / (real[crossed, i] - real[crossed + 1, i])

@@ -9,15 +9,13 @@ from plain_building import plain_action, plain_first_fit
 from scipy.sparse import block_diag, diags_array, random_array
 
 import coadjoint as co
-from coadjoint.program.graph_layers import layers
 from coadjoint.program.parts import quadratic_atoms
-from coadjoint.program.parts.first_fit import count_groups, first_fit
+from coadjoint.program.parts.few_parts import count_groups, first_fit
 from coadjoint.program.parts.sparse_squares import sparse_squares
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares
-from coadjoint.program.shifts.shift import candidate_shifts, quadratic_casimirs, shifted_terms
-from coadjoint.program.shifts.shift_counts import count_parts
-from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.shifts.shift import candidate_shifts, count_parts, quadratic_casimirs, shifted_terms
+from coadjoint.program.sparse_rows import SparseRows, layers
 from coadjoint.program.table import build_program
 
 SO3 = co.algebras.so(3)

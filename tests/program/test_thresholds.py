@@ -21,8 +21,7 @@ from coadjoint.program.parts.sparse_squares import _Reduction
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares
 from coadjoint.program.shifts.group_correction import Turn, unshift_tables
-from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.shifts.shift_counts import count_parts
+from coadjoint.program.shifts.shift import count_parts, quadratic_casimirs, shifted_terms
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.table import build_program
 from commuting_actions import acting

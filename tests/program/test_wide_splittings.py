@@ -8,8 +8,8 @@ import coadjoint as co
 from coadjoint.long_operations import LongWait
 from coadjoint.program import blocks, commutation, table
 from coadjoint.program.commutation import Commutation
-from coadjoint.program.parts import clashing_forms, decompose
-from coadjoint.program.parts.generator_cost import SplittingTooExpensive, check_products
+from coadjoint.program.generators import SplittingTooExpensive, check_products
+from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from guards import bounded_work
 from long import long_beyond, long_where
@@ -53,7 +53,7 @@ def test_forms_that_commute_are_never_said_to_clash():
     form = rng.normal(size=algebra.dim)
     forms = np.array([form, 3.7 * form, form / 7, rng.normal(size=algebra.dim)])
     first, second = np.triu_indices(4, 1)
-    said = clashing_forms.surely_noncommuting(forms, algebra, first, second, np.full(6, 10**9))
+    said = commutation.surely_noncommuting(forms, algebra, first, second, np.full(6, 10**9))
     np.testing.assert_array_equal(said, second == 3)
 
 
@@ -101,7 +101,7 @@ def test_shifts_take_no_more_than_a_bounded_work(monkeypatch):
     monkeypatch.setattr(decompose, "split", lambda *given, split=decompose.split: (calls.append(1), split(*given))[1])
     decompose.candidates(system, comparing=False)
     every = len(calls)
-    work = decompose._work(system, decompose.split(system))
+    work = decompose._shift_work(system, decompose.split(system))
     calls.clear()
     monkeypatch.setattr(decompose, "MIN_SHIFTS", 3)
     monkeypatch.setattr(decompose, "MAX_WORK", 5 * work)
@@ -144,15 +144,15 @@ def test_lattices_are_not_too_wide():
         SplittingTooExpensive, match=r"H has 1000 flows of 60000 products each: .* about 120 s and 9.0 GB"
     ):
         check_products(np.full(1000, 60_000), "H")
-    with pytest.warns(LongWait, match="making a splitting of H ready takes about 32 s; GaussLegendre is made ready"):
+    with pytest.warns(LongWait, match="preparing a splitting of H takes about 32 s; GaussLegendre"):
         check_products(np.full(270, 60_000), "H")
 
 
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
-    from coadjoint.program.modified_energy import modified_terms, sweep_logarithm
+    from coadjoint.program.modified_energy import modified_series, sweep_logarithm
 
-    monkeypatch.setattr(modified_terms, "estimated_products", lambda *given: 0.0)
+    monkeypatch.setattr(modified_series, "estimated_products", lambda *given: 0.0)
 
     g = co.algebras.su(6)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
@@ -176,12 +176,12 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
 )
 def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, monkeypatch):
     """Never more than are made; where all coordinates are coupled more than half of them."""
-    from coadjoint.program.modified_energy import modified_terms, sweep_logarithm
+    from coadjoint.program.modified_energy import modified_series, sweep_logarithm
 
     g = co.algebras.get(name)
     M = symmetric(np.random.default_rng(1), g.dim, 1.0) if coupled else np.linspace(1.0, 2.0, g.dim)
     counted, spent = [], []
-    monkeypatch.setattr(modified_terms, "check_products", counted.append)
+    monkeypatch.setattr(modified_series, "check_products", counted.append)
     plain = sweep_logarithm.Commutators.check_available_memory
     monkeypatch.setattr(
         sweep_logarithm.Commutators,

@@ -94,9 +94,9 @@ def some_hamiltonian(rng: np.random.Generator, n: int):
     if kind < 0.93:
         chosen = rng.permutation(n)[: int(rng.integers(1, min(n, 4) + 1))]
         return co.Separable({int(i): FUNCTIONS[rng.integers(len(FUNCTIONS))] for i in chosen})
-    whole = co.Hamiltonian(bent, bent_gradient, bent_hessian)
+    expected = co.Hamiltonian(bent, bent_gradient, bent_hessian)
     if n == 3:
-        return whole
+        return expected
     order = [int(i) for i in rng.permutation(n)]
     single = [((i,), co.Quadratic(float(rng.uniform(0.1, 2.0)))) for i in order[3:]]
-    return co.SplitHamiltonian([(tuple(order[:3]), whole), *single])
+    return co.SplitHamiltonian([(tuple(order[:3]), expected), *single])

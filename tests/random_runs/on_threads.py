@@ -47,14 +47,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("first", type=int, help="the first seed")
     parser.add_argument("count", type=int, help="how many seeds")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     wrong = 0
-    for seed in range(given.first, given.first + given.count):
+    for seed in range(arguments.first, arguments.first + arguments.count):
         names = differences(seed)
         wrong += bool(names)
         if names:
             print(f"seed {seed}: {', '.join(sorted(set(names)))} differ\n    {case_of(seed)[0]}", flush=True)
-    print(f"{given.count} seeds on threads, {wrong} wrong", flush=True)
+    print(f"{arguments.count} seeds on threads, {wrong} wrong", flush=True)
     return int(wrong > 0)
 
 

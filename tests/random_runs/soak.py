@@ -14,6 +14,8 @@ import traceback
 import warnings
 from itertools import pairwise
 
+from coadjoint import LongWait
+
 from .cases import case_of
 from .comparisons import differences
 
@@ -23,6 +25,7 @@ SECONDS = 120.0  # for all runs of a seed: some take a splitting of forty member
 def tried(seeds: range, limit: float) -> int:
     """Try seeds one after the other; return how many were wrong."""
     warnings.simplefilter("error")
+    warnings.simplefilter("default", LongWait)
     wrong = 0
     for seed in seeds:
         print(f"seed {seed}", file=sys.stderr, flush=True)
@@ -54,12 +57,12 @@ def main() -> int:
     parser.add_argument("count", type=int, help="how many seeds")
     parser.add_argument("--limit", type=float, default=SECONDS, help="seconds that a seed may take")
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
-    given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    if given.jobs == 1:
-        return int(tried(seeds, given.limit) > 0)
-    edges = [given.first + given.count * job // given.jobs for job in range(given.jobs + 1)]
-    command = [sys.executable, "-m", "random_runs.soak", "--limit", str(given.limit)]
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.count)
+    if arguments.jobs == 1:
+        return int(tried(seeds, arguments.limit) > 0)
+    edges = [arguments.first + arguments.count * job // arguments.jobs for job in range(arguments.jobs + 1)]
+    command = [sys.executable, "-m", "random_runs.soak", "--limit", str(arguments.limit)]
     processes = [subprocess.Popen([*command, str(first), str(last - first)]) for first, last in pairwise(edges)]
     return int(any([process.wait() for process in processes]))
 

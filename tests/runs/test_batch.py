@@ -1,4 +1,4 @@
-"""Batches: what they refuse, and everything that a solution of one offers."""
+"""Batches of systems: validation, solutions and their members."""
 
 import numpy as np
 import pytest
@@ -27,52 +27,52 @@ def flat(dim=2, scale=1.0):
 
 
 REFUSED = {
-    "empty": (lambda: [], ValueError, "the batch is empty; give at least one system"),
+    "empty": (lambda: [], ValueError, "batch is empty"),
     "one system": (lambda: body(1, 2, 3), TypeError, "give a list of systems"),
-    "no system": (lambda: [body(1, 2, 3), 5], TypeError, "member 1 of the batch is 5; it must be a LiePoissonSystem"),
+    "no system": (lambda: [body(1, 2, 3), 5], TypeError, "member 1 of the batch is 5.*LiePoissonSystem"),
     "dimension": (
         lambda: [body(1, 2, 3), body(1, 2, 2.25), co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(1.0))],
         ValueError,
-        "member 2 of the batch has dimension 6 and member 0 has 3",
+        "member 2 .* dimension 6 .* 3",
     ),
     "kind": (
         lambda: [body(1, 2, 3), flat(3)],
         ValueError,
-        "member 1 of the batch is a PoissonSystem and member 0 a Lie",
+        "member 1 .* PoissonSystem",
     ),
     "sign": (
         lambda: [body(1, 2, 3), co.systems.paper_rigid_body()],
         ValueError,
-        r"member 1 of the batch has sign=\+1 and member 0 has -1",
+        r"member 1 .* sign=\+1 .* -1",
     ),
     "the other sign": (
         lambda: [co.systems.paper_rigid_body(), body(1, 2, 3)],
         ValueError,
-        r"member 1 of the batch has sign=-1 and member 0 has \+1",
+        r"member 1 .* sign=-1 .* \+1",
     ),
     "algebra": (
         lambda: [spiral(1.0), spiral(2.0), co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0))],
         ValueError,
-        r"member 2 of the batch has another algebra: \[e1, e2\] with a component along e3, which it has and member 0",
+        r"member 2 .* algebra.*\[e1, e2\].* e3",
     ),
     "casimirs": (
         lambda: [body(1, 2, 3), co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), -1, casimirs={})],
         ValueError,
-        r"member 1 of the batch has the Casimirs \[\] and member 0 has \['\|x\|\^2'\]",
+        r"member 1 .* Casimirs \[\] .*\|x\|\^2",
     ),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_refusals(case):
+def test_invalid_batches_are_refused(case):
     systems, kind, message = REFUSED[case]
     with pytest.raises(kind, match=message) as refusal:
         co.batch(systems())
     assert "\n" not in str(refusal.value)
 
 
-def test_members_of_forces_that_keep_other_casimirs_are_refused():
-    """Also where the forces have the same names, of whichever member and force."""
+def test_forces_preserving_different_casimirs_are_refused():
+    """Also if the forces have the same names."""
 
     def damped(*kept):
         forces = [co.forces.OwnForce(lambda x, t, tau: x, name="drag", keeps_casimirs=one) for one in kept]
@@ -80,50 +80,48 @@ def test_members_of_forces_that_keep_other_casimirs_are_refused():
 
     assert len(co.batch([damped(True, False), damped(True, False)])) == 2
     for other in (damped(True, True), damped(False, True), damped(False, False)):
-        with pytest.raises(ValueError, match="member 2 of the batch has forces that keep other Casimirs"):
+        with pytest.raises(ValueError, match=r"member 2 .* forces .* Casimirs"):
             co.batch([damped(True, False), damped(True, False), other])
     for fewer in (damped(True), damped(True, False, False)):
-        with pytest.raises(
-            ValueError, match=r"member 1 of the batch has the forces drag.* and member 0 has drag, drag 2"
-        ):
+        with pytest.raises(ValueError, match=r"member 1 .* forces drag.* drag, drag 2"):
             co.batch([damped(True, False), fewer])
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (4, 3), (3, 2), (3, 1, 3), (4,), ()])
-def test_wrong_shapes_of_x0(shape):
+def test_wrong_shapes_of_x0_are_refused(shape):
     batch = co.batch([body(1, 2, 3), body(1, 2, 2.5), body(1, 2, 2.75)])
-    with pytest.raises(ValueError, match=r"a batch of 3 members needs \(3, 3\), or \(3,\) for all of them"):
+    with pytest.raises(ValueError, match=r"batch of 3 members .*\(3, 3\).*\(3,\)"):
         co.integrate(batch, np.ones(shape), (0, 1), 0.1)
 
 
-def test_a_batch_is_no_single_system():
+def test_stepper_refuses_a_batch():
     batch = co.batch([body(1, 2, 3)])
-    with pytest.raises(TypeError, match="it must be one system"):
+    with pytest.raises(TypeError, match="one system"):
         co.stepper(batch, co.Splitting(), 0.1)
     assert co.integrate(batch, X, (0, 1), 0.1).x.shape == (11, 1, 3)
 
 
-def test_what_a_scheme_cannot_serve_names_the_member():
+def test_unsupported_member_is_named():
     split = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]))
     coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 1, 0): 1.0}))
-    with pytest.raises(ValueError, match=r"member 1 of the batch: Splitting cannot be used for"):
+    with pytest.raises(ValueError, match=r"member 1 .*Splitting"):
         co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1)
 
 
-def test_representations_of_other_sizes_carry_no_common_attitude():
+def test_representations_of_different_sizes_are_refused():
     so3 = co.algebras.so(3)
     larger = np.zeros((3, 4, 4))
     larger[:, :3, :3] = so3.representation
     batch = co.batch(
         [co.LiePoissonSystem(so3, co.Quadratic(M), representation=r) for M, r in ((1.0, None), (2.0, larger))]
     )
-    with pytest.raises(ValueError, match=r"member 1 of the batch has a representation of shape \(3, 4, 4\)"):
+    with pytest.raises(ValueError, match=r"member 1 .* representation of shape \(3, 4, 4\)"):
         co.integrate(batch, X, (0, 1), 0.1, attitude=True)
     assert co.integrate(batch, X, (0, 1), 0.1, attitude="coadjoint").attitude.shape == (11, 2, 3, 3)
 
 
-def test_each_member_follows_its_own_casimirs():
-    """The Casimir of A3,7 holds a: with that of another member it would drift at once."""
+def test_each_member_uses_its_own_casimirs():
+    """The Casimir of A3,7 contains a: that of another member would drift at once."""
     systems = [spiral(a) for a in (0.5, 1.0, 3.0)]
     sol = co.integrate(co.batch(systems), X, (0, 5), 0.05, observe={"first": lambda x: x[0]})
     (name,) = systems[0].casimirs
@@ -138,8 +136,8 @@ def test_each_member_follows_its_own_casimirs():
     assert len(np.unique(sol.casimirs[name][0])) == 3
 
 
-def test_a_member_that_fails_leaves_the_others():
-    """The exact flow of a dilation overflows; the mask is in the order of the members, whatever their groups."""
+def test_failed_member_leaves_the_others_unchanged():
+    """The exact flow of a dilation overflows; the mask is in the order of the members."""
     bad = spiral(2.0, ((1.0, 0.3, 0.0), (0.3, -2.0, 0.1), (0.0, 0.1, 0.5)))
     systems = [spiral(1.0), bad, spiral(1.5), spiral(1.0, (2.0, 1.0, 0.5))]
     x0 = np.array([X, (1e3, 2e3, 3e3), X, X])
@@ -152,7 +150,7 @@ def test_a_member_that_fails_leaves_the_others():
         assert np.array_equal(partial.x[:, m], co.integrate(systems[m], x0[m], (0, 20), 0.5).x)
 
 
-def test_statistics_and_drift_have_a_place_for_each_member():
+def test_statistics_and_drift_per_member():
     batch = co.batch([body(1, 2, 3), body(3, 1, 2), body(1, 1, 2)])
     sol = co.integrate(batch, X, (0, 10), 0.1, co.Splitting(order=4), watch=False)
     assert sol.failed.tolist() == [False] * 3 and sol.stats.steps == 100
@@ -164,7 +162,7 @@ def test_statistics_and_drift_have_a_place_for_each_member():
 
 @pytest.mark.long
 @pytest.mark.parametrize("suffix", long_beyond(1, [".nc", ".zarr"]))
-def test_a_dataset_of_a_batch_runs_again_to_the_same_bits(suffix, tmp_path):
+def test_dataset_of_a_batch_is_rebuilt_bitwise(suffix, tmp_path):
     import xarray
 
     batch = co.batch([body(1, 2, 1.75 + m / 500) for m in range(600)])  # a record above the 64 kB of some attributes
@@ -179,7 +177,7 @@ def test_a_dataset_of_a_batch_runs_again_to_the_same_bits(suffix, tmp_path):
     assert again.system.name == first.system.name
 
 
-def test_functions_of_members_are_named_as_not_stored():
+def test_member_functions_are_named_as_not_stored():
     H = co.Separable({0: (lambda y: y * y, lambda y: 2 * y)})
     batch = co.batch([co.LiePoissonSystem(co.algebras.so(3), h) for h in (co.Quadratic(1.0), H)])
     dataset = co.integrate(batch, X, (0, 1), 0.1).to_xarray()
@@ -188,22 +186,22 @@ def test_functions_of_members_are_named_as_not_stored():
         rebuild(dataset)
 
 
-def test_a_figure_of_a_batch():
+def test_figure_of_a_batch():
     from matplotlib import pyplot
 
     figure = co.integrate(co.batch([body(1, 2, 3), body(1, 2, 2.5)]), X, (0, 10), 0.1).plot()
-    assert "batch of 2 (rigid\\_body)" in figure._suptitle.get_text() or "batch of 2" in figure._suptitle.get_text()
+    assert "batch of 2" in figure._suptitle.get_text()
     pyplot.close(figure)
 
 
-def test_a_batch_is_a_sequence_with_a_name():
+def test_batch_is_a_sequence():
     systems = [spiral(a) for a in (1.0, 1.5, 2.0)]
     batch = co.batch(iter(systems))
     assert len(batch) == 3 and list(batch) == systems and batch[1] is systems[1] and batch.dim == 3
     assert repr(batch) == "<batch of 3 (spiral 1, spiral 1.5, ...)>"
 
 
-def test_a_scan_looks_for_the_casimirs_of_an_algebra_once(monkeypatch):
+def test_casimirs_of_equal_algebras_are_computed_once(monkeypatch):
     searched = []
     real = co.LieAlgebra.casimirs
     monkeypatch.setattr(co.LieAlgebra, "casimirs", lambda g, degree: searched.append(g) or real(g, degree))
@@ -213,8 +211,8 @@ def test_a_scan_looks_for_the_casimirs_of_an_algebra_once(monkeypatch):
     assert names == [["C2"]] * 3 and len(searched) == 1
 
 
-def test_angles_of_every_member_are_unwrapped_by_its_own_period():
-    """A4,6 with other constants, other periods and the same: x2 and x3 turn many times."""
+def test_angles_are_unwrapped_by_the_period_of_the_member():
+    """A4,6 with different and with equal periods: x2 and x3 turn many times."""
 
     def system(a, b):
         g = co.algebras.get("A4,6", a=a, b=b)
@@ -233,7 +231,7 @@ def test_angles_of_every_member_are_unwrapped_by_its_own_period():
 
 
 @pytest.mark.parametrize("members", [None, 3])
-def test_numbers_of_a_drift_are_those_of_its_tenths(members):
+def test_drift_is_computed_from_its_tenths(members):
     tenths = np.random.default_rng(4).uniform(0.1, 1.0, (10,) if members is None else (members, 10))
     drift = Drift(tenths, 2.5)
     assert drift == tenths.max() and drift.initial == 2.5
@@ -242,8 +240,8 @@ def test_numbers_of_a_drift_are_those_of_its_tenths(members):
     assert Drift(np.append(0.0, np.ones(9)), 0.0).growth == np.inf
 
 
-def test_some_members_of_a_run_keep_their_initial_attitudes():
-    """Attitudes that were prepared, one for each member, or one for all."""
+def test_subset_of_members_has_its_initial_attitudes():
+    """One initial attitude for each member, or one for all."""
     body, x = co.systems.rigid_body((1, 2, 3)), np.random.default_rng(6).standard_normal((5, 3))
     turned = np.linalg.qr(np.random.default_rng(7).standard_normal((5, 3, 3)))[0]
     turned *= np.linalg.det(turned)[:, None, None]

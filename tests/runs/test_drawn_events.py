@@ -1,4 +1,4 @@
-"""Events of drawn runs, against a closed form: in the first and the last step, in pairs, at the ends of the span."""
+"""Random events, and events within steps of Taylor series, against closed forms."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ import coadjoint as co
 
 PLANE = co.LieAlgebra.from_brackets(3, {(2, 0): {1: 1.0}, (2, 1): {0: -1.0}})
 TURNING = co.LiePoissonSystem(PLANE, co.Quadratic(0.0, linear=[0.0, 0.0, 1.0]), sign=1)  # x1 = r sin, x2 = -r cos
+U = 2.0**-53
 METHODS = [
     co.Splitting(order=2),
     co.GaussLegendre(6),
@@ -39,16 +40,16 @@ def crossings_of(start, span, events, phases, halves):
                 if 0.0 < way * (t - t0) <= way * (t1 - t0):
                     rows.append((t, e, int(-side * way)))
     rows.sort(key=lambda row: way * row[0])
-    kept, seen = [], [0] * len(events)
+    counted, seen = [], [0] * len(events)
     for t, e, direction in rows:
         event = events[e]
         if event.direction not in (0, direction) or (event.count is not None and seen[e] >= event.count):
             continue
         seen[e] += 1
-        kept.append((t, e, direction))
+        counted.append((t, e, direction))
         if event.terminal and seen[e] == event.until:
             break
-    return kept
+    return counted
 
 
 def draw(rng):
@@ -59,7 +60,7 @@ def draw(rng):
     events, phases, halves = [], [], []
     for _ in range(int(rng.integers(1, 4))):
         # The middle of a pair, in steps from the start of the first member: half of them in the first or the last step.
-        place = (0.5, steps - 0.5, rng.uniform(0.0, steps), rng.uniform(0.0, steps))[rng.integers(4)]
+        middle = (0.5, steps - 0.5, rng.uniform(0.0, steps), rng.uniform(0.0, steps))[rng.integers(4)]
         half = h * float(rng.uniform(0.05, 0.45)) if rng.random() < 0.7 else float(rng.uniform(0.1, 3.0))
         options = {
             "direction": int(rng.integers(-1, 2)),
@@ -67,14 +68,14 @@ def draw(rng):
             "terminal": bool(rng.random() < 0.3),
             "name": f"e{len(events)}",
         }
-        phases.append(starts[0] + way * h * (place + 0.02 * rng.uniform(-1.0, 1.0)))
+        phases.append(starts[0] + way * h * (middle + 0.02 * rng.uniform(-1.0, 1.0)))
         halves.append(half)
         events.append(event_at(phases[-1], half, 2.0, **options))
     span = (t0, t0 + way * steps * h)
     free = [co.Event(0, name=f"e{k}") for k in range(len(events))]
     for start in starts:
-        places = [abs(t - t0) / h for t, _, _ in crossings_of(start, (t0, span[1] + way * h), free, phases, halves)]
-        points = np.sort(np.concatenate([places, np.arange(steps + 1)]))
+        times = [abs(t - t0) / h for t, _, _ in crossings_of(start, (t0, span[1] + way * h), free, phases, halves)]
+        points = np.sort(np.concatenate([times, np.arange(steps + 1)]))
         if np.min(np.diff(points)) < APART:
             return None
     given = {"save_every": int(rng.choice([1, 2, 100])), "watch": bool(rng.integers(2))}
@@ -85,7 +86,7 @@ def draw(rng):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
-def test_events_are_those_of_the_closed_form(method):
+def test_random_events_match_the_closed_form(method):
     rng, pairs_at_the_end = np.random.default_rng(70), 0
     substeps = 32 if isinstance(method, co.ExplicitRungeKutta) else 1  # its error is then below the tolerance
     for _ in range(DRAWS):
@@ -109,8 +110,8 @@ def test_events_are_those_of_the_closed_form(method):
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("steps", [1, 2, 9])
-def test_a_crossing_just_inside_the_span_and_one_just_outside(method, way, steps):
-    """A pair in the last step, the second crossing of which lies 2e-6 of a step before its end, or after it."""
+def test_crossings_just_inside_and_outside_the_span(method, way, steps):
+    """A pair in the last step, of which the second lies 2e-6 of a step before or after the end."""
     h = LARGEST_STEP / 8
     for shift, count in ((-2e-6, 2), (2e-6, 1)):
         second = way * h * (steps + shift)
@@ -121,3 +122,71 @@ def test_a_crossing_just_inside_the_span_and_one_just_outside(method, way, steps
         assert len(found) == count
         if count == 2:
             assert abs(found.t[-1] - second) < 1e-6 * h
+
+
+START = np.array([np.cos(-0.7), np.sin(-0.7), 0.0])  # x1 = cos(t - 0.7), x2 = sin(t - 0.7)
+SERIES = co.Taylor(order=30, projected=False)
+X1, X2 = (co.Polynomial.variable(i, 3) for i in range(2))
+QUARTIC = 4 * X1 * X2 * (X1 * X1 - X2 * X2)  # sin(4 a) at the angle a
+
+
+def angles(h, event, end, method=SERIES, **options):
+    """Return the angles t - 0.7 at which an event is found with steps h."""
+    assert np.allclose(TURNING.vector_field(START), [-START[1], START[0], 0.0])
+    found = co.integrate(TURNING, START, (0, end), h, method, events=event, **options).events
+    return found.t - 0.7, found.direction
+
+
+@pytest.mark.parametrize("h", [0.5, 1.5, 3.0])
+def test_series_find_all_crossings_of_a_product(h):
+    """With h = 3 four zeros lie in a step."""
+    a, direction = angles(h, co.Event(QUARTIC), 9.0)
+    want = np.arange(np.ceil(-0.7 / (np.pi / 4)), 8.3 / (np.pi / 4)) * np.pi / 4
+    assert len(a) == len(want)
+    # Steps of the series round some thirty sums, and times have the round-off of 9.
+    assert abs(a - want).max() < 512 * U * 9
+    assert (direction == np.where(np.rint(want / (np.pi / 4)) % 2 == 0, 1, -1)).all()
+
+
+@pytest.mark.parametrize("width", [0.3, 1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("h", [0.5, 2.0])
+def test_series_resolve_close_pairs(width, h):
+    event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -np.cos(width)}))
+    a, direction = angles(h, event, 8.0)
+    want = np.array([-width, width, 2 * np.pi - width, 2 * np.pi + width])
+    assert len(a) == 4 and direction.tolist() == [1, -1, 1, -1]
+    assert abs(a - want).max() < 256 * U * 8 / np.sin(width)
+    missed = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -1.0 - 1e-12}))
+    assert len(angles(h, missed, 8.0)[0]) == 0
+
+
+def test_schemes_without_series_miss_crossings():
+    assert len(angles(3.0, co.Event(QUARTIC), 9.0, co.GaussLegendre(12))[0]) < 11
+
+
+def test_terminal_crossing_among_several_in_a_step():
+    every, _ = angles(3.0, co.Event(QUARTIC), 9.0)
+    for count in (1, 2, 3, 5):
+        sol = co.integrate(TURNING, START, (0, 9), 3.0, SERIES, events=co.Event(QUARTIC, count=count, terminal=True))
+        assert sol.t[-1] - 0.7 == every[count - 1] and len(sol.events) == count
+        several = co.integrate(
+            TURNING, [START, -START], (0, 9), 3.0, SERIES, events=co.Event(QUARTIC, count=count, terminal=True)
+        )
+        assert np.array_equal(several.events.of(0).t, sol.events.t)
+
+
+def test_long_and_short_steps_find_the_same_crossings():
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        g = (co.algebras.so(3), co.algebras.se(3), co.algebras.so(4), co.algebras.get("A4,8"))[seed]
+        M = rng.standard_normal((g.dim, g.dim))
+        system = co.LiePoissonSystem(g, co.Quadratic(0.2 * (M @ M.T) + np.eye(g.dim)), sign=1)
+        x0 = 0.5 * rng.standard_normal(g.dim)
+        A = rng.standard_normal((g.dim, g.dim))
+        event = co.Event(co.Quadratic(A + A.T, linear=rng.standard_normal(g.dim)))
+        long, short = (
+            co.integrate(system, x0, (0, 4), h, co.Taylor(order=order), events=event).events
+            for h, order in ((0.25, 40), (1 / 256, 16))
+        )
+        assert len(long) == len(short)
+        assert abs(long.t - short.t).max(initial=0.0) < 1e-9

@@ -1,7 +1,7 @@
-"""The end of a run alone: the bits of a run, its refusals and failures, in any thread and inside of itself."""
+"""`PreparedRun.end`: the final state alone, with the bits, refusals and failures of a run."""
 
 import dataclasses
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ def no_run(*given):
 
 
 @pytest.mark.long
-def test_random_runs_end_where_runs_do():
+def test_random_ends_equal_those_of_runs():
     ended = 0
     for seed in range(60):
         case, _ = case_of(seed)
         try:
             ready = co.prepare(case.systems[0], case.method, case.step, watch=case.watch, threads=1)
-        except ValueError:  # the scheme does not serve the system, and says so
+        except ValueError:  # the scheme refuses the system
             continue
         for x0 in (case.x0[0], case.x0[-1], case.x0):
             try:
@@ -44,8 +44,8 @@ def test_random_runs_end_where_runs_do():
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.Taylor(6), Interpreted()], ids=str)
-def test_nothing_is_left_of_the_call_before(method, monkeypatch):
-    """Compensation, guesses of stages, and the invariants of the start are those of the call."""
+def test_calls_are_independent(method, monkeypatch):
+    """Compensation, stage guesses and initial invariants are those of the call."""
     ready = co.prepare(BODY, method, 0.1)
     calls = [(x, span) for x in (X, 2.0 * X, -X) for span in ((0.0, 1.0), (1.0, 0.0), (0, 0.1), (2.0, 3.0), (0.0, 1.0))]
     expected = [ready.run(*call).x[-1] for call in calls]
@@ -56,7 +56,7 @@ def test_nothing_is_left_of_the_call_before(method, monkeypatch):
     assert len({each.ctypes.data for each in found}) == len(calls)
 
 
-def test_states_of_any_kind():
+def test_states_in_any_form():
     ready = co.prepare(BODY, None, 0.1)
     expected = ready.end(X, (0, 1))
     for x0 in ([0.1, 1.0, 0.2], (0.1, 1.0, 0.2), np.array([0.1, 9.0, 1.0, 9.0, 0.2])[::2], X.astype(">f8")):
@@ -66,7 +66,7 @@ def test_states_of_any_kind():
     assert np.array_equal(ready.end([X, 2 * X], (0, 1))[0], expected)
 
 
-def test_times_that_are_changed_where_they_stand_are_read_again():
+def test_spans_changed_in_place_are_read_again():
     ready = co.prepare(BODY, None, 0.1)
     expected = [ready.run(X, (0.0, end)).x[-1] for end in (1.0, 2.0)]
     span, ends = [0.0, 1.0], (np.array(0.0), np.array(1.0))
@@ -76,7 +76,7 @@ def test_times_that_are_changed_where_they_stand_are_read_again():
         assert np.array_equal(ready.end(X, given), expected[1])
 
 
-def test_equal_times_are_the_same_times_where_their_bits_are(monkeypatch):
+def test_spans_are_cached_by_their_bits(monkeypatch):
     ready, spans, real = co.prepare(BODY, None, 0.5), [], FinalStateRun._prepare_span
     monkeypatch.setattr(FinalStateRun, "_prepare_span", lambda own, span: spans.append(span) or real(own, span))
     given = [(0.0, 1.0), tuple([0.0, 1.0]), (-0.0, 1.0), (0.0, 1.0), (0, 1.0), (0.0, 1.5), (np.array(0.0), 1.5)]
@@ -85,7 +85,7 @@ def test_equal_times_are_the_same_times_where_their_bits_are(monkeypatch):
     assert list(map(str, spans)) == list(map(str, given[:1] + given[2:]))
 
 
-def test_what_is_refused_is_refused_as_a_run_does():
+def test_refusals_equal_those_of_a_run():
     ready = co.prepare(BODY, None, 0.1)
     wrong = [
         (X, (0, 0.25)),
@@ -107,7 +107,7 @@ def test_what_is_refused_is_refused_as_a_run_does():
         assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])
 
 
-def test_whatever_else_is_prepared_ends_too():
+def test_other_prepared_runs_have_ends():
     fluid = co.systems.sphere_euler(5)
     W = fluid.from_modes({(1, 0): 1.0, (2, 1): 0.5 + 0.1j})
     pushed = BODY.with_forces(co.forces.LinearDamping(0.1))
@@ -126,15 +126,15 @@ def test_whatever_else_is_prepared_ends_too():
                 assert np.array_equal(ready.end(x0, span), ready.run(x0, span).x[-1])
 
 
-def test_a_function_that_raises_is_heard():
+def test_exceptions_of_user_functions_propagate():
     ready = co.prepare(BODY, Failing(), 0.1)
     for _ in range(2):
         assert np.array_equal(ready.end(X, (0, 0.3)), ready.run(X, (0, 0.3)).x[-1])
-        with pytest.raises(LookupError, match=r"nothing is known at t = 0\.6"):
+        with pytest.raises(LookupError, match=r"t = 0\.6"):
             ready.end(X, (0, 1))
 
 
-def test_a_call_inside_of_a_call_has_arrays_of_its_own(monkeypatch):
+def test_nested_calls_use_separate_arrays(monkeypatch):
     busy, real = [], FinalStateRun.__call__
 
     def alone(own, *given):
@@ -160,7 +160,7 @@ def test_a_call_inside_of_a_call_has_arrays_of_its_own(monkeypatch):
         assert np.array_equal(inner.end(X, (0.0, 0.5)), expected)
 
 
-def test_threads_share_one():
+def test_threads_share_a_prepared_run():
     ready = co.prepare(BODY, co.GaussLegendre(2), 0.01, threads=1)
     calls = [(X * k, (0.0, 0.01 * steps)) for steps in (1, 7, 3000) for k in (0.5, 1.0, 2.0)]
     expected, wrong = [ready.run(*call).x[-1] for call in calls], []
@@ -170,15 +170,12 @@ def test_threads_share_one():
             if not np.array_equal(ready.end(*calls[call]), expected[call]):
                 wrong.append(call)
 
-    workers = [threading.Thread(target=work, args=(turn,)) for turn in range(4)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(4)))
     assert wrong == []
 
 
-def test_arrays_of_large_states_are_not_kept(monkeypatch):
+def test_arrays_of_large_states_are_not_cached(monkeypatch):
     monkeypatch.setattr("coadjoint.runs.final_state.MAX_CACHED_NUMBERS", 8)
     ready = co.prepare(BODY, None, 0.1)
     assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])

@@ -1,4 +1,4 @@
-"""Events: found where they are, once each, without a change of the run, and located to the accuracy of the scheme."""
+"""Events: location, counts, terminal events, failures, and no effect on the run."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def angle_of(system, x0):
 
 
 @pytest.mark.parametrize("x0", [FLIPPING, (1.0, 0.2, 0.1), (0.1, 0.2, 1.0)])
-def test_the_period_of_a_free_body_over_a_thousand_periods(x0):
+def test_period_of_a_free_body(x0):
     T = period(x0, (1, 2, 3))
     h, steps = 0.1, int(1001.0 * T / 0.1)
     sol = co.integrate(
@@ -61,7 +61,7 @@ def test_the_period_of_a_free_body_over_a_thousand_periods(x0):
 
 
 @pytest.mark.parametrize("method", METHODS[:4], ids=NAMES[:4])
-def test_times_have_the_order_of_the_scheme(method):
+def test_event_times_have_the_order_of_the_scheme(method):
     x0, T = FLIPPING, period(FLIPPING, (1, 2, 3))
     errors = []
     for h in (1 / 4, 1 / 8, 1 / 16):
@@ -72,7 +72,7 @@ def test_times_have_the_order_of_the_scheme(method):
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_looking_changes_no_bit_of_the_run(method):
+def test_events_do_not_change_the_run(method):
     events = [co.Event("x2"), co.Event(lambda x: x[0] - x[2]), co.Event(co.Polynomial({(1, 1, 0): 1}))]
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 11)[:, None]
     for start in (x0, x0[3]):
@@ -84,7 +84,7 @@ def test_looking_changes_no_bit_of_the_run(method):
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_an_ensemble_finds_what_each_member_finds_alone(method):
+def test_ensemble_events_equal_those_of_members(method):
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
     events = [co.Event("x2"), co.Event("x1", direction=-1)]
     options = {"t_span": (0, 20), "step": 0.125, "method": method, "events": events}
@@ -101,10 +101,9 @@ def test_an_ensemble_finds_what_each_member_finds_alone(method):
 
 @pytest.mark.thinned(5)
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_the_calls_of_a_run_do_not_show(method, monkeypatch):
-    """However few steps a loop takes before it is called again, the events are the same."""
+def test_events_do_not_depend_on_chunk_size(method, monkeypatch):
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
-    # x1 is largest between two flips, so that there are pairs within a step.
+    # Near its maximum between two flips, x1 crosses a level twice within a step.
     top = co.integrate(BODY, x0[1], (0, 50), 1 / 64, method).x[:, 0].max()
     near = co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -float(top) * (1 - 1e-5)})
     events = [co.Event("x2", count=2, terminal=True), co.Event("x2"), co.Event(near, name="near")]
@@ -123,8 +122,8 @@ def test_the_calls_of_a_run_do_not_show(method, monkeypatch):
             assert np.array_equal(again.drift()["energy"].tenths, whole.drift()["energy"].tenths)
 
 
-def test_found_where_a_dense_grid_has_them():
-    """Random algebras: every crossing that a run with a hundredth of the step has, and no other."""
+def test_events_match_those_of_short_steps():
+    """Random algebras, with a 64th of the step."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
         g = (co.algebras.so(3), co.algebras.se(3), co.algebras.get("A4,8"), co.algebras.so(4))[seed % 4]
@@ -139,7 +138,7 @@ def test_found_where_a_dense_grid_has_them():
         assert abs(found.x @ w).max(initial=0.0) < 64 * U * max(1.0, abs(dense.x).max()) * abs(w).sum()
 
 
-def test_casimirs_are_kept_at_events():
+def test_casimirs_are_preserved_at_events():
     sol = co.integrate(BODY, FLIPPING, (0, 200), 0.25, co.Splitting(order=2), events=co.Event("x2"))
     radius = (sol.events.x**2).sum(axis=1)
     # A step turns a few times, and each turn rounds; a run of 800 steps wanders.
@@ -147,8 +146,8 @@ def test_casimirs_are_kept_at_events():
     assert abs(sol.events.x[:, 1]).max() < 16 * U
 
 
-def test_two_in_one_step_and_grazing():
-    """x1 = cos(t): between g = cos(t) - c and its largest value lie two crossings, found with steps wider than that."""
+def test_close_pairs_and_near_misses():
+    """x1 = cos(t) crosses c twice about its maximum, closer together than a step."""
     system, x0 = harmonic(), np.array([1.0, 0.0, 0.0])
     rate = abs(angle_of(system, x0))
     assert rate == 1.0
@@ -156,19 +155,13 @@ def test_two_in_one_step_and_grazing():
     for width in (0.2, 1e-2, 1e-4, 1e-6):
         c = np.cos(width)
         event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -c}))
-        start = np.array([np.cos(1.1), np.sin(1.1), 0.0]) if False else np.array([np.cos(2.3), -np.sin(2.3), 0.0])
+        start = np.array([np.cos(2.3), -np.sin(2.3), 0.0])
         sol = co.integrate(system, start, (0, 10), h, events=event)
         turn = np.sign(angle_of(system, start))
         # The angle is -2.3 + turn * t; the crossings are where it is +-width modulo 2 pi.
-        angles = -2.3 + turn * np.linspace(0, 10, 2)
-        want = []
-        for k in range(-3, 4):
-            for side in (-width, width):
-                t = (2 * np.pi * k + side + 2.3) * turn
-                if 0 < t <= 10:
-                    want.append(t)
-        want = np.sort(want)
-        assert len(sol.events) == len(want), (width, angles)
+        times = [(2 * np.pi * k + side + 2.3) * turn for k in range(-3, 4) for side in (-width, width)]
+        want = np.sort([t for t in times if 0 < t <= 10])
+        assert len(sol.events) == len(want), width
         # Near a maximum g is flat: its error of some u moves a crossing by u / width.
         assert abs(sol.events.t - want).max() < 64 * U / np.sin(width) + 64 * U * 10
         assert sol.events.direction.tolist() == [1, -1] * (len(want) // 2)
@@ -176,9 +169,8 @@ def test_two_in_one_step_and_grazing():
     assert len(co.integrate(system, start, (0, 10), h, events=event).events) == 0
 
 
-def test_at_the_start_and_at_the_end():
+def test_events_at_both_ends_of_the_span():
     system = harmonic()
-    turn = np.sign(angle_of(system, (1.0, 0.0, 0.0)))
     sol = co.integrate(system, (0.0, 1.0, 0.0), (0, 6), 0.5, events=co.Event("x1"))
     assert abs(sol.events.t - np.pi).max() < 32 * U and len(sol.events) == 1
     # g(t) = t - 2: the grid point belongs to the step that ends there.
@@ -186,16 +178,15 @@ def test_at_the_start_and_at_the_end():
         sol = co.integrate(system, (1.0, 0.0, 0.0), (0, end), 0.5, events=co.Event(lambda x, t: t - 2.0))
         assert sol.events.t.tolist() == [2.0]
     assert len(co.integrate(system, (1.0, 0.0, 0.0), (2, 3), 0.5, events=co.Event(lambda x, t: t - 2.0)).events) == 0
-    assert turn in (-1, 1)
 
 
 @pytest.mark.parametrize("method", [co.GaussLegendre(3), co.Splitting(order=4), co.Taylor(12)], ids=str)
-def test_backward(method):
+def test_backward_runs_find_the_same_events(method):
     there = co.integrate(BODY, FLIPPING, (0, 48), 0.125, method, events=co.Event("x2"))
     back = co.integrate(BODY, there.x[-1], (48, 0), 0.125, method, events=co.Event("x2"))
     assert len(there.events) == len(back.events) > 1
     assert np.all(np.diff(back.events.t) < 0)
-    # Parts of a step are not taken back as a step is: they err as their order says.
+    # Parts of a step are not reversible: their error is that of their order.
     allowed = 1e-12 if method == co.GaussLegendre(3) else 0.125 ** min(method.order, 6)
     assert abs(back.events.t[::-1] - there.events.t).max() < allowed
     # A direction is that in which the run goes.
@@ -208,7 +199,7 @@ def test_backward(method):
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
 @pytest.mark.parametrize("save_every", [1, 7, 1000])
-def test_a_terminal_event_ends_the_run(method, save_every):
+def test_terminal_event_ends_the_run(method, save_every):
     options = {"step": 0.125, "method": method, "save_every": save_every}
     whole = co.integrate(BODY, FLIPPING, (0, 40), events=co.Event("x2"), **options)
     ended = co.integrate(BODY, FLIPPING, (0, 40), events=co.Event("x2", count=2, terminal=True), **options)
@@ -225,7 +216,7 @@ def test_a_terminal_event_ends_the_run(method, save_every):
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_terminal_in_an_ensemble(method):
+def test_terminal_event_in_an_ensemble(method):
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
     options = {"t_span": (0, 40), "step": 0.125, "method": method}
     sol = co.integrate(BODY, x0, events=co.Event("x2", terminal=True), **options)
@@ -240,8 +231,8 @@ def test_terminal_in_an_ensemble(method):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_ends_by_several_events_are_those_of_each_member(way):
-    """Whichever of the terminal events, with numbers of their own, comes first; members without an end have none."""
+def test_first_of_several_terminal_events_ends_a_member(way):
+    """Members without an end have NaN."""
     x0 = np.array([FLIPPING, (1.0, 0.1, 0.2), (0.2, -0.1, 1.0), (0.0, 0.0, 1.0), (0.2, 0.1, 1.0)])
     ends = [
         co.Event("x1", terminal=True, count=3),
@@ -262,8 +253,8 @@ def test_ends_by_several_events_are_those_of_each_member(way):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_the_error_of_a_run_names_the_event_and_the_step_that_come_first(way):
-    """Functions that are undefined from times of their own on; the later one is given first."""
+def test_error_names_the_first_undefined_event(way):
+    """The later one is given first."""
 
     def later(x, t):
         return np.sqrt(9.0 - t * t) - 10.0
@@ -273,14 +264,14 @@ def test_the_error_of_a_run_names_the_event_and_the_step_that_come_first(way):
 
     events = [co.Event("x2"), co.Event(later, name="later"), co.Event(first, name="first")]
     for x0, who in ((FLIPPING, ""), (np.tile(FLIPPING, (3, 1)), r" for 3 of 3 members \(first: member 0\)")):
-        words = rf"in step 17, the event first is not a number at t = {2.125 * way:g}; .* undefined there{who}$"
+        words = rf"step 17, .*event first .* t = {2.125 * way:g}.*{who}$"
         with pytest.raises(co.IntegrationError, match=words) as failure:
             co.integrate(BODY, x0, (0, 8 * way), 0.125, events=events)
         assert failure.value.step == 17 and failure.value.time == 2.0 * way
 
 
-def test_nothing_is_found_after_the_end():
-    """Other events in the last step of a member: those before its end alone."""
+def test_no_event_is_found_after_the_end():
+    """Of other events in the last step of a member, those before its end alone."""
     level = [co.Event(co.Polynomial({(0, 1, 0): 1.0, (0, 0, 0): c}), name=f"{c}") for c in (-1e-3, 1e-3)]
     x0 = np.array(FLIPPING) * [[1, 1, 1], [1, -1, 1]]
     found = co.integrate(BODY, x0, (0, 40), 0.125, events=[*level, co.Event("x2", terminal=True)]).events
@@ -288,7 +279,7 @@ def test_nothing_is_found_after_the_end():
         assert found.of(m).which.tolist() == which and np.all(np.diff(found.of(m).t) > 0)
 
 
-def test_a_pair_in_one_step_ends_a_run():
+def test_second_crossing_within_a_step_ends_the_run():
     system, start, h = harmonic(), np.array([np.cos(2.3), -np.sin(2.3), 0.0]), 0.5
     c = np.cos(1e-3)
     event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -c}), terminal=True, count=2)
@@ -301,7 +292,7 @@ def test_a_pair_in_one_step_ends_a_run():
     assert np.array_equal(several.events.of(2).t, sol.events.t)
 
 
-def test_attitude_at_events():
+def test_attitude_at_event_times():
     precise = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, co.GaussLegendre(6), attitude=True, events=co.Event("x2"))
     for method in (co.Splitting(order=6), co.GaussLegendre(4)):
         sol = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, method, attitude=True, events=co.Event("x2"))
@@ -312,8 +303,8 @@ def test_attitude_at_events():
             sol = co.integrate(
                 BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=[co.Event("x2"), co.Event("x3")]
             )
-            kept = np.einsum("kij,kj->ki", sol.events.attitude, sol.events.x)
-            assert abs(kept - FLIPPING).max() < 2000 * U
+            spatial = np.einsum("kij,kj->ki", sol.events.attitude, sol.events.x)
+            assert abs(spatial - FLIPPING).max() < 2000 * U
             ended = co.integrate(
                 BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=co.Event("x2", terminal=True)
             )
@@ -321,13 +312,13 @@ def test_attitude_at_events():
             assert np.array_equal(ended.attitude[-1], sol.events.attitude[k])
 
 
-def test_count_keeps_the_first_ones():
+def test_count_limits_crossings_to_the_first():
     whole = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2"), co.Event("x1")]).events
     some = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2", count=2), co.Event("x1")]).events
     assert np.array_equal(some["x2"].t, whole["x2"].t[:2]) and np.array_equal(some["x1"].t, whole["x1"].t)
 
 
-def test_a_choice_of_crossings_has_all_that_belongs_to_them():
+def test_selections_of_crossings_are_complete():
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
     events = [
         co.Event("x3"),
@@ -360,7 +351,7 @@ def test_a_choice_of_crossings_has_all_that_belongs_to_them():
         iter(found)
 
 
-def test_each_run_of_a_prepared_one_has_events_of_its_own():
+def test_prepared_runs_take_events_per_run():
     ready, span = co.prepare(BODY, co.Splitting(order=4), 0.125, attitude=True), (1, 21)
     listed = [
         co.Event("x2"),
@@ -381,8 +372,8 @@ def test_each_run_of_a_prepared_one_has_events_of_its_own():
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("between", [False, True])
-def test_an_end_is_on_the_branch_on_which_the_run_is(way, between):
-    """The angle of the Casimir has gone round several times when an event ends the run."""
+def test_end_is_on_the_branch_of_the_run(way, between):
+    """The angle of the Casimir has turned several times when an event ends the run."""
     system = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.05), co.Quadratic([0.01, 0.02, 1.0]))
     given = {"t_eval": np.linspace(2.0, 2.0 + 10.0 * way, 24)} if between else {"save_every": 3}
     event = co.Event("x1", terminal=True, count=7)
@@ -395,7 +386,7 @@ def test_an_end_is_on_the_branch_on_which_the_run_is(way, between):
     assert np.ptp(sol.casimirs["log C"]) < 160 * 10 * 8 * U * (1.0 + 4.0 * period) < 1e-3 * period
 
 
-def test_a_batch_and_a_driven_system():
+def test_events_of_batches_and_of_driven_systems():
     bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)])
     sol = co.integrate(bodies, FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
     for m in range(3):
@@ -409,7 +400,7 @@ def test_a_batch_and_a_driven_system():
 RATES = np.add.outer(np.arange(4.0), np.arange(4.0))
 
 
-def test_functions_of_matrices():
+def test_event_functions_of_matrices():
     s = co.MatrixSystem(co.MatrixAlgebra("so", 4), lambda W: W * RATES)
     rng = np.random.default_rng(3)
     A = rng.standard_normal((4, 4))
@@ -422,7 +413,7 @@ def test_functions_of_matrices():
     assert abs(sol.events.x[:, 0, 1]).max() < 64 * U * abs(A).max()
 
 
-def test_what_is_wrong_is_refused():
+def test_wrong_events_are_refused():
     for wrong, error in (("y9", ValueError), (3, ValueError), (None, TypeError), (True, TypeError)):
         with pytest.raises(error):
             co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=co.Event(wrong))
@@ -439,8 +430,7 @@ def test_what_is_wrong_is_refused():
 @pytest.mark.parametrize(
     "system", [co.systems.vlasov_moments(), co.systems.heavy_top()], ids=lambda system: system.name
 )
-def test_a_group_element_beside_the_state_changes_no_crossing(system):
-    """Also of a scheme in C++ that moves group elements of the size that its tables have."""
+def test_group_elements_do_not_change_crossings(system):
     x0 = np.cos(1.0 + np.arange(system.dim))
     event, method = co.Event(int(np.argmin(abs(x0)))), co.methods.get("CommutatorFree")
     alone = co.integrate(system, x0, (0, 6), 1 / 16, method, events=event)
@@ -452,8 +442,8 @@ def test_a_group_element_beside_the_state_changes_no_crossing(system):
 @pytest.mark.parametrize("why", ["a part of a step fails", "a function is undefined"])
 @pytest.mark.parametrize("until", [None, 9])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, until, way):
-    """Its own crossings before it stand, and so do its states; whatever had been taken of steps after it."""
+def test_failed_member_does_not_affect_the_others(monkeypatch, why, until, way):
+    """Its states and crossings before the failure remain."""
     crowd = np.array([[0.3, -1.0, 0.7], FLIPPING, [1.5, 0.25, 0.75]])
     terminal = {} if until is None else {"terminal": True, "count": until}
 
@@ -466,11 +456,11 @@ def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, unt
     step = int(np.floor(abs(own[1]) / 0.125))  # in which it crosses for the second time
     if why == "a part of a step fails":
         failing_parts(monkeypatch, 1, way * 0.125 * step)
-        event, words = co.Event(coordinate, name="g", **terminal), "did not converge"
+        event, words = co.Event(coordinate, name="g", **terminal), "converge"
     else:
         bad = whole.x[step + 1, 1, 0]
         event = co.Event(lambda x: np.where(abs(x[0] - bad) < 1e-12, np.nan, x[1]).item(), name="g", **terminal)
-        words = r"the event g is not a number at t = "
+        words = "event g is not a number"
     with pytest.raises(co.IntegrationError, match=rf"{words}.* for 1 of 3 members \(first: member 1\)") as caught:
         co.integrate(*given, events=event)
     found = caught.value.partial
@@ -483,15 +473,15 @@ def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, unt
     for name, drift in found.drift().items():
         assert np.array_equal(drift.tenths[[0, 2]], whole.drift()[name].tenths[[0, 2]])
     with pytest.raises(co.IntegrationError, match=words) as alone:
-        failing_parts(monkeypatch, 0, way * 0.125 * step) if words == "did not converge" else None
+        failing_parts(monkeypatch, 0, way * 0.125 * step) if words == "converge" else None
         co.integrate(BODY, FLIPPING, given[2], 0.125, events=event)
     assert np.array_equal(alone.value.partial.x, found.x[: step + 1, 1])
     assert np.array_equal(alone.value.partial.events.t, own[:1])
 
 
 @pytest.mark.parametrize("spare", [0, 1, 2, 3])
-def test_more_crossings_than_there_is_room_for_are_refused(monkeypatch, spare):
-    """None is lost in silence: as many as there is room for are found, one more is an error."""
+def test_too_many_crossings_are_refused(monkeypatch, spare):
+    """The buffer holds `spare` crossings; one more is an error."""
     steps = 240
     monkeypatch.setattr(kernel_events, "SPARE_ROWS", spare - kernel_events.ROWS_PER_STEP * (steps + 1))
     given = BODY, FLIPPING, (0, steps * 0.125), 0.125, co.Splitting(order=4)
@@ -499,13 +489,13 @@ def test_more_crossings_than_there_is_room_for_are_refused(monkeypatch, spare):
     count = int(np.count_nonzero(np.diff(np.sign(co.integrate(*given).x[:, 1]))))
     assert 0 < count <= 3
     if spare < count:
-        with pytest.raises(ValueError, match=r"crossings were found in the steps of one call; take a smaller step"):
+        with pytest.raises(ValueError, match=r"crossings .* smaller step"):
             co.integrate(*given, events=event)
     else:
         assert len(co.integrate(*given, events=event).events) == count
 
 
-def test_a_bar_counts_the_steps_of_a_run_with_events(capfd):
+def test_progress_of_a_run_with_events(capfd):
     event = co.Event("x2", count=1, terminal=True)
     whole = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=co.Event("x2"), progress=True)
     assert len(whole.events) > 1 and "800 of 800 steps (100 %)" in capfd.readouterr().err
@@ -514,8 +504,8 @@ def test_a_bar_counts_the_steps_of_a_run_with_events(capfd):
     assert ended.stats.steps < 256 and "256 of 800 steps (32 %)" in capfd.readouterr().err
 
 
-def test_memory_for_events_is_estimated_first(monkeypatch):
+def test_memory_for_events_is_estimated(monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
     crowd = np.tile(FLIPPING, (200_000, 1))
-    with pytest.raises(ValueError, match="looking for events of 200000 members needs about"):
+    with pytest.raises(ValueError, match="events of 200000 members"):
         co.integrate(BODY, crowd, (0, 0.125), 0.125, events=co.Event("x2"), save_every=1, watch=False)

@@ -1,4 +1,4 @@
-"""Functions that are called in Python: each gets a copy of the state, its own time, and what it raises is raised."""
+"""User functions called in Python: copies of the state, the right time, and exceptions that propagate."""
 
 import dataclasses
 
@@ -57,7 +57,7 @@ def moved(stream, event, way=1.0, **options):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_functions_of_matrices_that_write_into_their_argument(python_streams, way):
+def test_matrix_functions_may_write_into_their_argument(python_streams, way):
     plain = moved(transposed, co.Event(first), way, save_every=5)
     assert len(plain.events) and np.abs(plain.x[-1] - W0).max() > 0.1
     for stream, g in ((transposed_and_written, first), (transposed, first_and_written)):
@@ -67,7 +67,7 @@ def test_functions_of_matrices_that_write_into_their_argument(python_streams, wa
         assert np.array_equal(found.events.t, plain.events.t) and np.array_equal(found.events.x, plain.events.x)
 
 
-def test_observed_functions_of_matrices_that_write_into_their_argument(python_streams):
+def test_observed_matrix_functions_may_write_into_their_argument(python_streams):
     plain = moved(transposed, None, observe={"first": first})
     found = moved(transposed, None, observe={"first": first_and_written, "again": first})
     assert np.array_equal(found.x0, W0)
@@ -94,7 +94,7 @@ class Forward(co.methods.StepMethod):
 
 
 @pytest.mark.parametrize("members", [1, 3])
-def test_steps_that_write_into_their_argument(members):
+def test_steps_may_write_into_their_argument(members):
     body = co.systems.rigid_body((1, 2, 3))
     x0 = np.linspace(0.3, 0.9, 3 * members).reshape(members, 3)
     plain, found = (co.integrate(body, x0, (0, 2), 0.125, Forward(writes)) for writes in (False, True))
@@ -102,7 +102,7 @@ def test_steps_that_write_into_their_argument(members):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_events_and_observed_functions_of_matrices_get_the_time(python_streams, way):
+def test_matrix_events_and_observables_get_the_time(python_streams, way):
     when = T0 + 0.7 * way
 
     def late(W, t):
@@ -115,8 +115,8 @@ def test_events_and_observed_functions_of_matrices_get_the_time(python_streams, 
     assert found.events.direction[0] == way and np.array_equal(found.observed["late"], found.t - when)
 
 
-def test_an_event_is_first_called_at_the_start_of_the_run(python_streams):
-    """Its value elsewhere may be undefined."""
+def test_event_is_first_called_at_the_start(python_streams):
+    """Elsewhere its value may be undefined."""
     system = co.MatrixSystem(GENERAL, transposed)
     event = co.Event(lambda W, t: 1.0 / t + 1.0 / (W[0, 0] + 2.0))
     assert len(co.integrate(system, W0, (T0, T0 + 0.5), 0.125, events=event).events) == 0
@@ -124,12 +124,11 @@ def test_an_event_is_first_called_at_the_start_of_the_run(python_streams):
         co.integrate(system, W0, (0.0, 0.5), 0.125, events=event)
 
 
-class Unheard(Exception):
+class UserError(Exception):
     """Raised by a function of the user."""
 
 
-def test_functions_of_vectors_are_first_called_with_a_copy():
-    """An attitude and states at any time are computed from the start, after the functions were called."""
+def test_vector_functions_are_called_with_a_copy():
     body, x0 = co.systems.rigid_body((1, 2, 3)), np.array([0.1, 1.0, 0.2])
 
     def written(x):
@@ -144,16 +143,16 @@ def test_functions_of_vectors_are_first_called_with_a_copy():
     assert np.array_equal(start.momenta, [x0]) and observed is not None and events.names == ("event 0",)
 
 
-def test_what_an_event_of_matrices_raises_is_raised(python_streams):
+def test_exceptions_of_matrix_events_propagate(python_streams):
     def fails_later(W, t):
         if t > T0 + 1.0:
-            raise Unheard(f"at t = {t:g}")
+            raise UserError(f"at t = {t:g}")
         return float(W[0, 0])
 
     ready = co.prepare(co.MatrixSystem(GENERAL, transposed), co.IsospectralGauss(2), 0.0625)
     event, calm = co.Event(fails_later), ready.run(W0, (T0, T0 + 1.0), events=co.Event(first)).events
     for _ in range(2):
-        with pytest.raises(Unheard, match="at t = 3"):
+        with pytest.raises(UserError, match="at t = 3"):
             ready.run(W0, (T0, T0 + 2.0), events=event)
         assert np.array_equal(ready.run(W0, (T0, T0 + 1.0), events=event).events.t, calm.t) and len(calm)
 
@@ -164,7 +163,7 @@ class Choosy(Forward):
 
     def step(self, system, x, t, h):
         if system.name == "culprit" and t >= T0 + 0.5:
-            raise Unheard(f"at t = {t:g}")
+            raise UserError(f"at t = {t:g}")
         return super().step(system, x, t, h)
 
 
@@ -178,7 +177,7 @@ def bodies_with(culprit):
 
 @pytest.mark.filterwarnings("ignore:the tangents of .* are computed in Python:RuntimeWarning")
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_tangents_in_python_are_those_of_each_member(way):
+def test_tangents_in_python_per_member(way):
     bodies, x0 = bodies_with(5), np.array([(0.1, 1.0, 0.2), (0.4, -0.3, 0.8), (-0.9, 0.2, 0.5)])
     given = (T0, T0 + 4.0 * way), 0.125, Forward()
     together = co.lyapunov(co.batch(bodies), x0, *given)
@@ -191,23 +190,23 @@ def test_tangents_in_python_are_those_of_each_member(way):
 
 @pytest.mark.filterwarnings("ignore:the tangents of .* are computed in Python:RuntimeWarning")
 @pytest.mark.parametrize("culprit", [0, 2])
-def test_what_a_member_raises_beside_tangent_vectors_is_raised(culprit, recwarn):
+def test_exceptions_propagate_from_tangent_runs(culprit, recwarn):
     batch = co.batch(bodies_with(culprit))
     x0 = np.tile((0.1, 1.0, 0.2), (3, 1))
-    with pytest.raises(Unheard, match=r"at t = 2\.5"):
+    with pytest.raises(UserError, match=r"at t = 2\.5"):
         co.lyapunov(batch, x0, (T0, T0 + 2.0), 0.125, Choosy(), exponents=1)
     assert np.isfinite(co.lyapunov(batch, x0, (T0, T0 + 0.5), 0.125, Choosy(), exponents=1).exponents).all()
 
 
 @pytest.mark.parametrize("culprit", [0, 1, 2])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_what_a_member_of_a_batch_raises_is_raised(culprit, threads):
+def test_exceptions_propagate_from_batches(culprit, threads):
     ready = co.prepare(co.batch(bodies_with(culprit)), Choosy(), 0.125, threads=threads)
     assert np.isfinite(ready.run((0.1, 1.0, 0.2), (T0, T0 + 0.5)).x).all()
     for _ in range(2):
-        with pytest.raises(Unheard, match=r"at t = 2\.5"):
+        with pytest.raises(UserError, match=r"at t = 2\.5"):
             ready.run((0.1, 1.0, 0.2), (T0, T0 + 1.0))
     assert np.isfinite(ready.run((0.1, 1.0, 0.2), (T0, T0 + 0.5)).x).all()
-    # What was raised once is not raised by a run that fails for another reason.
+    # An earlier exception is not raised again by a run that fails for another reason.
     with pytest.raises(co.IntegrationError, match="the step failed"):
         ready.run((1e200, 1e200, 1e200), (T0, T0 + 0.5))

@@ -1,4 +1,4 @@
-"""Runs: the same bits however one looks, what is saved, what is watched, what fails, and what is refused."""
+"""Runs: bits independent of saving and company, saved points, attitudes, drifts, failures and refusals."""
 
 import math
 
@@ -47,13 +47,12 @@ def e3_and_start():
     return SYSTEMS["e(3)"], start_of(SYSTEMS["e(3)"])
 
 
-# Same inputs, same bits
+# Bits
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_looking_changes_nothing(name, scheme):
-    """Whatever save_every and watch: the states at common times have the same bits, and so have the group elements."""
+def test_saving_and_watching_do_not_change_bits(name, scheme):
     s, method = SYSTEMS[name], SCHEMES[scheme]
     every = co.integrate(s, start_of(s), (0, 1.25), 0.0625, method, attitude="coadjoint")
     for k, watch in ((7, True), (1000, False)):
@@ -67,8 +66,7 @@ def test_looking_changes_nothing(name, scheme):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_company_changes_nothing(name, scheme):
-    """A member alone, in a crowd of seven, with one thread and with two; all of them move as the plain step does."""
+def test_members_and_threads_do_not_change_bits(name, scheme):
     s, method = SYSTEMS[name], SCHEMES[scheme]
     crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
     one, two = (co.integrate(s, crowd, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
@@ -83,7 +81,7 @@ def test_company_changes_nothing(name, scheme):
 
 
 @pytest.mark.parametrize("name", ["e(3)", "driven so(4)"])
-def test_pauses_change_nothing(name, monkeypatch, capfd):
+def test_pauses_do_not_change_bits(name, monkeypatch, capfd):
     s = SYSTEMS[name]
     whole = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint")
     monkeypatch.setattr(run_module, "SECONDS_BETWEEN_UPDATES", 0.0)
@@ -95,8 +93,8 @@ def test_pauses_change_nothing(name, monkeypatch, capfd):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_pauses_change_nothing_in_company(name, scheme, monkeypatch, capfd):
-    """Calls of one step each, of a member alone and of seven: what is begun at the start is not begun again."""
+def test_pauses_do_not_change_bits_of_members(name, scheme, monkeypatch, capfd):
+    """Calls of one step each: initialization is not repeated."""
     s, method = SYSTEMS[name], SCHEMES[scheme]
     crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
     for x0 in (crowd[0], crowd):
@@ -109,7 +107,7 @@ def test_pauses_change_nothing_in_company(name, scheme, monkeypatch, capfd):
     assert "step" in capfd.readouterr().err
 
 
-def test_the_clock_moves_nothing_that_does_not_depend_on_it():
+def test_autonomous_runs_do_not_depend_on_the_start_time():
     s, x0 = e3_and_start()
     assert np.array_equal(co.integrate(s, x0, (0, 1), 0.125).x, co.integrate(s, x0, (1024, 1025), 0.125).x)
 
@@ -117,7 +115,7 @@ def test_the_clock_moves_nothing_that_does_not_depend_on_it():
 # Times and what is saved
 
 
-def test_saved_times_and_shapes():
+def test_saved_times_and_array_shapes():
     s, x0 = e3_and_start()
     sol = co.integrate(s, x0, (0.5, 3.0), 0.1, save_every=10)
     assert sol.t.tolist() == [0.5, 0.5 + 10 * 0.1, 0.5 + 20 * 0.1, 0.5 + 25 * 0.1]
@@ -129,7 +127,7 @@ def test_saved_times_and_shapes():
     assert sol.stats.steps == 25 and (sol.step, sol.save_every) == (0.1, 10)
 
 
-def test_energy_and_casimirs_are_those_of_the_saved_states():
+def test_energy_and_casimirs_of_the_saved_states():
     """The compiled values against the system's own: 16 roundings of n^2 products."""
     for s in SYSTEMS.values():
         sol = co.integrate(s, start_of(s), (0.5, 1.5), 0.125)
@@ -139,26 +137,25 @@ def test_energy_and_casimirs_are_those_of_the_saved_states():
             assert abs(sol.casimirs[name][0] - casimir(sol.x[0])) <= 16 * U * (1 + sol.x[0] @ sol.x[0])
 
 
-def test_a_span_of_no_length_is_the_start():
+def test_empty_span_returns_the_start():
     s, x0 = e3_and_start()
     sol = co.integrate(s, x0, (2.0, 2.0), 0.1, attitude=True)
     assert sol.t.tolist() == [2.0] and np.array_equal(sol.x, [x0]) and np.array_equal(sol.attitude, [np.eye(4)])
     assert sol.drift()["energy"] == 0.0 and sol.stats.steps == 0
 
 
-def test_inputs_are_not_changed():
+def test_arguments_are_not_modified():
     s, x0 = e3_and_start()
-    given, element = x0.copy(), np.eye(6)
-    sol = co.integrate(s, given, (0, 1), 0.1, attitude="coadjoint")
+    given, element = x0.copy(), np.eye(4)
+    sol = co.integrate(s, given, (0, 1), 0.1, attitude=element)
     assert np.array_equal(given, x0) and not np.shares_memory(sol.x, given)
-    co.integrate(s, given, (0, 1), 0.1, attitude=np.eye(4))
-    assert np.array_equal(element, np.eye(6))
+    assert np.array_equal(element, np.eye(4)) and not np.shares_memory(sol.attitude, element)
 
 
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4 compensated", "GaussLegendre 2"])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_a_run_back_ends_where_the_run_began(name, scheme):
-    """Symmetric schemes: rounding of 2 x 40 steps with their flows or iterations; sizes and growth below ten."""
+def test_symmetric_schemes_return_to_the_start(name, scheme):
+    """Rounding of 2 x 40 steps with their flows or iterations; sizes and growth below ten."""
     s, method = SYSTEMS[name], SCHEMES[scheme]
     there = co.integrate(s, start_of(s), (0.25, 2.75), 0.0625, method, save_every=40)
     back = co.integrate(s, there.x[-1], (2.75, 0.25), 0.0625, method, save_every=40)
@@ -168,8 +165,8 @@ def test_a_run_back_ends_where_the_run_began(name, scheme):
     assert np.abs(there.x[-1] - start_of(s)).max() > 0.01
 
 
-def test_backward_in_time_is_the_equation_of_the_other_sign():
-    """For a splitting the step enters in sign h alone: the same bits."""
+def test_backward_run_equals_forward_run_of_other_sign():
+    """A splitting depends on sign h alone: the same bits."""
     for name in ("e(3)", "sl(2)", "A3,7"):
         s = SYSTEMS[name]
         other = co.LiePoissonSystem(s.algebra, s.hamiltonian, sign=-s.sign)
@@ -182,21 +179,21 @@ def test_backward_in_time_is_the_equation_of_the_other_sign():
 # Attitude
 
 
-def test_attitude_starts_where_it_is_told():
+def test_initial_attitude_multiplies_from_the_left():
     """g(t) = g0 g_1(t), g_1 from the unit: rounding of 10 steps."""
     s, x0 = e3_and_start()
     unit = co.integrate(s, x0, (0, 1), 0.1, attitude=True)
     g0 = random_element(s.representation, 4)
-    told = co.integrate(s, x0, (0, 1), 0.1, attitude=g0)
-    assert np.array_equal(told.attitude[0], g0) and np.array_equal(told.x, unit.x)
-    assert np.abs(told.attitude - g0 @ unit.attitude).max() <= 64 * told.stats.evaluations * U
+    started = co.integrate(s, x0, (0, 1), 0.1, attitude=g0)
+    assert np.array_equal(started.attitude[0], g0) and np.array_equal(started.x, unit.x)
+    assert np.abs(started.attitude - g0 @ unit.attitude).max() <= 64 * started.stats.evaluations * U
     each = co.integrate(s, np.stack([x0, x0]), (0, 1), 0.1, attitude=np.stack([np.eye(4), g0]))
-    assert np.array_equal(each.attitude[:, 0], unit.attitude) and np.array_equal(each.attitude[:, 1], told.attitude)
+    assert np.array_equal(each.attitude[:, 0], unit.attitude) and np.array_equal(each.attitude[:, 1], started.attitude)
 
 
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=["Splitting", "GaussLegendre"])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_the_coadjoint_matrix_serves_every_algebra(name, method):
+def test_coadjoint_matrix_maps_back_to_the_start(name, method):
     s, x0 = SYSTEMS[name], start_of(SYSTEMS[name])
     sol = co.integrate(s, x0, (0, 2), 0.05, method, attitude="coadjoint", save_every=20)
     sizes = np.linalg.norm(sol.attitude[-1]) * np.linalg.norm(sol.x[-1])
@@ -208,7 +205,7 @@ def test_the_coadjoint_matrix_serves_every_algebra(name, method):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_drift_is_the_largest_deviation_over_every_step(name):
+def test_drift_is_over_every_step(name):
     s = SYSTEMS[name]
     every = co.integrate(s, start_of(s), (0, 8.125), 0.0625, co.Splitting(order=2))
     steps = every.stats.steps
@@ -224,7 +221,7 @@ def test_drift_is_the_largest_deviation_over_every_step(name):
             assert drift.growth == drift.tenths[9] / drift.tenths[0]
 
 
-def test_without_watching_the_drift_is_over_saved_points():
+def test_unwatched_drift_is_over_saved_points():
     s, x0 = e3_and_start()
     sol = co.integrate(s, x0, (0, 8), 0.0625, save_every=10, watch=False)
     for key, values in {"energy": sol.energy, **sol.casimirs}.items():
@@ -232,7 +229,7 @@ def test_without_watching_the_drift_is_over_saved_points():
     assert sol.drift()["energy"] < co.integrate(s, x0, (0, 8), 0.0625, save_every=10).drift()["energy"]
 
 
-def test_drift_of_an_ensemble_is_that_of_each_member():
+def test_drift_of_an_ensemble_per_member():
     s, x0 = e3_and_start()
     crowd = np.stack([x0, 2 * x0, -x0])
     drift = co.integrate(s, crowd, (0, 2), 0.125, save_every=5).drift()["energy"]
@@ -243,8 +240,8 @@ def test_drift_of_an_ensemble_is_that_of_each_member():
 
 
 @pytest.mark.parametrize("a", [0.05, -0.05])
-def test_a_multivalued_casimir_is_unwrapped(a):
-    """(x1, x2) winds around the origin several times; the logarithm with the angle stays put."""
+def test_multivalued_casimir_is_unwrapped(a):
+    """(x1, x2) winds around the origin several times; log C stays constant."""
     s = co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic([0.01, 0.02, 1.0]))
     sol = co.integrate(s, (1.0, 0.0, 3.0), (0, 10), 0.05, co.Splitting(order=2))
     turns = np.unwrap(np.arctan2(sol.x[:, 1], sol.x[:, 0])) / (2 * np.pi)
@@ -261,27 +258,27 @@ def test_a_multivalued_casimir_is_unwrapped(a):
     "method", [co.ExplicitRungeKutta("runge2"), co.RadauEnergy(stages=2), co.Taylor(order=3, projected=False)], ids=repr
 )
 @pytest.mark.parametrize("members", [1, 9])
-def test_turns_between_saved_points_are_counted(method, members):
-    """A scheme that loses the Casimir: its branch is followed from step to step, and not from look to look."""
+def test_branches_are_followed_between_saved_points(method, members):
+    """For schemes that lose the Casimir: its branch is followed at every step."""
     s = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.005), co.Quadratic([0.01, 0.02, 1.0]))
     x0 = np.array([(1.0, 0.0, 3.0)] * members) * np.linspace(1, 1.2, members)[:, None]
     watched = co.integrate(s, x0, (0, 10), 0.125, method, save_every=70)
     others = co.integrate(s, x0, (0, 10), 0.125, method, save_every=70, watch=False)
     values = others.casimirs["log C"]
     assert np.array_equal(watched.casimirs["log C"], values)
-    assert np.ptp(values, axis=0).max() > 0.5 * s.casimirs["log C"].period  # what a look alone cannot tell
-    # What is not looked at is not judged.
+    assert np.ptp(values, axis=0).max() > 0.5 * s.casimirs["log C"].period  # ambiguous from saved points alone
+    # Unwatched drifts are over the saved points.
     for key, each in {"log C": values, "energy": others.energy}.items():
         assert others.drift()[key] == np.abs(each - each[0]).max()
         assert not others.drift()[key].tenths[..., 1:8].any()  # saved are the steps 0, 70 and 80
 
 
-def test_observables():
+def test_observed_quantities():
     s, x0 = e3_and_start()
     height = co.Polynomial({(1, 0, 0, 0, 0, 1): 2.0, (0, 1, 0, 0, 0, 0): 1})
-    asked = {"height": height, "angle": lambda x: math.atan2(x[1], x[0]), "late": lambda x, t: t * x[2]}
+    observe = {"height": height, "angle": lambda x: math.atan2(x[1], x[0]), "late": lambda x, t: t * x[2]}
     for start in (x0, np.stack([x0, -x0])):
-        sol = co.integrate(s, start, (0.5, 1.5), 0.125, save_every=3, observe=asked)
+        sol = co.integrate(s, start, (0.5, 1.5), 0.125, save_every=3, observe=observe)
         x1, x2, x3, x6 = (sol.x[..., i] for i in (0, 1, 2, 5))
         assert np.abs(sol.observed["height"] - (2 * x1 * x6 + x2)).max() <= 8 * U
         assert np.abs(sol.observed["angle"] - np.arctan2(x2, x1)).max() <= 8 * U
@@ -299,8 +296,8 @@ RUNAWAY = np.array([0.1, 0.2, 0.3])  # overflows after some thirty steps
 
 @pytest.mark.parametrize("every", [1, 7])
 @pytest.mark.parametrize("order", [1, 2, 4])
-def test_an_overflow_stops_the_run_with_what_there_is(order, every):
-    with pytest.raises(co.IntegrationError, match=r"a number overflowed; take a smaller step than 0\.1") as failure:
+def test_overflow_returns_the_partial_solution(order, every):
+    with pytest.raises(co.IntegrationError, match=r"overflowed.* smaller step than 0\.1") as failure:
         co.integrate(UNSTABLE, RUNAWAY, (1, 11), 0.1, co.Splitting(order=order), save_every=every, attitude="coadjoint")
     error = failure.value
     assert 5 < error.step < 100 and error.time == 1 + (error.step - 1) * 0.1 and math.isnan(error.residual)
@@ -311,7 +308,7 @@ def test_an_overflow_stops_the_run_with_what_there_is(order, every):
     assert "\n" not in str(error) and f"in step {error.step}" in str(error)
 
 
-def test_the_other_members_finish():
+def test_other_members_finish_after_a_failure():
     crowd = np.stack([RUNAWAY * 0.01, RUNAWAY, RUNAWAY * 0.02])
     for threads in (1, 2):
         with pytest.raises(co.IntegrationError, match=r"for 1 of 3 members \(first: member 1\)") as failure:
@@ -327,8 +324,8 @@ def test_the_other_members_finish():
         assert np.all(np.isnan(partial.energy[finished:, 1]))
 
 
-def test_an_iteration_that_does_not_converge_says_so():
-    with pytest.raises(co.IntegrationError, match=r"did not converge \(last correction") as failure:
+def test_iteration_that_does_not_converge_is_an_error():
+    with pytest.raises(co.IntegrationError, match="did not converge") as failure:
         co.integrate(SYSTEMS["e(3)"], 100 * start_of(SYSTEMS["e(3)"]), (0, 10), 1.0, co.GaussLegendre(2))
     assert failure.value.residual > 0 and failure.value.step >= 1
 
@@ -349,25 +346,25 @@ PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadr
     [
         ({"step": 0.0}, ValueError, "step is 0.0"),
         ({"step": math.nan}, ValueError, "step is nan"),
-        ({"step": 0.3}, ValueError, "does not divide the time 1.0; the nearest steps that do are 0.25 and 0.333"),
+        ({"step": 0.3}, ValueError, r"does not divide the time 1.0.* 0.25 and 0.333"),
         ({"t_span": (0.0, math.nan)}, ValueError, "the end of t_span is nan"),
         ({"x0": (1.0, math.nan, 0.0)}, ValueError, "x0 contains NaN or infinity"),
         ({"x0": (1.0, math.inf, 0.0)}, ValueError, "x0 contains NaN or infinity"),
-        ({"x0": (1.0, 2.0)}, ValueError, r"x0 has the shape \(2,\); it must be \(3,\) or \(members, 3\)"),
+        ({"x0": (1.0, 2.0)}, ValueError, r"x0 has the shape \(2,\).*\(members, 3\)"),
         ({"x0": 1.0}, ValueError, r"x0 has the shape \(\)"),
         ({"x0": np.zeros((2, 2, 3))}, ValueError, r"x0 has the shape \(2, 2, 3\)"),
         ({"x0": np.zeros((0, 3))}, ValueError, "at least one member"),
-        ({"save_every": 0}, ValueError, "save_every must be a whole number from 1 up, not 0"),
-        ({"save_every": 1.5}, ValueError, "save_every must be a whole number from 1 up, not 1.5"),
-        ({r"threads": 0}, ValueError, "threads .None is all cores. must be a whole number from 1 up, not 0"),
-        ({"threads": 1.5}, ValueError, r"threads .* must be a whole number from 1 up, not 1.5"),
-        ({"threads": math.nan}, ValueError, r"threads .* must be a whole number from 1 up, not nan"),
-        ({"threads": "all"}, ValueError, r"threads .* must be a whole number from 1 up, not 'all'"),
-        ({"method": "strang"}, ValueError, r"unknown method 'strang'; there are: CommutatorFree, .*Taylor"),
-        ({"method": 2}, TypeError, r"method is 2; it must be a scheme such as Splitting\(order=2\)"),
-        ({"method": co.Splitting}, TypeError, r"method is the class Splitting; give a scheme, such as Splitting\(\)"),
-        ({"attitude": "quaternion"}, ValueError, "attitude is 'quaternion'; it must be True, False, 'coadjoint'"),
-        ({"attitude": np.eye(2)}, ValueError, r"attitude has the shape \(2, 2\); .* needs \(3, 3\)"),
+        ({"save_every": 0}, ValueError, "save_every .* not 0"),
+        ({"save_every": 1.5}, ValueError, "save_every .* not 1.5"),
+        ({"threads": 0}, ValueError, "threads .* not 0"),
+        ({"threads": 1.5}, ValueError, "threads .* not 1.5"),
+        ({"threads": math.nan}, ValueError, "threads .* not nan"),
+        ({"threads": "all"}, ValueError, "threads .* not 'all'"),
+        ({"method": "strang"}, ValueError, "'strang'.* CommutatorFree, .*Taylor"),
+        ({"method": 2}, TypeError, "method is 2.*Splitting"),
+        ({"method": co.Splitting}, TypeError, r"class Splitting.*Splitting\(\)"),
+        ({"attitude": "quaternion"}, ValueError, "attitude is 'quaternion'.*'coadjoint'"),
+        ({"attitude": np.eye(2)}, ValueError, r"attitude has the shape \(2, 2\).*\(3, 3\)"),
         ({"attitude": np.full((3, 3), math.nan)}, ValueError, "attitude contains NaN"),
         ({"attitude": True, "system": BARE}, ValueError, "bare spiral has no representation .* attitude='coadjoint'"),
         (
@@ -375,11 +372,11 @@ PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadr
             ValueError,
             "plane has no Lie algebra",
         ),
-        ({"system": PLANE, "x0": (1.0, 0.0)}, ValueError, "Splitting needs a Lie algebra, which plane does not have"),
-        ({"observe": {"e": 3.0}}, TypeError, r"observe\['e'\] is 3.0; it must be a Polynomial or a function"),
+        ({"system": PLANE, "x0": (1.0, 0.0)}, ValueError, "Splitting needs a Lie algebra.*plane"),
+        ({"observe": {"e": 3.0}}, TypeError, r"observe\['e'\] is 3.0.* function"),
     ],
 )
-def test_refusals(change, error, message):
+def test_wrong_arguments_are_refused(change, error, message):
     given = {"system": BODY, "x0": (1.0, 0.0, 0.5), "t_span": (0.0, 1.0), "step": 0.25, **change}
     with pytest.raises(error, match=message) as refusal:
         co.integrate(**given)
@@ -387,7 +384,7 @@ def test_refusals(change, error, message):
 
 
 @pytest.mark.parametrize("written", ["Splitting", {"name": "Splitting", "order": 4}])
-def test_schemes_by_name_wherever_one_is_taken(written):
+def test_schemes_may_be_given_by_name_everywhere(written):
     body, X = co.systems.rigid_body(), (1.0, 0.2, 0.1)
     method = co.Splitting() if isinstance(written, str) else co.Splitting(order=4)
     calls = (

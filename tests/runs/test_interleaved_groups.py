@@ -1,4 +1,4 @@
-"""Batches whose members have tables of several structures, in turn: every part of a run belongs to its own member."""
+"""Batches whose members, in turn, have tables of different structures."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def prepared(system, method, **options):
 
 
 def assert_member(whole, m, alone):
-    """The member m of a run is the run of this member alone, as far as that goes."""
+    """Compare the member m of a run with the run of this member alone."""
     count = len(alone.t)
     for name in ("x", "energy", "attitude"):
         assert np.array_equal(getattr(whole, name)[:count, m], getattr(alone, name)), (name, m)
@@ -48,14 +48,13 @@ def assert_member(whole, m, alone):
         assert own.initial[m] == drift.initial
 
 
-def test_the_members_are_in_several_groups():
+def test_members_are_in_several_groups():
     order = prepared(BATCH, METHODS[0]).loops(STEP).order
     assert order.tolist() == [0, 3, 6, 1, 5, 2, 4] and not np.array_equal(order, np.argsort(order))
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_events_end_each_member_at_its_own_time(way):
-    """Some of them, or all of them before the end of the span."""
+def test_events_end_members_at_their_own_times(way):
     events = [co.Event("x1", count=3), co.Event("x2", terminal=True, count=1)]
     ready = [prepared(BATCH, METHODS[0], threads=threads) for threads in (1, 2)]
     single = [prepared(system, METHODS[0]) for system in SYSTEMS]
@@ -77,7 +76,7 @@ def test_events_end_each_member_at_its_own_time(way):
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("m", [1, 4, 6])
-def test_a_member_whose_crossing_fails_is_felt_by_none_of_the_others(monkeypatch, m, way):
+def test_failed_crossing_does_not_affect_other_members(monkeypatch, m, way):
     ready, span, event = prepared(BATCH, METHODS[0]), (T0, T0 + 10 * way), co.Event("x2")
     whole = ready.run(X, span, events=event)
     step = int(abs(whole.events.of(m).t[1] - T0) / STEP)  # in which it crosses for the second time
@@ -94,7 +93,7 @@ def test_a_member_whose_crossing_fails_is_felt_by_none_of_the_others(monkeypatch
 
 
 @pytest.mark.parametrize("done", [1, 2])
-def test_an_interrupt_leaves_the_members_that_are_done(monkeypatch, done):
+def test_interrupt_returns_finished_members(monkeypatch, done):
     ready, real, left = prepared(BATCH, METHODS[0], threads=1), MemberBatch.advance, [done]
     whole = ready.run(X, (T0, T0 + 2), save_every=3)
 
@@ -121,8 +120,8 @@ def test_an_interrupt_leaves_the_members_that_are_done(monkeypatch, done):
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("resumed", [False, True])
-def test_a_run_in_pieces(method, way, resumed):
-    """Held and stored states are in the given order after any number of steps, also between saved points."""
+def test_piecewise_runs_preserve_the_member_order(method, way, resumed):
+    """Also between saved points."""
     ready, span = prepared(BATCH, method), (T0, T0 + 2.5 * way)
     whole, times, start = ready.run(X, span, save_every=3), ready.times_of(span, 3)[0], ready.start(X)
     run = PiecewiseRun(ready, times, start, 3)
@@ -148,7 +147,7 @@ def test_a_run_in_pieces(method, way, resumed):
 
 
 @pytest.mark.parametrize("method", METHODS, ids=str)
-def test_members_alone_at_any_time_and_among_some(method):
+def test_members_at_any_time_and_in_subsets(method):
     times = T0 + np.array([0.0, 0.1, 0.375, 0.6, 0.61, 1.0])
     ready = prepared(BATCH, method, threads=2)
     whole, every = ready.run(X, (T0, T0 + 1), t_eval=times), ready.run(X, (T0, T0 + 1))

@@ -1,4 +1,4 @@
-"""What is saved may stand at any steps: the same bits as where every step is saved, and nothing else moves."""
+"""Saved points at arbitrary steps: the bits of a run that saves every step."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ METHODS = [
 
 
 def run(method, members, times, watching, state=None, attitude=True):
-    kept = method.properties(BODY).attitude != "none" and attitude
-    ready = PreparedRun(BODY, method, STEP, attitude="coadjoint" if kept else False, watch=watching)
+    carried = method.properties(BODY).attitude != "none" and attitude
+    ready = PreparedRun(BODY, method, STEP, attitude="coadjoint" if carried else False, watch=watching)
     x0 = X if members == 1 else np.multiply.outer(1.0 - 0.01 * np.arange(members), X)
     found = Run(BODY, method, ready.loops(STEP), times, ready.start(x0), watching, state=state)
     found.advance()
@@ -42,7 +42,7 @@ def run(method, members, times, watching, state=None, attitude=True):
 @pytest.mark.parametrize("watching", [True, False])
 @pytest.mark.parametrize("members", [1, 35])
 @pytest.mark.parametrize("method", METHODS, ids=str)
-def test_marked_steps_have_the_bits_that_they_have_among_all(method, members, watching):
+def test_marked_steps_have_the_bits_of_all_steps(method, members, watching):
     times = Times(0.5, STEP, STEPS, 1)
     every = run(method, members, times, watching)
     whole = every.solution(None)
@@ -54,7 +54,7 @@ def test_marked_steps_have_the_bits_that_they_have_among_all(method, members, wa
         if marks:
             assert np.array_equal(found.x, whole.x[marks]) and np.array_equal(found.energy, whole.energy[marks])
             assert whole.attitude is None or np.array_equal(found.attitude, whole.attitude[marks])
-        # What is watched does not depend on what is saved, where every step is watched.
+        # Watched invariants do not depend on the saved points.
         if watching:
             assert some.state == every.state
         for name in ("momenta", "errors", "groups", "group_errors", "memory", "evaluations", "iterations"):
@@ -62,7 +62,7 @@ def test_marked_steps_have_the_bits_that_they_have_among_all(method, members, wa
 
 
 @pytest.mark.parametrize("method", METHODS, ids=str)
-def test_a_run_goes_on_between_marked_steps(method):
+def test_run_resumes_between_marked_steps(method):
     times = Times(0.5, STEP, STEPS, 1).with_saved_steps(MARKS["some"])
     whole = run(method, 1, times, True)
     first = run(method, 1, Times(0.5, STEP, STEPS, 1), True)
@@ -79,8 +79,8 @@ def test_a_run_goes_on_between_marked_steps(method):
 
 
 @pytest.mark.parametrize("members", [1, 35])
-def test_what_was_saved_after_a_failure_is_taken_back(members):
-    """The group element of a step whose momentum overflows is not kept, also where momenta are finished later."""
+def test_points_saved_after_a_failure_are_erased(members):
+    """Also the group element of the step whose momentum overflows."""
     system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(np.zeros((3, 3)), linear=[0.0, 8.0, 0.0]))
     ready = PreparedRun(system, co.Splitting(order=2), 1.0, attitude="coadjoint")
     x0 = np.array([0.5, 1.0, 0.25])
@@ -96,6 +96,6 @@ def test_what_was_saved_after_a_failure_is_taken_back(members):
 
 
 @pytest.mark.parametrize("wrong", [[3, 3], [4, 2], [-1, 2], [5, 71], [0.5, 1.0], [[1, 2]], 3, ["a"]])
-def test_steps_that_cannot_be_marked_are_refused(wrong):
-    with pytest.raises(ValueError, match=r"the steps to be saved are .* whole numbers from 0 to 70, each larger"):
+def test_invalid_marked_steps_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"steps to be saved .* whole numbers from 0 to 70"):
         Times(0.0, STEP, STEPS, 1).with_saved_steps(wrong)

@@ -1,4 +1,4 @@
-"""Matrices wherever vectors go: ensembles, threads, prepared runs, steppers, what is observed, and runs that fail."""
+"""Runs of matrices: ensembles, threads, prepared runs, steppers, observed quantities and failures."""
 
 import copy
 import functools
@@ -29,7 +29,7 @@ def states(system, count):
 
 
 @pytest.mark.parametrize(("name", "stages"), [("sphere", 1), ("body", 2), ("general", 1), ("general", 2)])
-def test_members_alone_and_in_company_have_the_same_bits(name, stages):
+def test_members_have_the_same_bits_alone_and_together(name, stages):
     system, method = SYSTEMS[name], co.IsospectralGauss(stages)
     W = states(system, 5)
     crowd = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3, threads=2)
@@ -48,7 +48,7 @@ def test_members_alone_and_in_company_have_the_same_bits(name, stages):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_what_is_saved_changes_nothing(name):
+def test_saving_does_not_change_bits(name):
     system, W = SYSTEMS[name], state_of(SYSTEMS[name])
     every = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
     few = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2), save_every=8)
@@ -62,7 +62,7 @@ def test_what_is_saved_changes_nothing(name):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_steppers(name):
+def test_stepper_of_matrices(name):
     system, W, method = SYSTEMS[name], state_of(SYSTEMS[name]), co.IsospectralGauss(2)
     step = co.stepper(system, method, 0.1)
     run = co.integrate(system, W, (0.0, 0.1), 0.1, method)
@@ -80,19 +80,19 @@ def test_steppers(name):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_there_and_back(name):
+def test_backward_run_returns_to_the_start(name):
     system, W = SYSTEMS[name], states(SYSTEMS[name], 2)
     there = co.integrate(system, W, (0.5, 1.5), 0.0625)
     back = co.integrate(system, there.x[-1], (1.5, 0.5), 0.0625)
     assert np.abs(back.x[-1] - W).max() < 1e-14 < 1e-3 < np.abs(there.x[-1] - W).max()
 
 
-def test_without_a_scheme_matrices_take_their_own():
+def test_default_scheme_of_matrices():
     assert isinstance(co.integrate(BODY, state_of(BODY), (0, 1), 0.1).method, co.IsospectralGauss)
     assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)
 
 
-def test_energy_that_depends_on_time():
+def test_time_dependent_energy():
     masses = np.diag([1.0, 2.0, 3.0])
 
     def stream(W, t):
@@ -116,9 +116,7 @@ def test_energy_that_depends_on_time():
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_drifts_of_an_energy_that_depends_on_time(way, monkeypatch):
-    """Measured from the energy at the start of the run, with either sign, at the saved times."""
-
+def test_drift_of_a_time_dependent_energy(way, monkeypatch):
     def missing(*_):
         raise MissingPackageError("a compiled stream", "numba")
 
@@ -137,8 +135,7 @@ def test_drifts_of_an_energy_that_depends_on_time(way, monkeypatch):
     assert alone.drift()["energy"].tenths.tolist() == drift.tenths[1].tolist()
 
 
-def test_balances_of_several_forces():
-    """What all of them do is taken from the energy."""
+def test_balance_of_several_forces():
     forces = co.forces.LinearDamping(0.2), co.forces.Viscosity(0.02), co.forces.Friction(lambda k: 0.3 / k)
     driven, W = SPHERE.with_forces(*forces), states(SPHERE, 2)
     sol = co.integrate(driven, W, (1.0, 2.0), 0.125)
@@ -151,7 +148,7 @@ def test_balances_of_several_forces():
         assert drift < 0.01 * np.abs(values - values[0]).max()
 
 
-def test_a_member_that_fails_leaves_the_others():
+def test_failed_member_leaves_the_others_unchanged():
     W = np.array([state_of(SPHERE), 1e9 * state_of(SPHERE), 0.5 * state_of(SPHERE)])
     with pytest.raises(co.IntegrationError, match=r"1 of 3 members \(first: member 1\)") as failure:
         co.integrate(SPHERE, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
@@ -168,7 +165,7 @@ def test_a_member_that_fails_leaves_the_others():
 
 
 class TooLarge(Exception):
-    """Of the user."""
+    """Raised by a function of the user."""
 
 
 def watched_stream(limit):
@@ -181,7 +178,7 @@ def watched_stream(limit):
 
 
 @pytest.mark.parametrize("threads", long_where([1], [1, 2]))
-def test_what_a_function_raises_comes_out_of_the_run(threads):
+def test_exceptions_of_stream_functions_propagate(threads):
     # W' = [W^T, W] makes entries above the diagonal of a triangular matrix fall, and so others rise.
     system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), watched_stream(2.0))
     W = np.array([[0.5, 1.9, 0.0], [0.0, -0.5, 1.9], [0.3, 0.0, 0.1]])
@@ -191,16 +188,16 @@ def test_what_a_function_raises_comes_out_of_the_run(threads):
     assert np.isfinite(calm.x).all()
 
 
-def test_a_function_that_numba_cannot_compile_is_said_to_be_slow_once():
+def test_function_numba_cannot_compile_warns_once():
     def stream(W):
         return dict(P=W)["P"].T
 
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for _ in range(2):
             system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), stream)
             co.integrate(system, np.array([[1.0, 0.5], [0.0, 0.2]]), (0.0, 0.5), 0.125)
-    assert len([w for w in said if "is called in Python" in str(w.message)]) == 1
+    assert len([w for w in caught if "is called in Python" in str(w.message)]) == 1
 
 
 COEFFICIENTS = np.array([[1.0, 0.7, 0.2], [0.7, 0.5, 1.3], [0.2, 1.3, 0.4]])
@@ -249,20 +246,20 @@ CALLABLES = {
 
 @pytest.mark.parametrize("name", CALLABLES)
 @pytest.mark.parametrize("kind", ["gl", "so", "u"])
-def test_streams_that_are_no_plain_functions(name, kind):
-    """They are named in one warning for each of them, and the motion is that of W' = [P, W]."""
+def test_callable_objects_as_streams(name, kind):
+    """Each warns once, and the motion is that of W' = [P, W]."""
     algebra = co.MatrixAlgebra(kind, 3)
     rng = np.random.default_rng(7)
     W = 0.5 * algebra.projected(rng.standard_normal((3, 3)) + (1j * rng.standard_normal((3, 3)) if kind == "u" else 0))
-    # The cache of warnings knows a function by its value, and each case has its own.
+    # Warnings are cached by the value of the function: a copy for each case.
     function = copy.deepcopy(CALLABLES[name])
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         runs = [co.MatrixSystem(algebra, function) for _ in range(2)]
         ends = [co.integrate(run, W, (0.0, 1.0), 0.125, co.IsospectralGauss(3)).x[-1] for run in runs]
-    named = [str(one.message) for one in said if "is called in Python" in str(one.message)]
-    assert len(named) == 1 and named[0].startswith(f"the stream {name} is called")
-    assert "Numba type" in named[0]
+    messages = [str(one.message) for one in caught if "is called in Python" in str(one.message)]
+    assert len(messages) == 1 and messages[0].startswith(f"the stream {name} is called")
+    assert "Numba type" in messages[0]
 
     def slope(t, y):
         now = y.reshape(3, 3)
@@ -275,8 +272,8 @@ def test_streams_that_are_no_plain_functions(name, kind):
 
 
 @pytest.mark.long
-def test_compiled_and_called_functions_are_one_motion():
-    """H = tr W^3/3 + tr(W W^T)/2 on gl(3), whose slope is W^2 + W^T."""
+def test_compiled_and_python_streams_agree():
+    """H = tr W^3/3 + tr(W W^T)/2 on gl(3), with gradient W^2 + W^T."""
     g, ends = co.MatrixAlgebra("gl", 3), []
     for function in (lambda W: W @ W + W.T, lambda W: np.einsum("ij,jk->ik", W, W) + W.T):
         system = co.MatrixSystem(g, function, energy=lambda W: np.trace(W @ W @ W) / 3 + np.sum(W * W) / 2)
@@ -286,11 +283,11 @@ def test_compiled_and_called_functions_are_one_motion():
     assert np.abs(ends[0] - ends[1]).max() < 1e-15
 
 
-def test_an_interrupt_ends_a_long_run():
+def test_interrupt_ends_a_long_run():
     import signal
 
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        pytest.skip("no interrupts are heard here")
+        pytest.skip("interrupts are ignored here")
     timer = threading.Timer(0.3, lambda: signal.raise_signal(signal.SIGINT))
     timer.start()
     try:
@@ -300,11 +297,11 @@ def test_an_interrupt_ends_a_long_run():
         timer.cancel()
 
 
-def test_large_states_are_estimated(monkeypatch):
+def test_memory_of_large_states_is_estimated(monkeypatch):
     large = co.systems.matrix_body(np.linspace(1.0, 2.0, 400))
     W = np.zeros((400, 400))
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
-    with pytest.raises(ValueError, match=r"101 saved points of 1 member need about .* give save_every="):
+    with pytest.raises(ValueError, match=r"101 saved points .* save_every="):
         co.integrate(large, W, (0.0, 1.0), 0.01)
     assert co.integrate(large, W, (0.0, 0.01), 0.01).x.shape == (2, 400, 400)
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**7)
@@ -314,7 +311,7 @@ def test_large_states_are_estimated(monkeypatch):
         large.structure_matrix(W)
 
 
-def test_the_spectrum_of_a_crowd_is_that_of_each_member_at_each_time():
+def test_spectrum_of_an_ensemble_per_member():
     fluid = co.systems.sphere_euler(N=5)
     W = np.stack([fluid.random(seed=seed) for seed in range(3)])
     together = co.integrate(fluid, W, (0.5, 1.0), 0.125).spectrum()

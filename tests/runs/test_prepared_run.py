@@ -1,24 +1,25 @@
-"""Runs that were made ready once: the results of `integrate`, in several threads, without set-up."""
+"""Prepared runs: the results of `integrate`, without set-up, in several threads."""
 
 import copy
 import dataclasses
 import pickle
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import coadjoint as co
 from coadjoint.kernels.loop import MemberBatch
-from coadjoint.runs import batch_execution as crews_at_work
-from coadjoint.runs import prepared_run, run
+from coadjoint.runs import batch_execution, prepared_run, run
 from coadjoint.runs.solution import MAX_KEPT_NUMBERS, PICKLED_ATTRIBUTES, Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def test_everything_is_as_with_integrate():
+def test_prepared_run_equals_integrate():
     options = {"attitude": True, "watch": False, "observe": {"x1": lambda x: x[0]}, "threads": 2}
     method = co.Splitting(order=4)
     many = X * np.linspace(1, 2, 5)[:, None]
@@ -48,18 +49,18 @@ def test_each_direction_is_prepared_once(monkeypatch):
     assert np.array_equal(back.x, again.x) and np.abs(back.x[-1] - X).max() < 1e-14 * 20
 
 
-def test_a_run_keeps_its_arrays_when_another_follows():
+def test_solutions_own_their_arrays():
     ready = co.prepare(BODY, co.GaussLegendre(2), 0.1, attitude=True)
     first = ready.run(X, (0, 1))
-    kept = first.x.copy(), first.attitude.copy()
+    copies = first.x.copy(), first.attitude.copy()
     ready.run(2 * X, (0, 1))
-    assert np.array_equal(first.x, kept[0]) and np.array_equal(first.attitude, kept[1])
+    assert np.array_equal(first.x, copies[0]) and np.array_equal(first.attitude, copies[1])
 
 
 @pytest.mark.parametrize(
     "method", [co.Splitting(order=4), co.GaussLegendre(3), co.RadauEnergy(2), co.Taylor(6)], ids=str
 )
-def test_threads_may_share_one(method):
+def test_threads_share_a_prepared_run(method):
     ready = co.prepare(BODY, method, 0.01, observe={"x1": lambda x: x[0]}, threads=1)
     states = X * np.linspace(0.5, 2.0, 8)[:, None]
     expected = [co.integrate(BODY, x, (0, 5), 0.01, method, save_every=50) for x in states]
@@ -70,37 +71,33 @@ def test_threads_may_share_one(method):
         for span in ((0, -0.01), (0, 5), (0, 5)):
             found[m] = ready.run(states[m], span, 50)
 
-    workers = [threading.Thread(target=work, args=(m,)) for m in range(len(states))]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
+    with ThreadPoolExecutor(len(states)) as pool:
+        list(pool.map(work, range(len(states))))
     for m, once in enumerate(expected):
         assert np.array_equal(found[m].x, once.x) and np.array_equal(found[m].energy, once.energy)
 
 
-def test_one_thread_starts_none(monkeypatch):
+def test_one_worker_starts_no_thread(monkeypatch):
     def refused(*_, **__):
         raise AssertionError("a thread for one member")
 
-    monkeypatch.setattr(crews_at_work.threading, "Thread", refused)
+    monkeypatch.setattr(batch_execution.threading, "Thread", refused)
     assert co.prepare(BODY, None, 0.1, threads=8).run(X, (0, 1)).x.shape == (11, 3)
     assert co.prepare(BODY, None, 0.1, threads=1).run([X, X], (0, 1)).x.shape == (11, 2, 3)
     with pytest.raises(AssertionError, match="a thread"):
         co.prepare(BODY, None, 0.1, threads=2).run([X, X], (0, 1))
 
 
-def test_initial_group_element_of_each_run():
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+def test_initial_group_element_per_run():
     ready = co.prepare(BODY, None, 0.1, attitude=True)
-    turned = ready.run(X, (0, 1), attitude=quarter)
-    assert np.array_equal(turned.attitude, co.integrate(BODY, X, (0, 1), 0.1, attitude=quarter).attitude)
+    turned = ready.run(X, (0, 1), attitude=QUARTER)
+    assert np.array_equal(turned.attitude, co.integrate(BODY, X, (0, 1), 0.1, attitude=QUARTER).attitude)
     assert np.array_equal(ready.run(X, (0, 1)).attitude[0], np.eye(3))
     for wrong in (True, "coadjoint"):
-        with pytest.raises(ValueError, match="an initial group element, an array"):
+        with pytest.raises(ValueError, match="initial group element"):
             ready.run(X, (0, 1), attitude=wrong)
     with pytest.raises(ValueError, match="must be given to `prepare`"):
-        co.prepare(BODY, None, 0.1).run(X, (0, 1), attitude=quarter)
+        co.prepare(BODY, None, 0.1).run(X, (0, 1), attitude=QUARTER)
     with pytest.raises(ValueError, match=r"attitude has the shape \(2, 2\)"):
         ready.run(X, (0, 1), attitude=np.eye(2))
 
@@ -112,19 +109,19 @@ def test_initial_group_element_of_each_run():
         ({"step": 0.0}, ValueError, "it must be positive"),
         ({"step": "a"}, TypeError, "it must be a number"),
         ({"watch": 1}, TypeError, "watch is 1"),
-        ({"threads": 0}, ValueError, r"threads .* must be a whole number from 1 up, not 0"),
+        ({"threads": 0}, ValueError, "threads .* not 0"),
         ({"observe": [1]}, TypeError, "it must map names"),
         ({"attitude": "spin"}, ValueError, "attitude is 'spin'"),
         ({"system": 3}, TypeError, "system is 3"),
     ],
 )
-def test_what_is_refused_before_any_run(options, kind, message):
+def test_wrong_arguments_of_prepare_are_refused(options, kind, message):
     given = {"system": BODY, "method": None, "step": 0.1, **options}
     with pytest.raises(kind, match=message):
         co.prepare(given.pop("system"), given.pop("method"), given.pop("step"), **given)
 
 
-def test_what_a_run_refuses():
+def test_wrong_arguments_of_runs_are_refused():
     ready = prepared_run.PreparedRun(BODY, None, 0.1)
     with pytest.raises(ValueError, match="does not divide"):
         ready.run(X, (0, 0.25))
@@ -133,8 +130,8 @@ def test_what_a_run_refuses():
     assert ready._loops_by_step == {}  # nothing was prepared for wrong input
 
 
-def test_parts_of_a_solution_are_made_when_asked_for_and_stay():
-    """In whatever order, after other runs, after the states were written over, and for copies."""
+def test_attributes_of_solutions_are_lazy_and_cached():
+    """In any order, after other runs, after the states are overwritten, and for copies."""
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})
     parts = list(PICKLED_ATTRIBUTES)
     for x in (X, np.array([X, 2 * X])):
@@ -161,19 +158,18 @@ def assert_same(one, other):
         assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
 
 
-def test_a_solution_is_pickled_whole_and_has_nothing_else():
+def test_solution_is_pickled_completely():
     sol = co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])), X, (0, 1), 0.1)
     there = pickle.loads(pickle.dumps(sol))
     assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
     assert set(vars(there)) == set(PICKLED_ATTRIBUTES)
-    with pytest.raises(AttributeError, match="a Solution has no attribute 'momentum'; here it is x"):
+    with pytest.raises(AttributeError, match=r"'momentum'.* x"):
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
         sol.x = X
 
 
-def test_threads_with_short_calls_of_any_shape():
-    """The plan and the pace that are kept are those of whoever was last."""
+def test_threads_with_short_runs_of_any_shape():
     ready = co.prepare(BODY, co.GaussLegendre(2), 0.01, threads=1)
     states = X * np.linspace(0.5, 2.0, 6)[:, None]
     calls = [(x, (0, 0.01 * steps)) for steps in (1, 2, 7) for x in (*states, states[:2], states)]
@@ -186,16 +182,13 @@ def test_threads_with_short_calls_of_any_shape():
             if not (np.array_equal(sol.x, once.x) and np.array_equal(sol.energy, once.energy)):
                 wrong.append(call)
 
-    workers = [threading.Thread(target=work, args=(turn,)) for turn in range(4)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(4)))
     assert wrong == []
 
 
-def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
-    """The loops listen by themselves; a bar moves between calls."""
+def test_run_is_one_call_except_under_a_progress_bar(monkeypatch, capsys):
+    """The loops check for interrupts; a progress bar is updated between calls."""
     cuts, real = [], MemberBatch.advance
     monkeypatch.setattr(
         MemberBatch, "advance", lambda member_batch, *given: cuts.append(given[-3:-1]) or real(member_batch, *given)
@@ -212,7 +205,7 @@ def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
     assert "(100 %)" in capsys.readouterr().err
 
 
-def test_a_solution_shows_what_it_has_from_the_start():
+def test_solution_lists_lazy_attributes():
     sol = co.integrate(BODY, X, (0, 1), 0.1)
     public = {name for name in PICKLED_ATTRIBUTES if not name.startswith("_")} | {"drift", "change", "balance"}
     public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate", "at"}
@@ -221,7 +214,7 @@ def test_a_solution_shows_what_it_has_from_the_start():
     assert repr(sol).endswith("by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>")
 
 
-def test_a_solution_of_many_members_does_not_hold_their_state():
+def test_solution_of_many_members_drops_their_state():
     many = np.tile(X, (MAX_KEPT_NUMBERS // 8, 1))
     sol = co.integrate(BODY, many, (0, 1), 0.1)
     assert set(sol._state.offsets.shapes) == {"worst", "status", "evaluations", "iterations"}
@@ -231,7 +224,7 @@ def test_a_solution_of_many_members_does_not_hold_their_state():
 
 
 @pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
-def test_a_group_element_that_is_nearly_singular_is_refused(size):
+def test_nearly_singular_group_element_is_refused(size):
     ready = co.prepare(BODY, co.Splitting(order=2), 0.1, attitude=True)
     random = np.random.default_rng(3).standard_normal((3, 3))
     nearly = random.copy()
@@ -242,32 +235,30 @@ def test_a_group_element_that_is_nearly_singular_is_refused(size):
     with pytest.raises(ValueError, match="singular"):
         ready.run(X, (0, 1), attitude=0.0 * random)
     steep = size * np.diag([1.0, 1.0, 1e-14])
-    with pytest.raises(ValueError, match="attitude is no element of the group of rigid_body: it is not orthogonal"):
+    with pytest.raises(ValueError, match=r"attitude .*rigid_body.*not orthogonal"):
         ready.run(X, (0, 1), attitude=steep)
-    # Of the group of all matrices with a positive determinant it is an element.
+    # It is an element of the group of all matrices with positive determinant.
     every = co.LiePoissonSystem(co.algebras.gl(3), co.Quadratic(np.arange(1.0, 10.0)), casimirs={})
     whole = co.integrate(every, np.full(9, 0.1), (0, 1), 0.1, attitude=steep)
     assert np.array_equal(whole.attitude[0], steep)
 
 
-@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("member", [0, 1, 2])
 @pytest.mark.parametrize("attitude", [True, "coadjoint"])
-def test_a_wrong_group_element_is_refused_in_any_place(place, attitude):
+def test_wrong_group_element_of_any_member_is_refused(member, attitude):
     ready, x = co.prepare(BODY, None, 0.1, attitude=attitude), np.array([X, -X, 2 * X])
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     wrong = [(np.zeros((3, 3)), "singular"), (np.diag([1.0, 0.0, 1.0]), "singular"), (2.0 * np.eye(3), "no element")]
     wrong += [(np.diag([1.0, 1.0, np.nan]), "contains NaN"), (np.diag([1.0, 1.0, -1.0]), "no element")]
-    for element, said in wrong:
-        elements = np.stack([np.eye(3), turned, turned.T])
+    for element, words in wrong:
+        elements = np.stack([np.eye(3), QUARTER, QUARTER.T])
         assert ready.run(x, (0, 0.1), attitude=elements).attitude.shape == (2, 3, 3, 3)
-        elements[place] = element
-        with pytest.raises(ValueError, match=said):
+        elements[member] = element
+        with pytest.raises(ValueError, match=words):
             ready.run(x, (0, 0.1), attitude=elements)
 
 
-def test_some_members_have_their_group_elements_and_their_number():
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    elements = np.stack([np.linalg.matrix_power(quarter, m) for m in range(4)])
+def test_subset_of_members_has_its_group_elements():
+    elements = np.stack([np.linalg.matrix_power(QUARTER, m) for m in range(4)])
     x = X * np.linspace(1, 2, 4)[:, None]
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=elements)
     whole = ready.run(x, (1, 2))
@@ -277,16 +268,15 @@ def test_some_members_have_their_group_elements_and_their_number():
         assert np.array_equal(some.attitude, whole.attitude[:, first:last])
 
 
-def test_group_elements_are_copied_and_may_be_lists():
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    elements = np.stack([np.linalg.matrix_power(quarter, m) for m in range(3)])
+def test_group_elements_are_copied():
+    elements = np.stack([np.linalg.matrix_power(QUARTER, m) for m in range(3)])
     x, given = X * np.linspace(1, 2, 3)[:, None], elements.copy()
     listed = co.prepare(BODY, None, 0.1, attitude=given.tolist())
     for ready in (listed, co.prepare(BODY, None, 0.1, attitude=given)):
         given[:] = np.eye(3)
         assert np.array_equal(ready.run(x, (0, 1)).attitude[0], elements)
         assert np.array_equal(ready.among(1, 3).run(x[1:], (0, 1)).attitude[0], elements[1:])
-    # The second state is none of the sample, and has a run of its own.
+    # The second state is outside of the sample, and gets its own choice.
     given = elements[1].copy()
     ready = co.prepare(BODY, accuracy=1e-6, x0=X, t_span=(0, 2), attitude=given)
     given[:] = np.eye(3)

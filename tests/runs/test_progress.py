@@ -1,4 +1,4 @@
-"""How far a run has come: a bar on a terminal, plain lines in a log, the same bits with either."""
+"""Progress reports: a bar on a terminal, plain lines in a log."""
 
 import fcntl
 import io
@@ -24,19 +24,19 @@ co.integrate(co.systems.rigid_body(), (1.0, 0.2, 0.1), (0, 1000), 0.01, save_eve
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
 
 
-def test_a_log_has_lines_and_no_control_characters():
+def test_log_has_one_line_without_control_characters():
     done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, env=ENVIRONMENT, timeout=120, check=True)
-    said = done.stderr.decode()
-    assert said.startswith("100000 of 100000 steps (100 %) after ") and said.endswith(" s\n") and said.count("\n") == 1
-    assert all(letter.isprintable() or letter == "\n" for letter in said) and done.stdout == b""
+    log = done.stderr.decode()
+    assert log.startswith("100000 of 100000 steps (100 %) after ") and log.endswith(" s\n") and log.count("\n") == 1
+    assert all(letter.isprintable() or letter == "\n" for letter in log) and done.stdout == b""
 
 
-def test_a_terminal_has_a_bar():
+def test_terminal_has_a_bar():
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
     with subprocess.Popen([sys.executable, "-c", RUN], stderr=theirs, env=ENVIRONMENT) as process:
         os.close(theirs)
-        said = b""
+        output = b""
         while True:
             try:
                 piece = os.read(ours, 4096)
@@ -44,13 +44,13 @@ def test_a_terminal_has_a_bar():
                 break
             if not piece:
                 break
-            said += piece
+            output += piece
         assert process.wait(120) == 0
     os.close(ours)
-    assert b"\r" in said and b"100k/100k" in said
+    assert b"\r" in output and b"100k/100k" in output
 
 
-def test_a_line_now_and_then(monkeypatch, capsys):
+def test_log_has_a_line_every_thirty_seconds(monkeypatch, capsys):
     now = iter([0.0, 10.0, 30.0, 40.0, 59.0, 61.0, 62.0])
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
     with progress.progress_bar(8, True, "member") as done:
@@ -62,7 +62,7 @@ def test_a_line_now_and_then(monkeypatch, capsys):
     ]
 
 
-def test_one_line_at_the_end_also_where_it_ends_early(capsys):
+def test_last_line_is_written_on_errors(capsys):
     with pytest.raises(RuntimeError), progress.progress_bar(8, True) as done:
         done(3)
         raise RuntimeError
@@ -73,7 +73,7 @@ def test_one_line_at_the_end_also_where_it_ends_early(capsys):
 
 
 @pytest.mark.parametrize("stream", [None, "closed", "full"])
-def test_a_log_that_cannot_be_written_loses_no_run(monkeypatch, stream):
+def test_unwritable_log_does_not_fail_the_run(monkeypatch, stream):
     class Full(io.StringIO):
         def write(self, text):
             raise OSError(28, "No space left on device")

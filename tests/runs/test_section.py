@@ -1,4 +1,4 @@
-"""Poincare sections: the crossings of each member are those that it has alone, and the curves are the known ones."""
+"""Poincare sections: the crossings of each member alone, invariants, plots and arguments."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ METHODS = [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(order=12)]
 
 
 @pytest.mark.parametrize("method", long_beyond(1, METHODS), ids=str)
-def test_members_end_at_their_number_of_crossings(method, monkeypatch):
+def test_members_end_after_the_given_crossings(method, monkeypatch):
     monkeypatch.setattr(event_run, "FIRST_CHUNK", 16)
     monkeypatch.setattr(event_run, "MOST_STEPS", 64)
     top, x0 = co.systems.kovalevskaya_top(), starts(40)
@@ -36,14 +36,13 @@ def test_members_end_at_their_number_of_crossings(method, monkeypatch):
     assert np.all(np.diff(found.t, axis=1)[there[:, 1:]] > 0) and np.isnan(found.x[~there]).all()
 
 
-def test_members_with_fewer_crossings_have_them_first():
+def test_missing_crossings_come_last():
     found = co.section(co.systems.kovalevskaya_top(), starts(40), co.Event(1, direction=1), (0, 30), 0.125)
     assert len(set(found.counts.tolist())) > 2
     assert np.array_equal(np.isfinite(found.t), np.arange(found.counts.max()) < found.counts[:, None])
 
 
-def test_integrals_are_kept_on_the_section():
-    """The integral of Kovalevskaya is none of the scheme: its error is that of the step, as along the run."""
+def test_casimirs_are_preserved_on_the_section():
     top = co.systems.kovalevskaya_top()
     found = co.section(top, starts(12), co.Event(1, direction=1), (0, 200), 0.0625, co.Splitting(order=4))
     x = found.events.x
@@ -55,7 +54,7 @@ def test_integrals_are_kept_on_the_section():
     assert abs(x[:, 1]).max() < 64 * U * abs(x).max()
 
 
-def test_drawn_and_refused():
+def test_plots_and_refusals_of_sections():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     found = co.section(body, [(0.1, 1.0, 0.1), (0.2, 1.0, 0.1)], co.Event("x2"), (0, 100), 0.125)
     figure = found.plot()
@@ -73,8 +72,7 @@ def test_drawn_and_refused():
         co.section(body, (1.0, 0.2, 0.1), co.Event(0), (0, 1), 0.125, crossings=0)
 
 
-def test_members_without_a_crossing_have_a_row():
-    """First, in between and last; a single state and one member have one."""
+def test_members_without_crossings_have_empty_rows():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     x0, rest = np.array([0.1, 1.0, 0.1]), np.array([0.0, 0.0, 1.0])
     event, given = co.Event("x2"), ((3.0, 63.0), 0.125)
@@ -93,7 +91,7 @@ def test_members_without_a_crossing_have_a_row():
     assert repr(found) == f"<section: {2 * len(own.events)} crossings of x2 by 6 members>"
 
 
-def test_every_argument_reaches_the_run(monkeypatch):
+def test_arguments_are_passed_to_the_run(monkeypatch):
     body, x0, seen = co.systems.rigid_body(inertia=(1, 2, 3)), [(0.1, 1.0, 0.1)] * 2, []
 
     def recorded(*given, **options):
@@ -110,6 +108,12 @@ def test_every_argument_reaches_the_run(monkeypatch):
         None,
         1e-6,
     )
-    asked = options["events"]
-    assert (asked.g, asked.direction, asked.count, asked.terminal, asked.name) == ("x2", -1, 2, True, "down")
+    event_used = options["events"]
+    assert (event_used.g, event_used.direction, event_used.count, event_used.terminal, event_used.name) == (
+        "x2",
+        -1,
+        2,
+        True,
+        "down",
+    )
     assert others["events"] is event and not options["progress"] and not options["watch"]

@@ -1,4 +1,4 @@
-"""One step as a function: the same bits as a run, its exact tangent, its group element."""
+"""Single steps as functions: bits, exact tangents, group elements and refusals."""
 
 import math
 
@@ -51,7 +51,7 @@ def setup(name, sign=-1):
 
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("name", ["e(3)", "A3,7", "driven so(4)"])
-def test_a_step_has_the_bits_of_the_first_step_of_a_run(name, method):
+def test_step_equals_the_first_step_of_a_run(name, method):
     s, x = setup(name)
     for h in (0.125, -0.125):
         sol = co.integrate(s, x, (0.5, 0.5 + h), abs(h), method)
@@ -87,7 +87,7 @@ def test_splitting_steps_are_poisson_maps(name, method):
 
 
 @pytest.mark.parametrize("name", ["e(3)", "so(4)", "sl(2)", "A3,7", "driven so(4)"])
-def test_group_element(name):
+def test_group_element_of_a_step(name):
     s, x = setup(name)
     step = co.stepper(s, co.Splitting(order=2), 0.25)
     K, y = step.group(x, attitude="coadjoint"), step(x)
@@ -100,14 +100,14 @@ def test_group_element(name):
         assert np.abs(g @ moved - rho @ g).max() <= 256 * U * np.linalg.norm(K) * np.linalg.norm(g)
 
 
-def test_group_element_without_a_representation_is_the_coadjoint_matrix():
+def test_default_group_element_is_the_coadjoint_matrix():
     bare = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}})
     step = co.stepper(co.LiePoissonSystem(bare, co.Quadratic([1.0, 2.0, 0.5])), co.Splitting(), 0.1)
     x = np.array([1.0, 0.5, 0.25])
     assert np.abs(step.group(x) @ step(x) - x).max() <= 64 * U
 
 
-def test_a_blow_up_is_an_error():
+def test_blow_up_is_an_error():
     s = co.LiePoissonSystem(
         co.algebras.get("A3,7", a=2.0), co.Quadratic([[1.0, 0.3, 0], [0.3, -2.0, 0.1], [0, 0.1, 0.5]])
     )
@@ -117,12 +117,12 @@ def test_a_blow_up_is_an_error():
 
 
 @pytest.mark.parametrize("h", [0.0, math.nan, math.inf])
-def test_steps_that_are_none_are_refused(h):
+def test_zero_or_infinite_steps_are_refused(h):
     with pytest.raises(ValueError, match=r"h is .*; it must (be finite|not be zero)"):
         co.stepper(setup("e(3)")[0], co.Splitting(), h)
 
 
-def test_other_refusals():
+def test_wrong_arguments_of_steppers_are_refused():
     s, x = setup("e(3)")
     with pytest.raises(ValueError, match="unknown method 'strang'"):
         co.stepper(s, "strang", 0.1)
@@ -145,8 +145,7 @@ def test_other_refusals():
 
 @pytest.mark.parametrize("method", [METHODS[2], METHODS[4]], ids=str)
 @pytest.mark.parametrize("name", ["A3,7", "driven so(4)"])
-def test_the_tangent_of_a_step_back_is_the_inverse(name, method):
-    """Symmetric schemes: from the state and the time where the step ends."""
+def test_tangent_of_the_backward_step_is_the_inverse(name, method):
     s, x = setup(name)
     there, back = (co.stepper(s, method, h) for h in (0.125, -0.125))
     y = there(x, t=0.5)

@@ -1,4 +1,4 @@
-"""What is said of a system is what it is."""
+"""Summaries of ready-made systems."""
 
 import json
 
@@ -14,30 +14,30 @@ from long import long_between
 
 @pytest.mark.thinned(5)
 @pytest.mark.parametrize("name", long_between(2, co.systems.names()))
-def test_what_is_said_is_what_the_system_is(name):
-    told, system = summarize_system(name), co.systems.get(name)
-    assert json.loads(json.dumps(told)) == told
-    assert (told["dimension"], told["sign"]) == (system.dim, system.sign)
+def test_summary_matches_the_system(name):
+    summary, system = summarize_system(name), co.systems.get(name)
+    assert json.loads(json.dumps(summary)) == summary
+    assert (summary["dimension"], summary["sign"]) == (system.dim, system.sign)
     J = system.structure_matrix(np.random.default_rng(8).normal(size=system.dim))
-    assert told["rank"] == np.linalg.matrix_rank(J)
-    for key, parameter in told["parameters"].items():
-        assert parameter["kind"] and parameter["meaning"], f"the docstring of {name} says nothing of {key}"
-    assert list(told["casimirs"]) == list(system.casimirs)
+    assert summary["rank"] == np.linalg.matrix_rank(J)
+    for key, parameter in summary["parameters"].items():
+        assert parameter["kind"] and parameter["meaning"], f"the docstring of {name} does not describe {key}"
+    assert list(summary["casimirs"]) == list(system.casimirs)
     x = np.cos(np.arange(system.dim))
-    for key, formula in told["casimirs"].items():
+    for key, formula in summary["casimirs"].items():
         if formula is not None and not formula.endswith("..."):
-            # the coordinates by their names, put back by their numbers, are the Casimir again
-            for i in sorted(range(system.dim), key=lambda i: -len(told["coordinates"][i])):
-                formula = formula.replace(told["coordinates"][i], f"@{i + 1}@")
+            # With numbers in place of the names of the coordinates, the formula is parsed back to the Casimir.
+            for i in sorted(range(system.dim), key=lambda i: -len(summary["coordinates"][i])):
+                formula = formula.replace(summary["coordinates"][i], f"@{i + 1}@")
             assert parse_polynomial(_numbered(formula), system.dim)(x) == pytest.approx(
                 value_of(system.casimirs[key], x), abs=1e-12
             )
     method = suggested_scheme(system)
-    assert told["scheme"] == str(method)
+    assert summary["scheme"] == str(method)
     assert method.properties(system).poisson or system.algebra is None
-    text = system_text(told)
+    text = system_text(summary)
     assert max(map(len, text.splitlines())) <= 100
-    for word in ("algebra", "rank", "casimirs", "begin with", *told["parameters"]):
+    for word in ("algebra", "rank", "casimirs", "begin with", *summary["parameters"]):
         assert word in text
 
 
@@ -47,10 +47,10 @@ def value_of(casimir, x):
 
 def _numbered(formula):
     parts = formula.split("@")
-    return "".join(f"x{part}" if place % 2 else part for place, part in enumerate(parts))
+    return "".join(f"x{part}" if k % 2 else part for k, part in enumerate(parts))
 
 
-def test_a_system_without_exact_flows_has_another_scheme():
+def test_suggested_scheme_without_exact_flows():
     def value(x):
         return np.cosh(x[0] + x[1] * x[2])
 

@@ -1,4 +1,4 @@
-"""States at any times: what is asked for is what is kept, the run itself has the bits that it always has."""
+"""States at given times (`t_eval`, `Solution.at`), between the unchanged steps of a run."""
 
 import copy
 import pickle
@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import output_times as any_time
-from coadjoint.runs import state_at
+from coadjoint.runs import output_times, state_at
 from failing_parts import failing_parts
 from group_elements import random_element
 
@@ -20,7 +19,7 @@ STEP = 0.125
 
 
 def kind_of(method):
-    """Which group element a scheme carries."""
+    """Return the kind of group element that a scheme computes."""
     kept = (method or co.Splitting()).properties(BODY).attitude
     return {"none": False, "coadjoint": "coadjoint"}.get(kept, True)
 
@@ -38,7 +37,7 @@ def random_times(start, end, count=40, seed=7):
 @pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0), (1e3, 1e3 + 4.0)])
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8), None], ids=str)
 @pytest.mark.parametrize("watch", [True, False])
-def test_at_the_steps_they_are_those_of_the_run(span, method, watch):
+def test_states_at_steps_are_those_of_the_run(span, method, watch):
     kind = kind_of(method)
     every = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind)
     # Times as one writes them, a rounding away from those of the steps.
@@ -56,7 +55,7 @@ def test_at_the_steps_they_are_those_of_the_run(span, method, watch):
 
 
 @pytest.mark.parametrize("end", [3.0, -3.0])
-def test_the_free_body_is_where_its_closed_form_is(end):
+def test_free_body_matches_its_closed_form(end):
     times = random_times(0.0, end)
     method = co.Splitting(order=2, parts="free_body")
     exact, g = BODY.exact(X, times, attitude=True)
@@ -69,7 +68,7 @@ def test_the_free_body_is_where_its_closed_form_is(end):
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(order=6), co.GaussLegendre(2)], ids=str)
-def test_what_is_kept_is_kept_between_steps_too(method):
+def test_invariants_are_preserved_between_steps(method):
     algebra = co.algebras.so(4)
     M = np.diag(np.linspace(0.5, 1.5, 6))
     M[0, 3] = M[3, 0] = 0.1
@@ -88,7 +87,7 @@ def test_what_is_kept_is_kept_between_steps_too(method):
     assert np.abs(unit - np.eye(4)).max() < 30 * 161 * U * 4
 
 
-def test_ensembles_batches_threads_and_company():
+def test_members_and_threads_do_not_change_bits():
     rng = np.random.default_rng(4)
     x, times = rng.standard_normal((37, 3)), random_times(0.0, 2.0)
     for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)):
@@ -108,12 +107,12 @@ def test_ensembles_batches_threads_and_company():
             alone = co.integrate(body, x[m], (0, 2), STEP, method, t_eval=times, attitude=kind)
             for name in ("x", "energy", "attitude") if kind else ("x", "energy"):
                 assert np.array_equal(getattr(alone, name), getattr(batch, name)[:, m])
-        # Which other times are asked for is nothing to a state.
+        # A state does not depend on the other times.
         some = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times[5:9], attitude=kind)
         assert np.array_equal(some.x, crowd.x[5:9]) and agree(some.attitude, crowd.attitude[5:9] if kind else None)
 
 
-def test_inputs_observed_and_times_in_the_energy():
+def test_inputs_observables_and_time_dependent_energies():
     times = random_times(0.0, 2.0)
     ready = co.prepare(BODY, co.Splitting(order=4), STEP, inputs=True, observe={"first": lambda x, t: x[0] + t})
     field = (0.1, 0.0, -0.2)
@@ -133,7 +132,7 @@ def test_inputs_observed_and_times_in_the_energy():
     assert np.abs(crowd.energy[:, 7] - by_hand).max() < 8 * U
 
 
-def test_events_that_end_a_run_and_others():
+def test_output_times_do_not_change_events():
     times = random_times(0.0, 40.0)
     seen = co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(1))
     alone = co.integrate(BODY, X, (0, 40), STEP, events=co.Event(1))
@@ -144,8 +143,8 @@ def test_events_that_end_a_run_and_others():
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(12), co.Taylor(tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize("end", [80.0, -80.0])
-def test_an_event_ends_the_run_between_the_times(method, end):
-    """What comes before it is as without it, and its own state comes last."""
+def test_terminal_event_between_output_times(method, end):
+    """Earlier states are unchanged, and the state of the event comes last."""
     times, kind = random_times(0.0, end), kind_of(method)
     options = {"step": STEP, "method": method, "attitude": kind, "t_eval": times}
     whole = co.integrate(BODY, X, (0, end), **options)
@@ -162,7 +161,7 @@ def test_an_event_ends_the_run_between_the_times(method, end):
         if kind:
             assert np.array_equal(sol.attitude[:k], whole.attitude[:k])
             assert np.array_equal(sol.attitude[-1], there.attitude[count - 1])
-        # Asked for again with the times that came out, which end with that of the event.
+        # With the times of the solution, which end with that of the event.
         again = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": sol.t})
         assert np.array_equal(again.x, sol.x) and np.array_equal(again.t, sol.t)
         # No time before it, or all of them.
@@ -174,7 +173,7 @@ def test_an_event_ends_the_run_between_the_times(method, end):
     assert np.array_equal(copied.x, sol.x) and copied.t_span == sol.t_span
 
 
-def test_members_end_at_their_own_times():
+def test_members_end_at_their_own_events():
     x0 = np.random.default_rng(4).standard_normal((17, 3))
     x0[3] = 0.0, 0.0, 1.0  # at rest
     event, times = co.Event(1, terminal=True, count=2), random_times(0.0, 12.0)
@@ -193,7 +192,7 @@ def test_members_end_at_their_own_times():
     assert np.isnan(later.events.ends(17)).all()
 
 
-def test_accounts_of_forces_and_noise():
+def test_forces_and_noise_at_output_times():
     times = random_times(0.0, 2.0)
     damped = BODY.with_forces(co.forces.LinearDamping(0.3))
     found = co.integrate(damped, X, (0, 2), STEP, co.GaussLegendre(2), t_eval=times)
@@ -201,13 +200,13 @@ def test_accounts_of_forces_and_noise():
     assert np.abs(lost - found.work["LinearDamping"]["energy"]).max() < 17 * 30 * U and lost[-1] < -0.01
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
     bath = spin.with_forces(co.forces.HeatBath(0.1, 0.5, seed=1))
-    with pytest.raises(ValueError, match=r"HeatBath of .* is a noise, drawn once for a step: there is no state"):
+    with pytest.raises(ValueError, match=r"HeatBath .* noise"):
         co.integrate(bath, X, (0, 2), STEP, t_eval=times)
     every = co.integrate(bath, X, (0, 2), STEP)
     assert np.array_equal(co.integrate(bath, X, (0, 2), STEP, t_eval=every.t[3:9]).x, every.x[3:9])
 
 
-def test_matrices():
+def test_matrices_at_output_times():
     fluid = co.systems.torus_euler(N=5)
     rng = np.random.default_rng(2)
     W = fluid.algebra.projected(rng.standard_normal((5, 5)) + 1j * rng.standard_normal((5, 5)))
@@ -221,7 +220,7 @@ def test_matrices():
     assert 3.0 < larger / error < 5.0  # of order two: 4 + O(h)
 
 
-def test_a_shift_is_taken_back_for_as_long_as_the_steps_are():
+def test_shifted_attitude_uses_the_length_of_the_steps():
     # At t = 0.1 + 7 h the time since the start, as a difference, is a rounding off 7 h.
     span, step = (0.1, 0.1 + 70 * 0.03), 0.03
     every = co.integrate(BODY, 3 * X, span, step, co.Splitting(order=4), attitude=True)
@@ -231,7 +230,7 @@ def test_a_shift_is_taken_back_for_as_long_as_the_steps_are():
 
 
 @pytest.mark.parametrize("span", [(0.1, 2.2), (-0.7, -2.8)])
-def test_times_beside_the_steps_are_the_steps(span):
+def test_rounded_times_of_steps_are_the_steps(span):
     every = co.integrate(BODY, X, span, 0.03, co.GaussLegendre(2))
     times = np.linspace(*span, 71)
     assert not np.array_equal(times, every.t)
@@ -239,11 +238,9 @@ def test_times_beside_the_steps_are_the_steps(span):
     assert np.array_equal(found.x, every.x)
 
 
-def test_a_part_of_a_step_that_fails_leaves_what_came_before(monkeypatch):
+def test_failed_partial_step_keeps_earlier_states(monkeypatch):
     failing_parts(monkeypatch, 0, 0.5)
-    with pytest.raises(
-        co.IntegrationError, match=r"^in step 5, at t = 0.5, the iteration of .* did not conv"
-    ) as caught:
+    with pytest.raises(co.IntegrationError, match=r"step 5, at t = 0.5, .* did not conv") as caught:
         co.integrate(BODY, X, (0, 1), STEP, t_eval=[0.0, 0.25, 0.5, 0.55, 1.0])
     assert caught.value.partial.t.tolist() == [0.0, 0.25, 0.5] and np.isfinite(caught.value.partial.x).all()
     assert (caught.value.step, caught.value.residual) == (5, 0.25)
@@ -251,15 +248,13 @@ def test_a_part_of_a_step_that_fails_leaves_what_came_before(monkeypatch):
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_part_of_a_step_that_fails_is_felt_by_its_member_alone(monkeypatch, way, threads):
+def test_failed_partial_step_affects_one_member(monkeypatch, way, threads):
     times = way * np.array([0.0, 0.25, 0.5, 0.55, 0.625, 0.7, 1.0])
     crowd = np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])
     given = BODY, crowd, (0, way), STEP
     whole = co.integrate(*given, t_eval=times)
     failing_parts(monkeypatch, 1, 0.5 * way)
-    with pytest.raises(
-        co.IntegrationError, match=r"did not converge .* for 1 of 3 members \(first: member 1\)"
-    ) as caught:
+    with pytest.raises(co.IntegrationError, match=r"did not converge .* 1 of 3 members .*member 1") as caught:
         co.integrate(*given, t_eval=times, threads=threads)
     found = caught.value.partial
     assert np.array_equal(found.x[:, [0, 2]], whole.x[:, [0, 2]])
@@ -270,25 +265,24 @@ def test_a_part_of_a_step_that_fails_is_felt_by_its_member_alone(monkeypatch, wa
 
 @pytest.mark.parametrize("x", [X, np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])], ids=["one", "three"])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_times_that_are_reached_in_pieces(monkeypatch, x, way):
-    """However many states are computed at once, each of them is the same."""
+def test_output_does_not_depend_on_chunk_size(monkeypatch, x, way):
     times = way * np.array([0.0, 0.01, 0.02, 0.25, 0.26, 0.3, 0.31, 0.5, 0.8, 0.99, 1.0])
     given = {"attitude": True, "t_eval": times}
     whole = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
     for rows in (1, 4, 7):
-        monkeypatch.setattr(any_time, "ROWS_PER_CALL", rows)
+        monkeypatch.setattr(output_times, "ROWS_PER_CALL", rows)
         found = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
         for name in ("t", "x", "energy", "attitude"):
             assert np.array_equal(getattr(found, name), getattr(whole, name)), name
         assert np.array_equal(found.casimirs["|x|^2"], whole.casimirs["|x|^2"])
 
 
-def test_noise_has_no_states_between_the_steps_of_any_member():
+def test_noise_has_no_states_between_steps():
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
     baths = [spin.with_forces(co.forces.HeatBath(0.1, 0.5, seed=m)) for m in range(2)]
     batch, x = co.batch(baths), np.array([X, 2 * X])
     every = co.integrate(batch, x, (0, 1), STEP)
-    refused = pytest.raises(ValueError, match=r"HeatBath of .* is a noise, drawn once for a step")
+    refused = pytest.raises(ValueError, match=r"HeatBath .* noise")
     with refused:
         co.integrate(batch, x, (0, 1), STEP, t_eval=[0.5, 0.55])
     with refused:
@@ -299,7 +293,7 @@ def test_noise_has_no_states_between_the_steps_of_any_member():
     assert np.array_equal(found.x, every.x[2:5])
 
 
-def test_times_are_those_that_were_given_whatever_becomes_of_them():
+def test_arguments_are_copied():
     times, x, g = np.array([0.0, 0.3, 0.7]), X.copy(), random_element(BODY.representation, 2)
     sol = co.integrate(BODY, x, (0, 1), STEP, co.Splitting(order=4), attitude=g, t_eval=times)
     same = co.integrate(BODY, X, (0, 1), STEP, co.Splitting(order=4), attitude=g.copy(), t_eval=times.copy())
@@ -310,17 +304,16 @@ def test_times_are_those_that_were_given_whatever_becomes_of_them():
 
 
 @pytest.mark.parametrize("step", [STEP, 2.0**-13])
-def test_more_times_than_there_is_memory_for(monkeypatch, step):
-    """Between the steps, or at steps: as many saved points, which save_every would not change."""
+def test_memory_of_output_times_is_estimated(monkeypatch, step):
     monkeypatch.setattr("coadjoint.runs.memory_estimate.UNCHECKED_BYTES", 0)
     monkeypatch.setattr("coadjoint.memory.available", lambda: 2 * 10**5)
     monkeypatch.setattr("coadjoint.runs.output_times.PartialSteps", None)  # nothing is computed
-    with pytest.raises(ValueError, match=r"^\d+ saved points of 1 member need about .* give fewer times in t_eval$"):
+    with pytest.raises(ValueError, match=r"^\d+ saved points .* fewer times in t_eval$"):
         co.integrate(BODY, X, (0, 1), step, t_eval=np.linspace(0.0, 1.0, 2**13 + 1))
 
 
 @pytest.mark.parametrize("end", [80.0, -80.0])
-def test_what_has_several_values_goes_on(end):
+def test_multivalued_casimirs_are_unwrapped(end):
     # The Casimir of A3,7 has an angle, which winds up along the run.
     M = np.array([[1.0, 0.2, 0.1], [0.2, 1.5, 0.0], [0.1, 0.0, 0.7]])
     system = co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), co.Quadratic(M))
@@ -337,8 +330,8 @@ def test_what_has_several_values_goes_on(end):
 
 
 @pytest.mark.parametrize("size", [1e160, 5e20])
-def test_a_run_that_fails_keeps_what_came_before(size):
-    """Parts of a step that failed are no states of the run, also where they could be computed, as from 5e20."""
+def test_states_of_failed_steps_are_erased(size):
+    """Also where parts of the failed step could be computed, as from 5e20."""
     x = np.array([X, [size, size, -size]])
     times = np.linspace(0.0, 1.0, 21)
     with pytest.raises(co.IntegrationError) as caught:
@@ -352,34 +345,34 @@ def test_a_run_that_fails_keeps_what_came_before(size):
 
 
 @pytest.mark.parametrize(
-    ("times", "said"),
+    ("times", "words"),
     [
-        ([], "t_eval has the shape (0,); it must be a row of times"),
-        (0.5, "t_eval has the shape (); it must be a row of times"),
+        ([], "t_eval has the shape (0,)"),
+        (0.5, "t_eval has the shape ()"),
         ([[0.5]], "t_eval has the shape (1, 1)"),
         ([0.5, np.nan], "t_eval contains NaN or infinity"),
-        ([0.5, 0.25], "t_eval[1] is 0.25 and comes after 0.5; times must be sorted in the direction of t_span"),
-        ([-0.1, 0.25], "t_eval[0] is -0.1; it must lie within t_span, from 0 to 1"),
-        ([0.25, 1.001], "t_eval[1] is 1.001; it must lie within t_span, from 0 to 1"),
+        ([0.5, 0.25], "t_eval[1] is 0.25 and comes after 0.5"),
+        ([-0.1, 0.25], "t_eval[0] is -0.1"),
+        ([0.25, 1.001], "t_eval[1] is 1.001"),
     ],
 )
-def test_refusals(times, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
+def test_wrong_output_times_are_refused(times, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
         co.integrate(BODY, X, (0, 1), STEP, t_eval=times)
 
 
-def test_more_refusals_and_empty_spans():
+def test_conflicting_arguments_and_empty_spans():
     with pytest.raises(ValueError, match="save_every and t_eval; give only one"):
         co.integrate(BODY, X, (0, 1), STEP, save_every=2, t_eval=[0.5])
     with pytest.raises(TypeError, match="t_eval"):
         co.integrate(BODY, X, (0, 1), STEP, t_eval="now")
     assert np.array_equal(co.integrate(BODY, X, (1, 1), STEP, t_eval=[1.0, 1.0]).x, [X, X])
-    with pytest.raises(ValueError, match=r"t_eval\[0\] is 0.6; it must lie within t_span, from 0.5 to 0"):
+    with pytest.raises(ValueError, match=r"t_eval\[0\] is 0.6.* from 0.5 to 0"):
         co.integrate(BODY, X, (0.5, 0), 0.25, t_eval=[0.6])
 
 
 @pytest.mark.parametrize("span", [(0.0, 20.0), (3.0, -17.0)])
-def test_schemes_with_steps_of_their_own(span):
+def test_variable_steps_reach_output_times(span):
     times, method = random_times(*span, 300), co.Taylor(tolerance=1e-10)
     exact, g = BODY.exact(X, times - span[0], attitude=True)
     for step in (0.1, 10.0):
@@ -393,7 +386,7 @@ def test_schemes_with_steps_of_their_own(span):
     assert len(times) <= found.stats.steps < 2 * len(times)
 
 
-def test_accuracy_holds_between_the_steps():
+def test_accuracy_holds_between_steps():
     times = random_times(0.0, 20.0, 1000)
     ready = co.prepare(BODY, accuracy=1e-9, x0=X[None], t_span=(0, 20))
     for found in (co.integrate(BODY, X, (0, 20), accuracy=1e-9, t_eval=times), ready.run(X, (0, 20), t_eval=times)):
@@ -405,7 +398,7 @@ class TestAt:
 
     @pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0)])
     @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
-    def test_it_is_what_t_eval_finds(self, span, method):
+    def test_at_equals_t_eval(self, span, method):
         times, kind = random_times(*span), kind_of(method)
         x0 = np.random.default_rng(0).standard_normal((3, 3))
         for x in (x0, x0[1]):
@@ -428,7 +421,7 @@ class TestAt:
             assert np.array_equal(again.x[0], asked.x[4]) and np.array_equal(again.x[2], x)
             assert np.abs(again.x[1] - asked.x[-1]).max() == 0.0
 
-    def test_start_and_end_that_were_not_asked_for(self):
+    def test_start_and_end_outside_t_eval(self):
         sol = co.integrate(BODY, X, (0, 4), STEP, attitude=True, t_eval=[1.03, 2.07])
         whole = co.integrate(BODY, X, (0, 4), STEP, attitude=True)
         assert np.array_equal(sol.x0, X) and np.array_equal(sol.attitude0, np.eye(3))
@@ -442,8 +435,8 @@ class TestAt:
         assert np.array_equal(copied.at(0.5).x, found.x[0])
 
     @pytest.mark.parametrize("end", [12.0, -12.0])
-    def test_members_that_events_have_ended(self, end):
-        """They have states before their ends, and none after; what would become of them later harms nobody."""
+    def test_members_ended_by_events(self, end):
+        """They have states before their ends, and NaN after."""
         event, kind = co.Event(1, terminal=True), "coadjoint"
         x0, times = np.random.default_rng(5).standard_normal((9, 3)), random_times(0.0, end)
         asked = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, t_eval=times, events=event)
@@ -465,10 +458,10 @@ class TestAt:
         assert np.abs(there.x[first] - sol.events.of(first).x[-1]).max() < 32 * 70 * U * np.abs(x0).max()
         last = float(way * np.max(way * ends))
         assert np.isfinite(sol.at(last).x).sum() == 3
-        with pytest.raises(ValueError, match=f"after events ended the runs of all members, the last at {last:g}"):
+        with pytest.raises(ValueError, match=f"after events ended .* {last:g}"):
             sol.at([0.0, end])
 
-    def test_members_that_would_fail_after_their_ends(self):
+    def test_members_that_would_fail_after_their_end(self):
         """x' = x^2 ends at x = 10, a step before it would be infinite."""
         line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
         system = co.LiePoissonSystem(line, co.Polynomial({(1, 1): -1.0}))
@@ -483,24 +476,24 @@ class TestAt:
         other = co.integrate(bounded, np.eye(3) + 0.1, (0, 2), STEP, events=co.Event(0))
         assert np.array_equal(other.at(1.0).x, other.x[8])
 
-    def test_refusals(self, monkeypatch):
+    def test_wrong_times_of_at_are_refused(self, monkeypatch):
         sol = co.integrate(BODY, X, (0, 4), STEP)
-        for wrong, said in (
-            (4.5, "t is 4.5; it must lie within the run, from 0 to 4"),
+        for wrong, words in (
+            (4.5, "t is 4.5; it must lie within the run"),
             (-1e-9, "t is -1e-09; it must lie within the run"),
             ([[1.0]], "t has the shape (1, 1)"),
             ([], "t has the shape (0,)"),
             (np.nan, "every time must be finite"),
         ):
-            with pytest.raises(ValueError, match=re.escape(said)):
+            with pytest.raises(ValueError, match=re.escape(words)):
                 sol.at(wrong)
         monkeypatch.setattr(state_at, "MOST_STEPS", 10)
         coarse = co.integrate(BODY, X, (0, 4), STEP, save_every=12)
         assert coarse.at(1.1).x.shape == (3,)
-        with pytest.raises(ValueError, match="the times lie 12 steps after saved points, and at most 10"):
+        with pytest.raises(ValueError, match=r"12 steps after saved points.* 10"):
             coarse.at(1.45)
 
-    def test_error_estimate_of_a_run_whose_end_was_not_asked_for(self):
+    def test_error_estimate_without_the_end_in_t_eval(self):
         sol = co.integrate(BODY, X, (0, 20), accuracy=1e-6, t_eval=[3.3, 7.7])
         error = np.linalg.norm(sol.x[-1] - BODY.exact(X, 7.7)) / np.linalg.norm(X)
         assert error / 10 < sol.error_estimate < 10 * error

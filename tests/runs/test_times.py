@@ -1,4 +1,4 @@
-"""The times of a run: whole numbers of steps, in the direction of the span; anything else refused in a sentence."""
+"""Time grids of runs: whole numbers of steps in the direction of the span."""
 
 import math
 import re
@@ -24,7 +24,7 @@ from coadjoint.runs.times import times_of
         ((0.0, 1.0), 0.25, 2.0, [0, 2, 4]),
     ],
 )
-def test_saved_steps(span, step, every, saved):
+def test_saved_steps_of_a_span(span, step, every, saved):
     times = times_of(span, step, every)
     assert times.saved.tolist() == saved
     assert times.steps == saved[-1]
@@ -35,12 +35,12 @@ def test_saved_steps(span, step, every, saved):
 @pytest.mark.parametrize("step", [0.1, 0.01, 1 / 3, 0.7, 1e-3, math.pi / 100])
 @pytest.mark.parametrize("count", [1, 3, 7, 1000, 123457])
 @pytest.mark.parametrize("start", [0.0, -17.3, 1e3])
-def test_spans_that_are_multiples_up_to_rounding_are_taken(step, count, start):
+def test_spans_that_are_multiples_up_to_rounding_are_accepted(step, count, start):
     for end in (start + count * step, start - count * step):
         assert times_of((start, end), step, 1).steps == count
 
 
-def test_the_two_nearest_steps_are_named_and_serve():
+def test_two_nearest_steps_are_suggested():
     for span, step in (((0.0, 1.0), 0.3), ((5.0, 1.0), 0.7), ((0.0, 100.0), 0.0301), ((0.0, 1.0), 3.0)):
         with pytest.raises(ValueError, match="does not divide the time") as refusal:
             times_of(span, step, 1)
@@ -53,7 +53,7 @@ def test_the_two_nearest_steps_are_named_and_serve():
         assert "\n" not in str(refusal.value)
 
 
-def test_a_span_far_below_the_step_is_not_nothing():
+def test_span_far_below_the_step_is_refused():
     with pytest.raises(ValueError, match="does not divide"):
         times_of((0.0, 1e-17), 1.0, 1)
 
@@ -62,7 +62,7 @@ def test_a_span_far_below_the_step_is_not_nothing():
     ("span", "step", "every", "error", "message"),
     [
         ((0, 1), 0.0, 1, ValueError, "step is 0.0; it must be positive"),
-        ((0, 1), -0.1, 1, ValueError, r"step is -0.1; it must be positive \(the direction comes from t_span\)"),
+        ((0, 1), -0.1, 1, ValueError, "step is -0.1.*t_span"),
         ((0, 1), math.nan, 1, ValueError, "step is nan"),
         ((0, 1), math.inf, 1, ValueError, "step is inf"),
         ((0, 1), "0.1", 1, TypeError, "step is '0.1'; it must be a number"),
@@ -73,24 +73,24 @@ def test_a_span_far_below_the_step_is_not_nothing():
         ((0, 1, 2), 0.1, 1, ValueError, "two numbers"),
         ((0, "1"), 0.1, 1, TypeError, "the end of t_span is '1'"),
         ((0, 1e300), 1e-300, 1, ValueError, "too small"),
-        ((0, 1), 0.1, 0, ValueError, "save_every must be a whole number from 1 up, not 0"),
-        ((0, 1), 0.1, -1, ValueError, "save_every must be a whole number from 1 up, not -1"),
-        ((0, 1), 0.1, 2.5, ValueError, "save_every must be a whole number from 1 up, not 2.5"),
-        ((0, 1), 0.1, math.nan, ValueError, "save_every must be a whole number from 1 up, not nan"),
-        ((0, 1), 0.1, math.inf, ValueError, "save_every must be a whole number from 1 up, not inf"),
-        ((0, 1), 0.1, True, ValueError, "save_every must be a whole number from 1 up, not True"),
-        ((0, 1), 0.1, None, ValueError, "save_every must be a whole number from 1 up, not None"),
-        ((0, 1), 0.1, "2", ValueError, "save_every must be a whole number from 1 up, not '2'"),
+        ((0, 1), 0.1, 0, ValueError, "save_every .* not 0"),
+        ((0, 1), 0.1, -1, ValueError, "save_every .* not -1"),
+        ((0, 1), 0.1, 2.5, ValueError, "save_every .* not 2.5"),
+        ((0, 1), 0.1, math.nan, ValueError, "save_every .* not nan"),
+        ((0, 1), 0.1, math.inf, ValueError, "save_every .* not inf"),
+        ((0, 1), 0.1, True, ValueError, "save_every .* not True"),
+        ((0, 1), 0.1, None, ValueError, "save_every .* not None"),
+        ((0, 1), 0.1, "2", ValueError, "save_every .* not '2'"),
     ],
 )
-def test_refusals(span, step, every, error, message):
+def test_wrong_times_are_refused(span, step, every, error, message):
     with pytest.raises(error, match=message) as refusal:
         times_of(span, step, every)
     assert "\n" not in str(refusal.value)
 
 
-def missed(start, step, count, relative, direction=1.0):
-    """Ends of a span of `count` steps that is longer by a relative amount than they are, rounded once."""
+def span_off_by(start, step, count, relative, direction=1.0):
+    """Return a span longer than `count` steps by a relative amount, rounded once."""
     exact = Fraction(step) * count * (1 + Fraction(relative)) * int(direction)
     return start, float(Fraction(start) + exact)
 
@@ -101,10 +101,10 @@ U = 2.0**-53
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("count", [1, 10, 12345, 10**6, 10**9, 10**12])
 @pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625, math.pi / 100, 1e-7])
-def test_spans_that_miss_a_whole_number_of_steps_by_little(step, count, direction):
-    """A few units of round-off are those of the ends and of the step; 16 times the allowance and more are a mistake."""
+def test_small_deviations_from_whole_steps(step, count, direction):
+    """Some units of round-off are accepted, 16 times the allowance is refused."""
     for relative in (0.0, 2 * U, -2 * U, 5 * U, -5 * U):
-        ends = missed(0.0, step, count, relative, direction)
+        ends = span_off_by(0.0, step, count, relative, direction)
         times = times_of(ends, step, 1)
         assert times.steps == count
         assert abs(times.end - ends[1]) <= 8 * U * abs(ends[1])
@@ -112,29 +112,27 @@ def test_spans_that_miss_a_whole_number_of_steps_by_little(step, count, directio
         if count * abs(relative) > 0.25:
             continue
         with pytest.raises(ValueError, match="does not divide"):
-            times_of(missed(0.0, step, count, relative, direction), step, 1)
+            times_of(span_off_by(0.0, step, count, relative, direction), step, 1)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("start", [1e6, -1e6, 123456.789, 2.0**40])
 @pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625])
-def test_spans_far_from_zero_may_miss_by_the_rounding_of_their_ends(step, start, direction):
-    """Not in proportion to the span: its ends are rounded as numbers of the size of the start are."""
+def test_allowance_far_from_zero_is_the_rounding_of_the_ends(step, start, direction):
     for count in (1, 7, 1000, 10**6):
         for relative in (0.0, U):
-            ends = missed(start, step, count, relative, direction)
+            ends = span_off_by(start, step, count, relative, direction)
             assert times_of(ends, step, 1).steps == count
         # 64 gaps between numbers there; for long spans, as little beside those.
-        gap = 64 * math.ulp(max(map(abs, missed(start, step, count, 0.0, direction))))
+        gap = 64 * math.ulp(max(map(abs, span_off_by(start, step, count, 0.0, direction))))
         if gap < step / 4:
             for side in (1, -1):
                 with pytest.raises(ValueError, match="does not divide"):
-                    times_of(missed(start, step, count, side * gap / (step * count), direction), step, 1)
+                    times_of(span_off_by(start, step, count, side * gap / (step * count), direction), step, 1)
 
 
 @pytest.mark.parametrize("step", [0.1, 0.0625, 1 / 3])
-def test_an_end_near_zero_of_a_run_from_far_away(step):
-    """The start is what was rounded, wherever the end lies."""
+def test_end_near_zero_from_a_distant_start(step):
     for count in (10, 12345, 10**9):
         start = float(Fraction(step) * count)
         assert times_of((start, 0.0), step, 1).steps == times_of((0.0, start), step, 1).steps == count
@@ -144,18 +142,17 @@ def test_an_end_near_zero_of_a_run_from_far_away(step):
                 times_of(ends, step, 1)
 
 
-def test_neighbouring_times_are_different_numbers():
-    """Up to a quarter of a step between neighbouring floats; beyond, a refusal, forward and backward."""
+def test_indistinguishable_times_are_refused():
     for start in (2.0**52, -(2.0**52)):
         for end in (start + 64.0, start - 64.0):
             assert len(set(times_of((start, end), 4.0, 1).at(np.arange(17)).tolist())) == 17
-            with pytest.raises(ValueError, match="neighbouring times would be the same number"):
+            with pytest.raises(ValueError, match="same number"):
                 times_of((start, end), 2.0 if abs(end) > abs(start) else 1.0, 1)
 
 
-def test_times_far_from_zero_at_either_end():
-    """The larger end decides whether times can be told apart: 2^54 has neighbours 4 away."""
+def test_larger_end_limits_the_step():
+    """2^54 has neighbours 4 away."""
     for ends in ((0.0, 2.0**54), (2.0**54, 0.0), (0.0, -(2.0**54)), (-(2.0**54), 0.0)):
         assert times_of(ends, 16.0, 1).steps == 2**50
-        with pytest.raises(ValueError, match="neighbouring times would be the same number"):
+        with pytest.raises(ValueError, match="same number"):
             times_of(ends, 8.0, 1)

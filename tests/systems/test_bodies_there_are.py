@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
+from coadjoint.systems.bodies.inertia import warn_negative_mass
 
 NO_BODY = [(1, 1, 5), (5, 1, 1), (1, 5, 1), (1, 2, 4), (1.0, 2.0, 3.0 + 1e-12)]
 BODIES = [(1, 2, 3), (3, 1, 2), (0.1, 0.7, 0.8), (0.1, 0.2, 0.3), (1, 1, 1), (1e-3, 1, 1), (2e200, 3e200, 4e200)]
@@ -16,7 +16,7 @@ MAKERS = {
     "gyrostat": co.systems.gyrostat,
     "satellite": lambda inertia: co.systems.satellite(np.array(inertia) / max(inertia)),
 }
-WARNING = "inertia: no body has a principal moment that exceeds the sum of the other two"
+WARNING = "inertia: a principal moment exceeds the sum of the other two, which no body has"
 
 
 def turned(moments, seed=4):
@@ -75,7 +75,7 @@ def test_a_line_that_makes_many_is_told_once():
 
 def test_lagrange_s_top_is_a_body_up_to_a_disk():
     co.systems.lagrange_top(equatorial=1.0, axial=2.0)
-    with pytest.warns(UserWarning, match="axial: no body has"):
+    with pytest.warns(UserWarning, match="axial: .* no body has"):
         co.systems.lagrange_top(equatorial=1.0, axial=2.25)
 
 
@@ -83,7 +83,7 @@ def test_lagrange_s_top_is_a_body_up_to_a_disk():
 def test_second_moments_are_of_a_mass(maker):
     maker((0.0, 1.0, 2.0, 3.0))
     with pytest.warns(
-        UserWarning, match=r"negative, and no body has that; .* co.LiePoissonSystem\(co.algebras.so\(4\)"
+        UserWarning, match=r"negative, which no body has; .* co.LiePoissonSystem\(co.algebras.so\(4\)"
     ):
         maker((-0.5, 1.0, 2.0, 3.0))
 
@@ -103,7 +103,7 @@ def test_a_flat_mass_has_a_second_moment_of_zero_up_to_rounding(n, scale):
             co.systems.so_n_body(flat)
     assert {1.0, -1.0} <= signs
     below = np.eye(n) - 1.001 * np.outer(Q[:, 0], Q[:, 0])
-    with pytest.warns(UserWarning, match=rf"is negative, and no body has that; .*co.algebras.so\({n}\)") as noticed:
+    with pytest.warns(UserWarning, match=rf"is negative, which no body has; .*co.algebras.so\({n}\)") as noticed:
         warn_negative_mass(scale * (below + below.T) / 2)
     assert len(noticed) == 1
 

@@ -233,15 +233,15 @@ def good(W):
         (lambda: co.systems.matrix_body(np.eye(3)), "principal values"),
         (lambda: co.systems.matrix_body((1e-320, 1e-320)), "float64"),
         (lambda: co.batch([co.systems.matrix_body(), co.systems.matrix_body()]), "member 0"),
-        (lambda: co.lyapunov(co.systems.matrix_body(), np.zeros((5, 5)), (0, 1), 0.1), "moves matrices"),
+        (lambda: co.lyapunov(co.systems.matrix_body(), np.zeros((5, 5)), (0, 1), 0.1), "has matrix states"),
         (lambda: co.choose(co.systems.matrix_body(), np.zeros((5, 5)), (0, 1), 1e-3), "give step= and method="),
-        (lambda: co.modified_field(co.systems.matrix_body(), co.IsospectralGauss(), 3), "moves matrices"),
+        (lambda: co.modified_field(co.systems.matrix_body(), co.IsospectralGauss(), 3), "has matrix states"),
         (lambda: co.modified_hamiltonian(co.systems.matrix_body(), co.IsospectralGauss()), "LiePoissonSystem"),
         (lambda: co.prepare(co.systems.matrix_body(), None, 0.1, inputs=True), "linear"),
         (lambda: co.prepare(co.systems.matrix_body(), None, 0.1, attitude=True), "attitude"),
         (lambda: co.prepare(co.systems.matrix_body(), None, 0.1, attitude="coadjoint"), "attitude|group element"),
         (lambda: co.prepare(co.systems.matrix_body(), co.Splitting(), 0.1), "IsospectralGauss"),
-        (lambda: co.stepper(co.systems.rigid_body(), co.IsospectralGauss(), 0.1), "moves matrices"),
+        (lambda: co.stepper(co.systems.rigid_body(), co.IsospectralGauss(), 0.1), "integrates matrices"),
     ],
 )
 def test_refused_by_name(make, message):

@@ -314,7 +314,7 @@ def test_kinds_of_the_user_are_summands():
     assert (Own() + KINDS["separable"]()).summands[1].timed is False
     with pytest.raises(TypeError, match="cannot be subtracted from a Hamiltonian: it has no __neg__"):
         co.Quadratic(1.0) - Own()
-    with pytest.raises(TypeError, match=r"piece 0 is .*, whose type cannot be multiplied; multiply the piece itself"):
+    with pytest.raises(TypeError, match=r"piece 0 is .*multiply the piece itself"):
         2 * co.SplitHamiltonian([((0,), Own())])
 
 

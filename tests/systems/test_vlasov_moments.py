@@ -8,7 +8,7 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.algebra.families.moments import moments, powers_of
+from coadjoint.algebra.families.phase_space import moments, powers_of
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.representation import check_representation
 from moments import moments as moments_by_brackets

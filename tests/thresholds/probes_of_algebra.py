@@ -6,15 +6,14 @@ from fractions import Fraction
 import numpy as np
 
 import coadjoint as co
-from coadjoint.algebra.exact.numbers import fits
-from coadjoint.algebra.exact.numerical_kernel import _leading_form
-from coadjoint.algebra.exact.numerical_rank import rank_from_gap
+from coadjoint.algebra.exact.numbers import fits, parse_number
+from coadjoint.algebra.exact.numerical_kernel import _row_echelon_form
+from coadjoint.algebra.exact.ranks import rank_from_gap
 from coadjoint.algebra.exact.rational_constants import as_fraction
-from coadjoint.algebra.families.moments import moments
+from coadjoint.algebra.families.phase_space import moments
 from coadjoint.algebra.group_elements import automorphism_violation
 from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
 from coadjoint.algebra.polynomials.formulas import parse_formula
-from coadjoint.algebra.polynomials.number_literals import parse_number
 from coadjoint.algebra.representation import invariant_form
 from commuting_actions import acting
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
@@ -93,15 +92,15 @@ def a_mean_of_the_diagonal_is_left(mean):
 
 
 @probe(
-    ("algebra/exact/numerical_rank.py", "MIN_RANK_GAP"),
-    ("algebra/exact/numerical_rank.py", "singular[rank - 1] < MIN_RANK_GAP * roundoff"),
+    ("algebra/exact/ranks.py", "MIN_RANK_GAP"),
+    ("algebra/exact/ranks.py", "singular[rank - 1] < MIN_RANK_GAP * roundoff"),
     at=2.0**10,
 )
 def a_singular_value_is_not_clear(ratio):
     return not accepted(lambda: rank_from_gap(np.array([1.0, ratio * 1e-15]), 1e-15, "J(x)"), "rank")
 
 
-@probe(("algebra/exact/numerical_rank.py", "singular > roundoff"), at=1.0)
+@probe(("algebra/exact/ranks.py", "singular > roundoff"), at=1.0)
 def a_singular_value_is_zero(ratio):
     """Of the round-off; above, it is refused."""
     found = []
@@ -110,22 +109,22 @@ def a_singular_value_is_zero(ratio):
 
 @probe(("algebra/exact/numerical_kernel.py", "MIN_PIVOT"), at=2.0**-20)
 def a_leading_coefficient_is_not_clear(size):
-    return not accepted(lambda: _leading_form(np.array([[size, np.sqrt(1.0 - size**2)]]), 1e-14), "leading")
+    return not accepted(lambda: _row_echelon_form(np.array([[size, np.sqrt(1.0 - size**2)]]), 1e-14), "leading")
 
 
-@limit(("algebra/families/moments.py", "MAX_DETERMINANT_DEGREE"), at=10)
+@limit(("algebra/families/phase_space.py", "MAX_DETERMINANT_DEGREE"), at=10)
 def the_catalecticant_is_known(degree):
     return "catalecticant" in moments(degree + degree % 2).casimirs_known
 
 
-@limit(("algebra/families/moments.py", "max(i, j) < 10"), at=9)
+@limit(("algebra/families/phase_space.py", "max(i, j) < 10"), at=9)
 def moments_have_names_of_two_digits(degree):
-    from coadjoint.algebra.families.moments import moment_name
+    from coadjoint.algebra.families.phase_space import moment_name
 
     return "," not in moment_name(degree, 0)
 
 
-@limit(("algebra/families/moments.py", "MAX_MOMENT_DEGREE"), at=100)
+@limit(("algebra/families/phase_space.py", "MAX_MOMENT_DEGREE"), at=100)
 def a_degree_of_moments_is_in_range(degree):
     """An odd degree in range is refused for another reason."""
     try:
@@ -163,7 +162,7 @@ def a_product_has_not_too_many_terms(counts):
     return accepted(lambda: parse_formula("*".join(factors), {}, 2), "terms")
 
 
-@limit(("algebra/polynomials/number_literals.py", "MAX_DIGITS"), at=400)
+@limit(("algebra/exact/numbers.py", "MAX_DIGITS"), at=400)
 def a_written_number_has_not_too_many_digits(digits):
     """Leading zeros leave the number small."""
     return accepted(lambda: parse_number("1".zfill(digits)), "digits")

@@ -8,7 +8,7 @@ import coadjoint as co
 from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.reference import motion, natural_time
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
@@ -95,7 +95,7 @@ def samples_are_enough_for_frequencies(count):
     return accepted(lambda: co.frequencies(t, np.cos(t), count=1), "64")
 
 
-@sides(("analysis/order.py", "MIN_POINTS"), below=3, above=2)
+@sides(("analysis/fits.py", "MIN_POINTS"), below=3, above=2)
 def errors_are_enough_for_an_order(count):
     h = 0.5 ** np.arange(count)
     return accepted(lambda: fit_order(h, h**2, 1e-15), "needs 3")
@@ -159,13 +159,13 @@ def a_state_is_at_rest(speed):
     return natural_time(system, np.array([1.0, 0.0, 0.0])) == 0.0
 
 
-@sides(("analysis/checks/slope.py", "FLOOR_FACTOR"), below=1e-13, above=4e-12)
+@sides(("analysis/fits.py", "FLOOR_FACTOR"), below=1e-13, above=4e-12)
 def a_motion_has_the_right_speed(off):
     """After 1.25 radians: 16 times twice the error of the reference, an eighth of what two runs of it differ by."""
     return holds("reference", speed=off)
 
 
-@probe(("analysis/checks/tangents.py", "DIFFERENCE_FLOOR"), at=3e-9)
+@probe(("analysis/checks/poisson.py", "DIFFERENCE_FLOOR"), at=3e-9)
 def a_tangent_by_differences_is_one_of_a_poisson_map(off):
     """The defect is off |J|, and the floor 1e-9 |P|^2 |J| with |P|^2 = 3."""
     return holds("poisson", size=off, plain=True)

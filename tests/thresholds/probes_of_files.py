@@ -5,8 +5,7 @@ import time
 
 import numpy as np
 
-from coadjoint.files.archives.stored_arrays import StoredArray
-from coadjoint.files.archives.stored_numbers import deserialize_numbers
+from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from coadjoint.files.configuration.parsing import parse_toml
 from coadjoint.files.configuration.sweep_models import SweepTable
 from coadjoint.files.records.entries import Entry
@@ -93,7 +92,7 @@ def files_are_settled(seconds):
     return stamps_are_final({b"source": (0, 0, 0, when, when)})
 
 
-@limit(("files/archives/stored_numbers.py", "MAX_AXES"), at=8)
+@limit(("files/archives/stored_arrays.py", "MAX_NPY_AXES"), at=8)
 def stored_numbers_have_not_too_many_axes(axes):
     content = io.BytesIO()
     np.savez(content, x=np.zeros((1,) * axes))

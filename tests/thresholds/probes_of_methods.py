@@ -61,7 +61,7 @@ def substeps_are_not_too_many(count):
 
 
 @probe(
-    ("methods/formal/order_conditions.py", "UNIT_ROUNDOFF * 8 * len(coefficients) * scale ** order"),
+    ("methods/protocol/composed.py", "UNIT_ROUNDOFF * 8 * len(coefficients) * scale ** order"),
     at=24 * U * 1.7024143839193153**3,
 )
 def a_triple_jump_has_order_four(off):
@@ -72,7 +72,7 @@ def a_triple_jump_has_order_four(off):
 
 
 @probe(
-    ("methods/kahan.py", "off <= 64 * system.dim * UNIT_ROUNDOFF * max((np.max(np.abs(part)) for part in parts))"),
+    ("methods/kahan.py", "deviation <= 64 * system.dim * UNIT_ROUNDOFF * largest"),
     at=64 * 3 * U,
 )
 def a_structure_matrix_is_linear(off):

@@ -6,15 +6,15 @@ import numpy as np
 from scipy.sparse import csr_array
 
 import coadjoint as co
-from coadjoint.systems.closed_forms.spin_integrals import _kernel
+from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.closed_forms.spins import _kernel
 from coadjoint.systems.forces.rates import metric_root
 from coadjoint.systems.matrices.streams import DiagonalSolve
 from coadjoint.systems.matrices.torus_grid import coordinates, grid_orientation
-from coadjoint.systems.unit_range import read_in_range
 from coadjoint.systems.user_functions import SEED, check_derivative, sample_points
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
 
-BODY_WARNINGS, PARTICLES = "systems/bodies/inertia_warnings.py", "systems/fluids/decorated_particles.py"
+BODY_WARNINGS, PARTICLES = "systems/bodies/inertia.py", "systems/fluids/decorated_particles.py"
 SPHERE, TORUS = "systems/matrices/spherical_modes.py", "systems/matrices/torus_modes.py"
 ENERGY, LATTICE = "systems/matrices/matrix_energy.py", "systems/lattices/spin_lattice.py"
 
@@ -58,7 +58,7 @@ def a_mass_is_negative_by_rounding(share):
 @probe(
     (
         "systems/bodies/so_n_body.py",
-        "lightest <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max())",
+        "least_sum <= (0.0 if values.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(values).max())",
     ),
     at=12 * U,
 )
@@ -70,7 +70,7 @@ def two_principal_values_of_a_tensor_vanish(light):
         return not accepted(lambda: co.systems.so_n_body(tensor), "whose sum")
 
 
-@probe(("systems/bodies/clebsch_body.py", "abs(missed) > 8 * UNIT_ROUNDOFF * size"), at=8 * U)
+@probe(("systems/bodies/clebsch_body.py", "abs(defect) > 8 * UNIT_ROUNDOFF * size"), at=8 * U)
 def coefficients_are_of_a_clebsch_case(off):
     """Of I = c = (1, 2, 3) the absolute products add up to 1 * 5 + 2 * 4 + 3 * 3 = 22; c3 counts I1 - I2 = -1 times."""
     return accepted(lambda: co.systems.clebsch_body((1.0, 2.0, 3.0), (1.0, 2.0, 3.0 + 22.0 * off)), "Clebsch")
@@ -116,8 +116,8 @@ class Stated:
 
 @probe(
     (
-        "systems/hamiltonians/user_hamiltonian_check.py",
-        "np.abs(found - stated) <= 2.0 ** 10 * UNIT_ROUNDOFF * (size + np.abs(stated))",
+        "systems/hamiltonians/hamiltonian.py",
+        "np.abs(total - declared) <= 2.0 ** 10 * UNIT_ROUNDOFF * (size + np.abs(declared))",
     ),
     at=2.0**10 * U,
 )
@@ -133,7 +133,7 @@ def a_structure_matrix_is_skew(off):
 
 
 @probe(
-    ("systems/closed_forms/spin_integrals.py", "np.abs(units @ axis).max() <= 16 * UNIT_ROUNDOFF / min(size, 1.0)"),
+    ("systems/closed_forms/spins.py", "np.abs(units @ axis).max() <= 16 * UNIT_ROUNDOFF / min(size, 1.0)"),
     at=16 * U,
 )
 def an_axis_is_left_by_all_rows(tilt):
@@ -141,14 +141,14 @@ def an_axis_is_left_by_all_rows(tilt):
     return bool(len(_kernel(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, tilt]]))))
 
 
-@probe((SPHERE, "abs(other - mirrored) > 1e-12 * abs(number)"), at=1e-12)
+@probe((SPHERE, "abs(conjugate - mirrored) > 1e-12 * abs(number)"), at=1e-12)
 def modes_of_a_sphere_are_of_a_real_field(off):
     sphere = co.systems.sphere_euler(8)
     given = {(3, 2): 2.0 + 0.0j, (3, -2): 2.0 * (1.0 + off)}
     return accepted(lambda: sphere.from_modes(given), "real")
 
 
-@probe((SPHERE, "wrong > 1e-12 * np.abs(c).max(initial=0.0)"), at=1e-12)
+@probe((SPHERE, "violation > 1e-12 * np.abs(c).max(initial=0.0)"), at=1e-12)
 def coefficients_of_a_sphere_are_of_a_real_field(off):
     """An array of coefficients [l, m]: those of m = 0 are real, those of m > l and of l = 0 vanish."""
     sphere, seen = co.systems.sphere_euler(8), set()
@@ -170,13 +170,16 @@ def a_mode_of_a_sphere_is_rounding(size):
     return (4, 1) not in as_mapping(c)
 
 
-@probe((TORUS, "abs(seen.get((-n1, -n2), number.conjugate()) - number.conjugate()) > 1e-12 * abs(number)"), at=1e-12)
+@probe(
+    (TORUS, "abs(coefficients.get((-n1, -n2), number.conjugate()) - number.conjugate()) > 1e-12 * abs(number)"),
+    at=1e-12,
+)
 def modes_of_a_torus_are_of_a_real_field(off):
     torus = co.systems.torus_euler(5)
     return accepted(lambda: torus.from_modes({(1, 2): 2.0, (-1, -2): 2.0 * (1.0 + off)}), "real")
 
 
-@probe((TORUS, "wrong > 1e-12 * np.abs(w).max(initial=0.0)"), at=1e-12)
+@probe((TORUS, "violation > 1e-12 * np.abs(w).max(initial=0.0)"), at=1e-12)
 def coefficients_of_a_torus_are_of_a_real_field(off):
     torus, seen = co.systems.torus_euler(5), set()
     for place in ((-1, -2), (0, 0)):
@@ -203,7 +206,7 @@ def coordinates_are_equally_spaced(off):
     return accepted(lambda: grid_orientation(perturbed(coordinates(8), (3,), off), "x"), "spaced")
 
 
-@probe(("systems/forces/custom_force.py", "np.max(np.abs(still - x)) > 1e-09 * np.max(np.abs(x))"), at=1e-9)
+@probe(("systems/forces/custom_force.py", "np.max(np.abs(unmoved - x)) > 1e-09 * np.max(np.abs(x))"), at=1e-9)
 def a_flow_moves_nothing_in_no_time(off):
     force = co.forces.OwnForce(lambda x, t, tau: x * (1.0 + off))
     return accepted(lambda: co.ForcedSystem(co.systems.rigid_body((1, 2, 3)), [force]), "tau = 0")
@@ -278,7 +281,7 @@ def a_stream_is_the_slope_of_the_energy(off):
     )
 
 
-@probe(("systems/unit_range.py", "MAX_MAGNITUDE"), at=1e30)
+@probe(("systems/bodies/inertia.py", "MAX_MAGNITUDE"), at=1e30)
 def a_unit_is_in_range(size):
     large, small = (accepted(lambda v=v: read_in_range(v, "mass"), "units") for v in (size, 1.0 / size))
     assert large == small
@@ -333,7 +336,7 @@ def parameters_of_a_lattice_are_kept(numbers):
     return co.systems.spin_lattice(ring, sites).parameters is not None
 
 
-@limit(("systems/closed_forms/spin_integrals.py", "MAX_DENSE_SQUARE"), at=64)
+@limit(("systems/closed_forms/spins.py", "MAX_DENSE_SQUARE"), at=64)
 def the_square_of_the_total_spin_is_given(sites):
     return "|total S|^2" in co.systems.spin_lattice("chain", sites, field=(0.0, 0.0, 0.5)).integrals
 
@@ -395,7 +398,7 @@ def a_written_potential_is_not_too_long(letters):
 
 
 @probe(
-    ("systems/recorded_casimirs.py", "operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)"),
+    ("systems/recorded_invariants.py", "operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)"),
     at=(64 + 2 * 3 + 3) * U,
 )
 def a_function_is_a_casimir(off):
@@ -416,7 +419,7 @@ def _largest_casimir(off):
 
 
 @probe(
-    ("systems/integral_checks.py", "rate > (work + found[2]) * UNIT_ROUNDOFF * float(found[1] @ sizes)"),
+    ("systems/recorded_invariants.py", "rate > (work + operations) * UNIT_ROUNDOFF * float(scale @ sizes)"),
     at=2 * (64 + 2 * 3 + 3) * U,
 )
 def a_function_is_an_integral(off):

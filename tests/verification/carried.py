@@ -1,4 +1,4 @@
-"""Tangent vectors as the compiled loops carry them, beside products of the tangents of single steps."""
+"""Tangent vectors of compiled loops, for comparison with products of tangents of single steps."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from coadjoint.program.interpreter import Interpreter
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
-from coadjoint.runs.tangent_loops import energy_loops
+from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
 
 NEVER = 2**40
 
 
 def run_with(system: Any, method: Any, x0: Any, times: Times, vectors: np.ndarray, every: int = NEVER) -> Run:
-    """Return the run that carries these vectors (k, n), with the steps of the times taken."""
+    """Run the given number of steps with these tangent vectors (k, n)."""
     loop = method.tangent_loop(system, times.h, Frame(vectors, every))
     run = Run(
         system,
@@ -35,7 +35,7 @@ def run_with(system: Any, method: Any, x0: Any, times: Times, vectors: np.ndarra
 
 
 def finished_vectors(run: Run, vectors: np.ndarray) -> np.ndarray:
-    """Return the vectors (n, k) after the last step of a run of one member, as the plain reading finishes them."""
+    """Return the vectors (n, k) after the last step of a run of one member, completed by the interpreter."""
     count, size = vectors.shape
     found = vectors_in(run.state["memory"], count, size)[0].T.copy()
     method = run.method.whole if isinstance(run.method, co.Composition) else run.method
@@ -51,7 +51,7 @@ def stretches(run: Run, count: int) -> np.ndarray:
 
 
 def product_of_tangents(system: Any, method: Any, x0: Any, times: Times) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the states, the product of the tangents of all steps, and the size of what was multiplied."""
+    """Return the states, the product of all step tangents, and a bound on its terms."""
     end = times.t0 + times.steps * times.h
     states = co.integrate(system, x0, (times.t0, end), abs(times.h), method, watch=False).x
     step, product, size = co.stepper(system, method, times.h), np.eye(system.dim), np.eye(system.dim)
@@ -62,7 +62,7 @@ def product_of_tangents(system: Any, method: Any, x0: Any, times: Times) -> tupl
 
 
 def tolerance(system: Any, method: Any, times: Times, size: float) -> float:
-    """Return what round-off alone can do: a unit for each multiplication, n of them for each flow or evaluation."""
+    """Return the bound on round-off: a unit for each multiplication, n of them for each flow or evaluation."""
     end = times.t0 + times.h
     each = co.integrate(system, np.full(system.dim, 0.1), (times.t0, end), abs(times.h), method).stats.evaluations
     return UNIT_ROUNDOFF * times.steps * (each + 4) * system.dim * size

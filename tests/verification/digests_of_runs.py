@@ -1,4 +1,4 @@
-"""Prints a digest of the bits of many runs: `python -m verification.digests_of_runs`, in the folder of the tests."""
+"""Digests of the bits of many runs: `python -m verification.digests_of_runs`, in the folder of the tests."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SPAN, STEP, MEMBERS = (0.0, 1.5), 0.0625, 35
 
 
 def arrays_of(solution: co.Solution) -> list[np.ndarray]:
-    """Return every number that a run leaves behind."""
+    """Return all arrays of a solution."""
     found = [solution.x, solution.energy, *solution.casimirs.values()]
     found += [drift.tenths for drift in solution.change().values()]
     found += [drift.tenths for drift in solution.balance().values()] if solution.work else []
@@ -61,7 +61,7 @@ def arrays_of(solution: co.Solution) -> list[np.ndarray]:
 
 
 def runs() -> Iterator[tuple[str, co.Solution]]:
-    """Run every scheme on every system that it serves, alone and as a crowd, and batches."""
+    """Run every scheme on every system that it supports, alone and as an ensemble, and batches."""
     systems, methods = all_cases(), schemes()
     chosen = {name: methods[name] for name in SCHEMES}
     named = {type(method) for method in chosen.values()}
@@ -110,7 +110,7 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
 
 
 def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
-    """Carry vectors by schemes of each kind of loop, alone and in a crowd: all that members remember."""
+    """Run schemes of each kind of loop with tangent vectors, alone and as an ensemble."""
     systems, methods, times = all_cases(), schemes(), Times(0.0, STEP, 24, 24).with_saved_steps([24])
     for scheme in WITH_TANGENTS:
         for case in CASES:

@@ -1,7 +1,7 @@
-"""Prints digests of runs of all ready-made systems of vectors and of random runs, by JSON.
+"""Digests of runs of all ready-made systems of vectors and of random runs, as JSON.
 
-`python -m verification.digests_of_systems [K]`, in the folder of the tests; K takes every K-th system and random run.
-Runs that call functions of a user which are those of the C library are left out.
+`python -m verification.digests_of_systems [K]`, in the folder of the tests, takes every K-th system and random run.
+Runs that call user functions of the C library are left out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STEPS = 24
 
 
 def digest(*arrays: Any) -> str:
-    """Return a digest of numbers, in which one NaN is as good as another."""
+    """Return a digest of numbers; all NaN are equal."""
     found = hashlib.sha256()
     for array in map(np.asarray, arrays):
         none = np.isnan(array)
@@ -36,11 +36,11 @@ def digest(*arrays: Any) -> str:
 
 
 def ready_made(every: int) -> Iterator[tuple[str, co.Solution]]:
-    """Run the ready-made systems of vectors from their own starts, rounded, since NumPy computed those."""
-    for name, made in [*ready_made_systems().items()][::every]:
+    """Run the ready-factory systems of vectors from their own starts, rounded, since NumPy computed these."""
+    for name, factory in [*ready_made_systems().items()][::every]:
         gallery_entry = gallery_entry_of(name)
         assert gallery_entry is not None, name
-        system = made(**gallery_entry.parameters)
+        system = factory(**gallery_entry.parameters)
         if isinstance(system, co.LiePoissonSystem | co.PoissonSystem):
             x0 = np.round(np.atleast_2d(gallery_entry.start())[:3], 3)
             span, method = (0.0, STEPS * gallery_entry.step), suggested_scheme(system)
@@ -53,9 +53,9 @@ def ready_made(every: int) -> Iterator[tuple[str, co.Solution]]:
 
 
 def digests(every: int) -> dict[str, str]:
-    """Return digests of the arrays of all runs; "given SEED" is the digest of what a random run begins with."""
+    """Return digests of the arrays of all runs; "given SEED" is the digest of the inputs of a random run."""
     compositions = [co.methods.even_order(co.Splitting(order=1), 8, jump) for jump in ("triple", "suzuki")]
-    found = {f"coefficients of {len(made.fractions)} steps": digest(made.fractions) for made in compositions}
+    found = {f"coefficients of {len(method.fractions)} steps": digest(method.fractions) for method in compositions}
     for name, sol in ready_made(every):
         arrays = {"x": sol.x, "energy": sol.energy, **sol.casimirs}
         arrays |= {f"change of {key}": change.tenths for key, change in sol.change().items()}
@@ -68,11 +68,11 @@ def digests(every: int) -> dict[str, str]:
         with np.errstate(all="ignore"):
             fields = [system.vector_field(case.x0[0]) for system in case.systems]
         try:
-            left = run(case)
+            outputs = run(case)
         except (ValueError, TypeError):
             continue  # refused
         found[f"given {seed}"] = f"{digest(case.x0, *fields)} {case}"
-        found[f"seed {seed}"] = digest(*(left.arrays[name] for name in sorted(left.arrays)), *left.crossings)
+        found[f"seed {seed}"] = digest(*(outputs.arrays[name] for name in sorted(outputs.arrays)), *outputs.crossings)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Systems at random, for claims that must hold for both signs, both directions and every order of the axes."""
+"""Random systems for tests of both signs, both directions and every order of the axes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def drawn(name: str, seed: int, sign: int) -> tuple[co.LiePoissonSystem, np.ndar
 
 @cache
 def curl_bracket(seed: int):
-    """Return J(x) = hat(x + a x1 x) and its derivative: skew, not linear, with no exchange of indices unseen."""
+    """Return J(x) = hat(x + a x1 x) and its derivative: skew, not linear, without symmetry under exchange of axes."""
     rng = np.random.default_rng(seed)
     a = rng.uniform(0.25, 0.75, 3) * rng.choice([-1.0, 1.0], 3)
 

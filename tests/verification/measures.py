@@ -1,4 +1,4 @@
-"""How orders, defects and drifts are measured, and the bounds that round-off alone could reach."""
+"""Measured orders, defects and drifts, and bounds on what round-off alone could cause."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def final_states(method: Any, case: Case, steps: int) -> np.ndarray:
 
 @cache
 def reference_states(name: str) -> np.ndarray:
-    """Return the exact final states of a case to about 1e-15, confirmed by an independent code on the vector field."""
+    """Return the exact final states of a case to about 1e-15, confirmed by DOP853."""
     case = all_cases()[name]
     best = co.IsospectralGauss(8) if isinstance(case.system, co.MatrixSystem) else co.GaussLegendre(8)
     found = final_states(best, case, 48)
@@ -51,14 +51,13 @@ def reference_states(name: str) -> np.ndarray:
             rtol=1e-13,
             atol=1e-14,
         )
-        # DOP853 keeps its error per step below 1e-13, in some ten steps; a wrong speed, sign or index would show at
-        # once.
+        # DOP853 keeps its error per step below 1e-13, in some ten steps.
         assert np.max(np.abs(state - other.y[:, -1])) < 1e-11 * np.max(np.abs(found))
     return found
 
 
 class MeasuredOrder(NamedTuple):
-    """A slope with the uncertainty that follows from how it changes from large steps to small ones."""
+    """A slope, with the uncertainty from its change between large and small steps."""
 
     slope: float
     tolerance: float
@@ -73,11 +72,9 @@ def order_of(steps: list[float], errors: list[float], next_power: int) -> Measur
     """Return the slope at the three smallest of five steps.
 
     With error = C h^p (1 + a h^q + ...), q = `next_power` (2 for a symmetric scheme, else 1), the slope is p + O(h^q).
-    From the three largest steps to the three smallest h falls by a ratio r, so what is left of the deviation is the
-    change over (r^q -
-    1). Added are 0.05 for round-off (at most 1/32 of each error: log2(1 + 1/32) over a factor of 2 in h) and half of
-    that
-    again for the terms after h^q.
+    From the three largest steps to the three smallest h falls by a ratio r, so that the remaining deviation is the
+    change over (r^q - 1). Added are 0.05 for round-off (at most 1/32 of each error: log2(1 + 1/32) over a factor of 2
+    in h) and half of that again for the terms after h^q.
     """
     h, e = np.log(np.array(steps)), np.log(np.array(errors))
     large, small = np.polyfit(h[:3], e[:3], 1)[0], np.polyfit(h[-3:], e[-3:], 1)[0]
@@ -85,30 +82,40 @@ def order_of(steps: list[float], errors: list[float], next_power: int) -> Measur
     return MeasuredOrder(float(small), 0.075 + abs(small - large) / (ratio**next_power - 1.0), errors)
 
 
-def measured_order(method: Any, name: str, symmetric: bool | None = None) -> MeasuredOrder:
-    """Measure the order of a scheme on a case, from the five smallest steps whose errors stand above round-off."""
-    case, exact = all_cases()[name], reference_states(name)
-    size = float(np.linalg.norm(exact))
+def step_counts(order: int, coarsest: int = 2) -> list[int]:
+    """Return numbers of steps for a scheme of this order, largest first."""
     # Quarter powers of 2 for order 8 and above, where half powers leave too few points above round-off.
-    density = 4 if method.order >= 7 else 2
-    finest = 9 if method.order <= 2 else 8
-    counts = sorted({round(2 ** (k / density)) for k in range(density * 2, density * finest + 1)}, reverse=True)
+    density, finest = (4 if order >= 7 else 2), (9 if order <= 2 else 8)
+    powers = range(density * coarsest, density * finest + 1)
+    return sorted({round(2 ** (k / density)) for k in powers}, reverse=True)
+
+
+def five_errors(time: float, counts: list[int], size: float, error_of: Any) -> tuple[list[float], list[float]]:
+    """Return the five smallest steps whose errors are above round-off, in ascending order, and these errors."""
     steps: list[float] = []
     errors: list[float] = []
     for count in counts:
-        error = float(np.linalg.norm(final_states(method, case, count) - exact))
+        error = float(error_of(count))
         # Round-off of the run, an unbiased walk of some u of size for each step, and that of the reference.
         if error > 32 * U * size * (8 + 2 * math.sqrt(count)):
-            steps.insert(0, case.time / count)
+            steps.insert(0, time / count)
             errors.insert(0, error)
         if len(errors) == 5:
-            break
-    assert len(errors) == 5, f"only {len(errors)} errors above round-off"
+            return steps, errors
+    raise AssertionError(f"only {len(errors)} errors above round-off")
+
+
+def measured_order(method: Any, name: str, symmetric: bool | None = None) -> MeasuredOrder:
+    """Measure the order of a scheme on a case."""
+    case, exact = all_cases()[name], reference_states(name)
+    size = float(np.linalg.norm(exact))
+    counts = step_counts(method.order)
+    steps, errors = five_errors(case.time, counts, size, lambda n: np.linalg.norm(final_states(method, case, n) - exact))
     return order_of(steps, errors, 2 if (method.symmetric if symmetric is None else symmetric) else 1)
 
 
 class Defect(NamedTuple):
-    """A defect, and what round-off alone could make of it."""
+    """A defect, and the bound on what round-off alone could cause."""
 
     value: float
     bound: float
@@ -139,8 +146,7 @@ def drift_bounds(run: co.Solution) -> dict[str, float]:
 
     Each of the `evaluations` of the run moves a state by at most 4 n roundings of relative size u, and a move of size d
     changes an invariant by at most |gradient| d; the largest |gradient| |x| along the run is taken. Evaluating the
-    invariant
-    itself is one more.
+    invariant itself is one more.
     """
     system = run.system
     n, work = system.dim, run.stats.evaluations + run.stats.steps + 1

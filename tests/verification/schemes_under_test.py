@@ -1,4 +1,4 @@
-"""Every scheme with every option that changes what it does, and which of them serve a system."""
+"""All schemes with all options that change their steps, and the systems that they support."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
 
 
 def schemes() -> dict[str, co.methods.Method]:
-    """Return the schemes by name, but for those in steps of their own, of which the step of a run is none."""
+    """Return the schemes by name, without those of variable steps."""
     found = {
         "Splitting 1": co.Splitting(order=1),
         "Splitting 1 adjoint": co.Splitting(order=1, adjoint=True),
@@ -47,15 +47,12 @@ def schemes() -> dict[str, co.methods.Method]:
 
 
 def large_step(method: co.methods.Method) -> float:
-    """Return a large step, at which high orders lose visibly what they do not keep.
-
-    It is about as large as stability and the convergence of the stages allow on systems of size one.
-    """
+    """Return a large step, at which high orders visibly lose invariants; stable on systems of size one."""
     return 0.1 if method.order <= 2 or isinstance(method, co.Composition) else 0.5
 
 
 def serves(method: co.methods.Method, system: object) -> bool:
-    """Return whether the scheme takes the system; what it refuses, it must refuse in a sentence."""
+    """Return whether the scheme supports the system; a refusal must be one sentence."""
     try:
         method.properties(system)
     except ValueError as refusal:
@@ -65,19 +62,19 @@ def serves(method: co.methods.Method, system: object) -> bool:
 
 
 def witnesses(method: co.methods.Method, *names: str) -> list[Case]:
-    """Return those of the named systems that a scheme serves; of a scheme that serves few of them, one that it does."""
+    """Return the named systems that a scheme supports, or another one."""
     named = [cases()[name] for name in names]
     others = [case for case in all_cases().values() if serves(method, case.system)]
     return [case for case in named if serves(method, case.system)] or others[:1]
 
 
 def pairs(systems: dict) -> list[tuple[str, str]]:
-    """Return the names of all pairs of a scheme and a system that it serves."""
+    """Return the names of all pairs of a scheme and a supported system."""
     return [(s, c) for s, method in schemes().items() for c, case in systems.items() if serves(method, case.system)]
 
 
 def schemes_in_steps() -> set[str]:
-    """Return the names of the registered schemes that are tried here."""
+    """Return the names of the registered schemes of constant steps."""
     names = co.methods.names()
     return {name for name in names if not co.methods.registry.scheme(name).examples()[0].own_steps}
 

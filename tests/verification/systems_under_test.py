@@ -1,4 +1,4 @@
-"""The systems that the claims are tried on: never so(3) alone.
+"""Test systems beyond so(3).
 
 Unimodular and non-unimodular algebras, diagonal and full M, permuted axes, a dense change of basis, every kind of
 Hamiltonian, dimensions 3, 6 and 15, both signs; each with a state from which the motion is nonlinear and of size one.
@@ -36,16 +36,14 @@ def full_matrix(seed: int, n: int) -> np.ndarray:
 
 def permuted(algebra: co.LieAlgebra, order: tuple[int, ...], casimirs: dict | None = None) -> co.LieAlgebra:
     """Return the algebra in the basis e_order[0], e_order[1], ..."""
-    place = {old: new for new, old in enumerate(order)}
-    rows = [(place[i], place[j], place[k], c) for i, j, k, c in zip(*algebra.triples, strict=True)]
+    index = {old: new for new, old in enumerate(order)}
+    rows = [(index[i], index[j], index[k], c) for i, j, k, c in zip(*algebra.triples, strict=True)]
     rho = algebra.representation[list(order)]
     return co.LieAlgebra(rows, dim=algebra.dim, name=f"{algebra.name} permuted", representation=rho, casimirs=casimirs)
 
 
 def in_another_basis(algebra: co.LieAlgebra, T: np.ndarray, casimirs: dict) -> co.LieAlgebra:
-    """Return the algebra in the basis f_i = sum_a T_ia e_a, T whole and of determinant one, so that all constants are
-    exact.
-    """
+    """Return the algebra in the basis f_i = sum_a T_ia e_a; T is integer with determinant one, so that constants are exact."""
     n = algebra.dim
     dense = np.array([[algebra.bracket(np.eye(n)[i], np.eye(n)[j]) for j in range(n)] for i in range(n)])
     inverse = np.round(np.linalg.inv(T))
@@ -59,7 +57,7 @@ def permuted_polynomial(p: co.Polynomial, order: tuple[int, ...]) -> co.Polynomi
 
 
 def substituted_polynomial(p: co.Polynomial, rows: np.ndarray) -> co.Polynomial:
-    """Return p with x_a replaced by sum_i rows[a, i] y_i, rows whole."""
+    """Return p with x_a replaced by sum_i rows[a, i] y_i, for integer rows."""
     n = p.dim
     forms = [
         co.Polynomial({tuple(np.eye(n, dtype=int)[i].tolist()): int(v) for i, v in enumerate(row) if v}) for row in rows
@@ -75,7 +73,7 @@ def substituted_polynomial(p: co.Polynomial, rows: np.ndarray) -> co.Polynomial:
 
 
 def rotation_unlike_jacobi(x):
-    """A skew matrix that is no Poisson bracket: the curl of w = (x2, x3 + x1^2, x1) is not at right angles to w."""
+    """Return a skew matrix that violates the Jacobi identity: w = (x2, x3 + x1^2, x1) is not orthogonal to its curl."""
     return np.array([[0.0, x[0], -x[2] - x[0] * x[0]], [-x[0], 0.0, x[1]], [x[2] + x[0] * x[0], -x[1], 0.0]])
 
 
@@ -204,12 +202,9 @@ def without_jacobi() -> Case:
 
 @cache
 def with_cubic_casimir() -> Case:
-    """Return a body in six dimensions.
-
-    Besides |x|^2 it has the Pfaffian of so(6), of degree 3: a sum over the fifteen pairings of six indices.
-    """
+    """Return a body in six dimensions, with the Pfaffian of so(6), a sum over the fifteen pairings of six indices."""
     algebra = co.algebras.so(6)
-    place = {pair: k for k, pair in enumerate((i, j) for i in range(6) for j in range(i + 1, 6))}
+    index = {pair: k for k, pair in enumerate((i, j) for i in range(6) for j in range(i + 1, 6))}
 
     def pairings(left: list[int]):
         if not left:
@@ -222,7 +217,7 @@ def with_cubic_casimir() -> Case:
     for pairing in pairings(list(range(6))):
         order = [i for pair in pairing for i in pair]
         crossings = sum(order[a] > order[b] for a in range(6) for b in range(a + 1, 6))
-        exponents = tuple(int(k in {place[pair] for pair in pairing}) for k in range(15))
+        exponents = tuple(int(k in {index[pair] for pair in pairing}) for k in range(15))
         monomials[exponents] = (-1) ** crossings
     casimirs = {"|x|^2": algebra.casimirs_known["|x|^2"], "Pfaffian": co.Polynomial(monomials)}
     M = np.random.default_rng(5).uniform(0.2, 1.0, 15)
@@ -231,7 +226,7 @@ def with_cubic_casimir() -> Case:
 
 
 def three_spins() -> Case:
-    """Return three spins with an exchange that is not isotropic, in a field."""
+    """Return three spins with an anisotropic exchange, in a field."""
     M = np.zeros((9, 9))
     for a, b in ((0, 1), (1, 2), (2, 0)):
         for axis, strength in enumerate((1.0, 0.7, 0.4)):
@@ -243,7 +238,7 @@ def three_spins() -> Case:
 
 @cache
 def matrices() -> dict[str, Case]:
-    """Return systems of matrices, whose states are taken as rows of their numbers."""
+    """Return systems of matrices, with states as vectors."""
     g, rng = co.MatrixAlgebra, np.random.default_rng(7)
 
     def case(system: co.MatrixSystem, time: float = 1.0, size: float = 1.0) -> Case:

@@ -1,7 +1,4 @@
-"""Absolute references: 25 and more digits of the state itself, which no wrong speed, sign or index can pass.
-
-A flow at a quarter of its speed keeps every invariant; only a state at a time tells.
-"""
+"""Final states against references of 25 and more digits, which detect wrong speeds, signs and indices."""
 
 import itertools
 import json
@@ -57,8 +54,8 @@ FAMILIES = {"GaussLegendre 6": gauss(6), "GaussLegendre 8": gauss(8), "Splitting
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_lie_poisson_systems(name, flipped, family):
-    """With the sign given, and with the other sign backward in time: the same motion."""
+def test_lie_poisson_systems_match_references(name, flipped, family):
+    """With the given sign, and with the other sign backward in time: the same motion."""
     given = SYSTEMS[name]
     sign = given["sign"]
     system = system_of(given, -sign if flipped else sign)
@@ -74,10 +71,7 @@ def body(case, sign):
 
 
 def amplification(case, t):
-    """How much the rounding of the initial state grows up to time t.
-
-    Only on the separatrix by more than the tolerance has room for: at the rate |x| sqrt((m1 - m2)(m2 - m3)).
-    """
+    """Return the growth of initial round-off up to time t: on the separatrix at the rate |x| sqrt((m1 - m2)(m2 - m3))."""
     if not case["name"].startswith("separatrix"):
         return 1.0
     m1, m2, m3 = numbers(case["inverse_inertia"])
@@ -87,7 +81,7 @@ def amplification(case, t):
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("name", BODIES)
-def test_rigid_bodies(name, flipped, family):
+def test_rigid_bodies_match_references(name, flipped, family):
     case = BODIES[name]
     times = [state["t"] for state in case["states"]]
     system = body(case, 1 if flipped else -1)
@@ -107,7 +101,7 @@ MOTIONS = [(n, key) for n in WITH_ATTITUDE for key in ("", "_backward") if f"A{k
     ("method", "steps"), [(co.GaussLegendre(6), 32), (co.GaussLegendre(8), 16), (co.Splitting(order=4), 8192)]
 )
 @pytest.mark.parametrize(("name", "key"), MOTIONS)
-def test_attitudes(name, key, method, steps):
+def test_attitudes_match_references(name, key, method, steps):
     """In the body convention, and in the paper's, which is the same motion backward in time."""
     case = BODIES[name]
     times = [state["t"] for state in case["states"]]
@@ -130,7 +124,7 @@ def test_attitudes(name, key, method, steps):
 
 
 @pytest.mark.parametrize("name", WITH_ATTITUDE)
-def test_closed_form_gives_the_same_digits(name):
+def test_closed_form_matches_references(name):
     case = BODIES[name]
     system = co.systems.rigid_body(inertia=tuple(1 / numbers(case["inverse_inertia"])))
     for state in case["states"]:

@@ -1,4 +1,4 @@
-"""A wanted accuracy is reached, without waste, by the cheapest scheme; or refused, with what can be reached."""
+"""Choice for an accuracy: it is reached without waste by a cheap scheme, or refused with an attainable value."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def reference(name: str, member: int) -> tuple[np.ndarray, float]:
 
 
 def is_wasteful(error: float, choice: co.Choice, span: float) -> bool:
-    """Return whether half the steps would have done as well, the error is far below what was wanted, and rounding does
-    not explain it.
-    """
+    """Return whether far fewer steps would have sufficed, and rounding does not explain the small error."""
     count = round(abs(span) / choice.step)
     coarser = error * (count / (count - 1)) ** choice.method.order if count > 1 else math.inf
     explained = error <= max(ROUNDING, choice.roundoff)
@@ -46,7 +44,7 @@ def is_wasteful(error: float, choice: co.Choice, span: float) -> bool:
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 @pytest.mark.parametrize("name", written_out())
-def test_the_accuracy_is_reached_without_waste(name, accuracy):
+def test_accuracy_is_reached_without_waste(name, accuracy):
     case = written_out()[name]
     for member, x0 in enumerate(case.starts):
         exact, largest = reference(name, member)
@@ -59,7 +57,7 @@ def test_the_accuracy_is_reached_without_waste(name, accuracy):
 
 @pytest.mark.parametrize("accuracy", (1e-3, 1e-6, 1e-9))
 @pytest.mark.parametrize("name", ("so(3)", "e(3)", "Toda"))
-def test_splittings_alone_reach_it_too(name, accuracy):
+def test_splittings_alone_reach_the_accuracy(name, accuracy):
     case = written_out()[name]
     for member, x0 in enumerate(case.starts):
         exact, largest = reference(name, member)
@@ -74,8 +72,8 @@ def test_splittings_alone_reach_it_too(name, accuracy):
 @pytest.mark.parametrize("accuracy", (1e-3, 1e-6, 1e-9))
 @pytest.mark.parametrize("methods", (None, SPLITTINGS), ids=("any", "splittings"))
 @pytest.mark.parametrize("x0", ((1.0, 0.2, 0.5), (0.05, 1.0, 0.02), (0.3, -0.4, 1.5)))
-def test_far_beyond_the_window(x0, methods, accuracy):
-    """Thousands of turns, of which the pilot sees hundreds: the growth is followed to where the closed form is."""
+def test_accuracy_far_beyond_the_pilot_window(x0, methods, accuracy):
+    """Thousands of turns, of which the pilot computes hundreds."""
     body, span = co.systems.rigid_body(inertia=(1, 2, 3)), (0.0, 20000.0)
     choice = co.choose(body, x0, span, accuracy, methods=methods)
     run = co.integrate(body, x0, span, choice.step, choice.method, watch=False, save_every=10**9)
@@ -85,10 +83,9 @@ def test_far_beyond_the_window(x0, methods, accuracy):
 
 
 @pytest.mark.parametrize("span", (200.0, 20000.0))
-def test_what_is_refused_is_promised_from_where_it_can_be_kept(span):
-    """What the refusal names as the least accuracy is accepted, and reached."""
+def test_least_accuracy_of_a_refusal_is_attainable(span):
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
-    with pytest.raises(ValueError, match="is below what float64 reaches with any scheme over the time") as refused:
+    with pytest.raises(ValueError, match="float64") as refused:
         co.choose(body, x0, (0, span), 1e-16)
     promised = float(re.search(r"with rounding, (\S+) is the least", str(refused.value))[1])
     assert promised < 1e-10
@@ -99,10 +96,10 @@ def test_what_is_refused_is_promised_from_where_it_can_be_kept(span):
     assert np.linalg.norm(run.x[-1] - body.exact(x0, span)) / np.linalg.norm(x0) <= promised + own
 
 
-def test_close_to_a_separatrix_float64_keeps_little():
-    """The period depends on the logarithm of an energy gap of 1e-16, which is a rounding of the energy itself."""
+def test_accuracy_near_a_separatrix_is_refused():
+    """The period depends on the logarithm of an energy gap of 1e-16, a rounding of the energy itself."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
-    with pytest.raises(ValueError, match=r"below what float64 reaches|no accuracy is reached"):
+    with pytest.raises(ValueError, match="accuracy"):
         co.choose(body, (1e-8, 1.0, 0.0), (0, 200), 1e-6)
 
 
@@ -150,7 +147,7 @@ ODD = {
 @pytest.mark.thinned(7)
 @pytest.mark.parametrize("accuracy", (1e-4, 1e-9))
 @pytest.mark.parametrize("name", ODD)
-def test_every_kind_of_system(name, accuracy):
+def test_accuracy_is_reached_on_every_kind_of_system(name, accuracy):
     """Against DOP853, which keeps its error per step below 1e-13."""
     system, x0, span = ODD[name]
     found = solve_ivp(lambda t, x: system.vector_field(x, t), span, x0, method="DOP853", rtol=1e-13, atol=1e-15)
@@ -159,8 +156,8 @@ def test_every_kind_of_system(name, accuracy):
     assert np.linalg.norm(run.x[-1] - found.y[:, -1]) <= (accuracy + 1e-13 * len(found.t)) * largest
 
 
-def test_of_an_ensemble_the_worst_member_decides():
-    """A slow crowd with one fast member somewhere in it."""
+def test_worst_member_of_an_ensemble_decides():
+    """Slow members with a fast one among them."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     crowd = 0.1 * np.random.default_rng(5).uniform(-1.0, 1.0, (40, 3))
     crowd[23] *= 30.0
@@ -174,8 +171,8 @@ def test_of_an_ensemble_the_worst_member_decides():
 
 @pytest.mark.parametrize("accuracy", (1e-2, 1e-5, 1e-9))
 @pytest.mark.parametrize("name", ("so(3)", "e(3)", "spin ring"))
-def test_nothing_that_was_left_out_is_cheaper(name, accuracy):
-    """Each scheme on its own, its cost counted at its own step, which its own error confirms."""
+def test_schemes_left_out_are_not_cheaper(name, accuracy):
+    """Each scheme alone, with its cost at its own step, confirmed by its own error."""
     case = written_out()[name]
     x0, span = case.starts[0], (0, case.time)
     exact, largest = reference(name, 0)
@@ -188,8 +185,7 @@ def test_nothing_that_was_left_out_is_cheaper(name, accuracy):
         assert best.cost <= 1.25 * alone.cost, f"{alone} against {best}"
 
 
-def test_high_accuracy_needs_high_order():
-    """Among splittings the order rises with the accuracy, and Gauss methods of many stages win at high accuracy."""
+def test_order_rises_with_accuracy():
     case = written_out()["so(3)"]
     x0, span = case.starts[0], (0, case.time)
     orders = [co.choose(case.system, x0, span, a, methods=SPLITTINGS).method.order for a in (1e-1, 1e-3, 1e-6, 1e-10)]
@@ -199,7 +195,7 @@ def test_high_accuracy_needs_high_order():
 
 
 def dying_motion(seed, spans):
-    """A random quadratic H on a random algebra, some of which let all motion die out."""
+    """Return a random quadratic H on a random algebra; on some of them all motion dies out."""
     rng = np.random.default_rng(seed)
     algebra = some_algebra(rng)
     n = algebra.dim
@@ -223,8 +219,8 @@ SPANS, LONGER = (5, 50, 500), (3, 15, 100, 250, 1000, 3000)
     ("seed", "spans"),
     [(324, SPANS), (395, SPANS), *((seed, LONGER) for seed in (585, 641, 656, 663))],
 )
-def test_steps_at_the_border_of_what_is_stable_are_not_chosen(seed, spans, accuracy):
-    """Where a motion dies out, a step that is a little too long overflows, and a little shorter one ends in zero."""
+def test_steps_at_the_stability_limit_are_not_chosen(seed, spans, accuracy):
+    """Where a motion dies out, a step slightly too long overflows, and a slightly shorter one ends in zero."""
     system, x0, span = dying_motion(seed, spans)
     run = co.integrate(system, x0, (0.0, span), accuracy=accuracy, watch=False)
     fine = co.integrate(system, x0, (0.0, span), run.step / 8, co.GaussLegendre(6), watch=False, save_every=8)

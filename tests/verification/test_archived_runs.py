@@ -1,4 +1,4 @@
-"""A run that was cut and resumed has the bits of one that was not: every scheme, wherever it was cut."""
+"""Archived runs, interrupted and resumed, have the bits of uninterrupted runs, for every scheme."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FORCED = {
 OWN = {"Taylor 8 tolerance": co.Taylor(8, tolerance=1e-9)} | {
     f"ReversibleSteps {k}": method for k, method in enumerate(co.methods.registry.scheme("ReversibleSteps").examples())
 }
-"""Schemes in steps of their own, many or few of them in a step of the run."""
+"""Schemes of variable steps."""
 # The loops hold those of one kind side by side, 0 2 3 1 4: an order that is not its own inverse.
 INERTIAS = ((1, 2, 3), (3, 1, 2), (1, 2, 2.5), (1, 2, 2.75), (3, 1, 2.5))
 BATCH = co.batch([co.systems.rigid_body(inertia) for inertia in INERTIAS])
@@ -49,8 +49,8 @@ def without_waiting_for_the_disk(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-def stored(system):
-    """Whether a record has all of a system; where it has functions, they must be given again."""
+def is_stored(system):
+    """Return whether a record contains the complete system, without user functions."""
     return "not_stored" not in record_of(system)
 
 
@@ -64,11 +64,11 @@ def systems():
 
 
 def cases():
-    """Yield every scheme on every system of a round that it serves, with options by turns."""
+    """Yield every scheme with some systems that it supports, with random options."""
     known, turn, rng = systems(), 0, np.random.default_rng(1)
     for name, method in (schemes() | OWN).items():
         serving = [system for system, (moved, _) in known.items() if serves_all(method, moved)]
-        # By turns, so that in all every system is met by many schemes.
+        # In turn, so that every system is combined with many schemes.
         for k in range(min(7, len(serving))):
             cuts, every, threads, members, direction = (
                 choices[rng.integers(len(choices))] for choices in (CUTS, EVERY, THREADS, MEMBERS, DIRECTIONS)
@@ -102,7 +102,7 @@ def attitude_of(method, system):
 
 
 def assert_same(found, whole, same_work=True):
-    """Every number that a run leaves; work is at least that of the whole run where it is not the same."""
+    """Compare all arrays of two solutions; the work is at least that of the whole run."""
     assert np.array_equal(found.t, whole.t)
     for name in ("x", "energy", "attitude", "x0", "attitude0", "failed"):
         one, other = getattr(found, name), getattr(whole, name)
@@ -135,14 +135,14 @@ def assert_same(found, whole, same_work=True):
 @pytest.mark.parametrize(
     ("method", "name", "cuts", "every", "threads", "members", "direction", "attitude"), list(cases())
 )
-def test_cut_and_resumed(tmp_path, method, name, cuts, every, threads, members, direction, attitude):
+def test_resumed_run_equals_uninterrupted_run(tmp_path, method, name, cuts, every, threads, members, direction, attitude):
     system, x = systems()[name]
     x0 = x if members is None else np.multiply.outer(1.0 - 0.03 * np.arange(members), x)
     span = (T0, T0 + direction * STEPS * STEP)
     watch = len(cuts) != 2
     whole = co.integrate(system, x0, span, STEP, method, save_every=every, attitude=attitude, watch=watch, threads=1)
     ready = PreparedRun(system, method, STEP, attitude=attitude, watch=watch, threads=threads)
-    path, given = tmp_path / "run.zarr", None if stored(system) else system
+    path, given = tmp_path / "run.zarr", None if is_stored(system) else system
     found = archive_run(ready, x0, span, every, path, until=cuts[0])
     for cut in cuts[1:]:
         assert not found.finished and found.reached < cut
@@ -152,15 +152,15 @@ def test_cut_and_resumed(tmp_path, method, name, cuts, every, threads, members, 
     assert np.array_equal(found.x, whole.x[: len(found.t)], equal_nan=True)
     found = co.resume(path, system=given, threads=threads)
     assert found.finished
-    # In steps of its own a scheme goes to a step of the run for whoever looks, and here a cut is the only one who does.
+    # Variable steps end at a step of the run only where it is watched or interrupted.
     assert_same(found, whole, same_work=watch or not method.own_steps)
 
 
 @pytest.mark.long
-def test_there_are_enough_cases():
-    """Every registered scheme, every system, and every option beside every other one."""
+def test_cases_cover_schemes_systems_and_options():
+    """Every registered scheme, every system, and every pair of options."""
     found = [case.values for case in cases()]
-    assert len(found) >= 300 or len(found) == 0
+    assert len(found) >= 300
     assert {type(method) for method, *_ in found} == set(map(co.methods.registry.scheme, co.methods.names()))
     met = Counter(system for _, system, *_ in found)
     assert met.keys() == systems().keys() and min(met.values()) >= 3, met
@@ -173,8 +173,8 @@ def test_there_are_enough_cases():
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
 @pytest.mark.parametrize("members", [None, 5])
-def test_points_are_let_go(tmp_path, monkeypatch, method, members):
-    """Of a run of many chunks no more than one chunk is in memory, and a commit between them makes no difference."""
+def test_memory_holds_one_chunk_of_points(tmp_path, monkeypatch, method, members):
+    """A commit between chunks makes no difference."""
     monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MIN_CHUNK_ROWS", 8)
     monkeypatch.setattr("coadjoint.files.archives.stored_arrays.MAX_CHUNK_ROWS", 8)
     monkeypatch.setattr("coadjoint.files.archives.archived_run.FIRST_ADVANCE", 5)
@@ -197,8 +197,8 @@ LATER = [(17, 29), (17, 18), (40, 400), (170, 1000), (1000, 1001), (999, 2000)]
 @pytest.mark.parametrize("every", [1, 7, 50])
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8, tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize(("direction", "watch", "pieces"), [(1, True, 1), (-1, True, 5), (1, False, 3)])
-def test_a_later_end(tmp_path, monkeypatch, steps, later, every, method, direction, watch, pieces):
-    """The same as a run that had this end from the beginning: points, and drifts in each of its tenths."""
+def test_later_end_equals_a_longer_run(tmp_path, monkeypatch, steps, later, every, method, direction, watch, pieces):
+    """Points, and drifts in each of their tenths."""
     system, x0 = systems()["e(3), heavy top"]
     spans = [(T0, T0 + direction * count * STEP) for count in (steps, later)]
     options = {"save_every": every, "watch": watch}
@@ -214,7 +214,7 @@ def test_a_later_end(tmp_path, monkeypatch, steps, later, every, method, directi
     assert_same(co.resume(path), co.integrate(system, x0, spans[1], STEP, method, **options))
 
 
-def test_a_run_of_no_steps_goes_on(tmp_path):
+def test_run_without_steps_is_resumed(tmp_path):
     system, x0 = systems()["e(3), heavy top"]
     path, method = tmp_path / "run.zarr", co.GaussLegendre(2)
     found = co.integrate(system, x0, (1.0, 1.0), STEP, method, archive=path)
@@ -223,7 +223,7 @@ def test_a_run_of_no_steps_goes_on(tmp_path):
     assert_same(co.resume(path, 1.0 + 3 * STEP), co.integrate(system, x0, (1.0, 1.0 + 3 * STEP), STEP, method))
 
 
-def test_an_unfinished_run_gets_another_end(tmp_path):
+def test_unfinished_run_gets_another_end(tmp_path):
     system, x0 = systems()["e(3), heavy top"]
     path, method = tmp_path / "run.zarr", co.GaussLegendre(2)
     archive_run(PreparedRun(system, method, STEP), x0, (0.0, 100 * STEP), 3, path, until=41)
@@ -231,7 +231,7 @@ def test_an_unfinished_run_gets_another_end(tmp_path):
     assert_same(found, co.integrate(system, x0, (0.0, 60 * STEP), STEP, method, save_every=3))
     assert co.resume(path, 60 * STEP).finished
     for end in (0.0, 41 * STEP, 59 * STEP, -100 * STEP):
-        with pytest.raises(ValueError, match=r"the run has reached t = 3 on its way to 3; give a later end"):
+        with pytest.raises(ValueError, match="t = 3 .*later end"):
             co.resume(path, end)
     with pytest.raises(ValueError, match="does not divide"):
         co.resume(path, 61.5 * STEP)

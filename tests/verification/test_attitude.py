@@ -1,4 +1,4 @@
-"""The group element: spatial momentum constant, the group kept, in every representation that a scheme declares."""
+"""Group elements: constant spatial momentum, and preservation of the group in every declared representation."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,9 @@ from .systems_under_test import AXES, cases, full_matrix
 pytestmark = pytest.mark.thinned(6)
 
 BODY = cases()["so(3), diagonal"].system
-KEPT = {n: m.properties(BODY).attitude for n, m in schemes().items() if serves(m, BODY)}
-SPLITTINGS = [n for n, kept in KEPT.items() if kept == "every representation" and "free body" not in n]
-GAUSS = [n for n, kept in KEPT.items() if kept == "coadjoint"]
+ATTITUDES = {n: m.properties(BODY).attitude for n, m in schemes().items() if serves(m, BODY)}
+SPLITTINGS = [n for n, kind in ATTITUDES.items() if kind == "every representation" and "free body" not in n]
+GAUSS = [n for n, kind in ATTITUDES.items() if kind == "coadjoint"]
 REPRESENTED = [c for c, case in cases().items() if case.system.representation is not None]
 ORTHOGONAL = ["so(3), diagonal", "so(3), full, axes turned", "so(4), diagonal", "so(4), separable"]
 
@@ -38,7 +38,7 @@ def in_space_axes(case, x):
 
 @pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(3), full, axes turned"])
-def test_rotations_keep_the_spatial_momentum_and_stay_rotations(case, scheme):
+def test_rotations_preserve_the_spatial_momentum(case, scheme):
     run = run_of(scheme, case, True)
     bound = group_bound(run, 3.0)
     assert np.max(np.abs(np.einsum("tij,tij->t", run.attitude, run.attitude) - 3.0)) <= 3 * bound
@@ -60,8 +60,8 @@ def test_orthogonal_representations_stay_orthogonal(case, scheme):
 
 @pytest.mark.parametrize("scheme", SPLITTINGS)
 @pytest.mark.parametrize("case", REPRESENTED)
-def test_representation_and_coadjoint_matrix_are_one_group_element(case, scheme):
-    """g^(-1) rho(e_i) g = sum_j K_ij rho(e_j), K the coadjoint matrix with K x constant: in any representation."""
+def test_representation_agrees_with_the_coadjoint_matrix(case, scheme):
+    """g^(-1) rho(e_i) g = sum_j K_ij rho(e_j), where K x is constant."""
     system = cases()[case].system
     step = 0.01 if case in ("sl(2), driven", "A3,7, diagonal", "A3,7, full") else 0.05
     in_rho, in_K = (run_of(scheme, case, how, count=100, step=step) for how in (True, "coadjoint"))
@@ -73,7 +73,7 @@ def test_representation_and_coadjoint_matrix_are_one_group_element(case, scheme)
 
 
 @pytest.mark.parametrize("scheme", SPLITTINGS)
-def test_spatial_momentum_of_so4_is_quadratic_in_the_group_element(scheme):
+def test_spatial_momentum_of_so4_is_constant(scheme):
     """X = sum x_ij (E_ij - E_ji); g X g^T is constant."""
     run = run_of(scheme, "so(4), diagonal", True)
     rho = cases()["so(4), diagonal"].system.representation
@@ -84,7 +84,7 @@ def test_spatial_momentum_of_so4_is_quadratic_in_the_group_element(scheme):
 
 @pytest.mark.parametrize("scheme", GAUSS)
 @pytest.mark.parametrize("case", ["e(3), heavy top", "A3,7, full", "so(4), diagonal"])
-def test_gauss_methods_refuse_what_they_cannot_keep(case, scheme):
+def test_gauss_methods_refuse_other_representations(case, scheme):
     system, x0, _ = cases()[case]
     with pytest.raises(ValueError, match="coadjoint"):
         co.integrate(system, x0, (0.0, 1.0), 0.1, schemes()[scheme], attitude=True)
@@ -103,8 +103,8 @@ def test_initial_attitude_multiplies_from_the_left(scheme):
 
 @pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
 @pytest.mark.parametrize("case", ["so(3), full, axes turned", "so(4), diagonal", "e(3), heavy top", "A3,7, full"])
-def test_the_first_element_is_the_given_one_to_the_bit(case, scheme):
-    """In the representation where the scheme carries it, and as the coadjoint matrix; forward, backward, in a crowd."""
+def test_first_element_is_the_given_one_bitwise(case, scheme):
+    """In representations and as the coadjoint matrix, forward and backward, alone and in ensembles."""
     system, x0, _ = cases()[case]
     attitudes = [("coadjoint", np.eye(system.dim))]
     if scheme in SPLITTINGS or case.startswith("so(3)"):
@@ -120,7 +120,7 @@ def test_the_first_element_is_the_given_one_to_the_bit(case, scheme):
 
 
 @pytest.mark.parametrize("scheme", SPLITTINGS)
-def test_group_element_of_one_step(scheme):
+def test_coadjoint_matrix_of_one_step(scheme):
     for case in ("e(3), full, axes permuted", "A3,7, full", "so(4), full, another basis"):
         system, x0, _ = cases()[case]
         step = co.stepper(system, schemes()[scheme], 0.1)
@@ -147,7 +147,7 @@ def test_attitude_has_the_order_of_the_scheme(scheme, sign):
     """Against the closed form, full inertia tensor, both signs."""
     M = full_matrix(1, 3)
     system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M), sign=sign)
-    # A quadratic form with the closed form of a body; no body has this one.
+    # The closed form of a body for this quadratic form, which no body has.
     body = so3_body(M, sign=-1, name="form", parameters={})
     x0, method = np.array([1.0, -1.5, 1.2]), schemes()[scheme]
     # x' = J M x run forward is the body motion run backward.

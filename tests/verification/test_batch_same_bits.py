@@ -1,4 +1,4 @@
-"""Every member of a batch is bit for bit what it is alone: every scheme, any number of threads, wherever it is cut."""
+"""Members of batches have the bits of single runs, for every scheme and any number of threads."""
 
 import numpy as np
 import pytest
@@ -15,14 +15,14 @@ SPAN, STEP = (0.0, 1.0), 0.0625
 
 
 def bodies():
-    """The middle axis is another one in each; the last two have fewer candidates for a shift."""
+    """Bodies with different middle axes; the last two have fewer candidates for a shift."""
     return [
         co.systems.rigid_body(I) for I in ((1, 2, 3), (3, 1, 2.5), (2, 2.5, 1), (1.25, 2.25, 3), (2, 2, 1), (3, 3, 3))
     ]
 
 
 def spirals():
-    """Other structure constants, other Casimirs (functions with a period), and once a diagonal M."""
+    """Different structure constants and periodic Casimirs, and one diagonal M."""
     algebras = [co.algebras.get("A3,7", a=a) for a in (1.0, 1.75, 2.5)]
     matrices = [full_matrix(1, 3), full_matrix(2, 3), np.diag([1.0, 2.0, 0.25])]
     return [co.LiePoissonSystem(g, co.Quadratic(M)) for g, M in zip(algebras, matrices, strict=True)]
@@ -36,7 +36,7 @@ def tops():
 
 
 def wells():
-    """User functions that differ, and a member whose Hamiltonian is of another kind."""
+    """Different user functions, and a member with another kind of Hamiltonian."""
     well = (lambda y: 0.5 * y**2 + 0.1 * y**4, lambda y: y + 0.4 * y**3, lambda y: 1 + 1.2 * y**2)
     wave = (lambda y: np.cos(y), lambda y: -np.sin(y), lambda y: -np.cos(y))
     g = co.algebras.sl(2)
@@ -68,7 +68,7 @@ def same(one, other):
 
 @pytest.mark.thinned(44)
 @pytest.mark.parametrize(("scheme", "name"), PAIRS)
-def test_member_of_a_batch_is_what_it_is_alone(scheme, name, monkeypatch):
+def test_member_of_a_batch_equals_its_single_run(scheme, name, monkeypatch):
     method, systems = schemes()[scheme], BATCHES[name]()
     batch = co.batch(systems)
     attitude = False if method.properties(systems[0]).attitude == "none" else "coadjoint"
@@ -96,7 +96,7 @@ def test_member_of_a_batch_is_what_it_is_alone(scheme, name, monkeypatch):
 
 @pytest.mark.parametrize("name", ["bodies", "tops"])
 @pytest.mark.parametrize("scheme", ["Splitting 4", "Splitting 2 coordinates"])
-def test_attitude_in_the_representation_of_each_member(scheme, name):
+def test_attitude_uses_the_representation_of_each_member(scheme, name):
     method, systems = schemes()[scheme], BATCHES[name]()
     x0 = np.linspace(0.3, 0.6, systems[0].dim)
     sol = co.integrate(co.batch(systems), x0, SPAN, STEP, method, attitude=True)
@@ -105,7 +105,7 @@ def test_attitude_in_the_representation_of_each_member(scheme, name):
 
 
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 2", "RadauEnergy 2", "Taylor 5"])
-def test_prepared_runs_have_the_bits_of_integrate(scheme):
+def test_prepared_runs_equal_integrate(scheme):
     method = schemes()[scheme]
     for system in (bodies()[0], co.batch(tops())):
         x0 = np.linspace(0.3, 0.6, system.dim)

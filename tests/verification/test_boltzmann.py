@@ -1,4 +1,4 @@
-"""Heat baths: the density of Boltzmann within its sampling error, for one spin and for a ring of spins."""
+"""Heat baths sample the Boltzmann distribution, for one spin and for a ring of spins."""
 
 import numpy as np
 from scipy import special, stats
@@ -12,8 +12,8 @@ def starts(members, spins, seed):
     return (S / np.linalg.norm(S, axis=-1, keepdims=True)).reshape(members, 3 * spins)
 
 
-def test_one_spin_in_a_field():
-    """cos(theta) has the density exp(b cos(theta)), b = B/kT; members are independent. Both signs of the bracket."""
+def test_spin_in_a_field_has_boltzmann_density():
+    """cos(theta) has the density exp(b cos(theta)), b = B/kT, for both signs of the bracket."""
     B, T, members = 1.5, 0.75, 300
     for sign, seed in ((1, 5), (-1, 6)):
         spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -B}), sign=sign)
@@ -27,7 +27,7 @@ def test_one_spin_in_a_field():
         wrong = [
             stats.kstest(found, lambda c, b=w: np.expm1(b * (c + 1)) / np.expm1(2 * b)).pvalue for w in (b / 2, 2 * b)
         ]
-        assert max(wrong) < 1e-6, "half or twice the noise is told apart"
+        assert max(wrong) < 1e-6, "half or twice the noise must be detected"
         assert np.max(np.abs(np.sum(sol.x[-1] ** 2, axis=1) - 1.0)) < 8 * 192 * UNIT_ROUNDOFF
         assert abs(np.mean(np.exp(1j * np.arctan2(sol.x[-1, :, 1], sol.x[-1, :, 0])))) < 4 / np.sqrt(members)
 
@@ -42,8 +42,8 @@ def ring_energy(K, spins):
     return -(log_partition(K + e) - log_partition(K - e)) / (2 * e) / spins
 
 
-def test_a_ring_of_spins():
-    """Energy and specific heat of the ring of Heisenberg, by transfer functions, within the error of the sample."""
+def test_energy_and_specific_heat_of_a_spin_ring():
+    """Against transfer functions, within the sampling error."""
     spins, T, members = 6, 0.5, 48
     M = np.zeros((3 * spins, 3 * spins))
     for a in range(spins):

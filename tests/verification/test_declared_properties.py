@@ -125,5 +125,5 @@ def test_integrated_attitude_leaves_the_group(scheme):
 )
 def test_attitude_is_refused_by_name_where_it_is_not_declared(scheme):
     system, x0, _ = witness_of(schemes()[scheme])
-    with pytest.raises(ValueError, match="carries no group element"):
+    with pytest.raises(ValueError, match="computes no group element"):
         co.integrate(system, x0, (0.0, 1.0), 0.1, schemes()[scheme], attitude="coadjoint")

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.methods.formal.power_series import expand
+from coadjoint.methods.numerics.taylor_series import expand
 from long import long_beyond
 from random_runs.algebras import some_algebra
 from random_runs.hamiltonians import matrix, polynomial

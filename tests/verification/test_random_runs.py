@@ -6,6 +6,7 @@
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,6 +37,14 @@ def test_random_runs_have_the_same_bits_in_any_company(first):
     )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert done.stdout.splitlines()[-1] == f"{EACH} seeds, 0 wrong"
+
+
+@pytest.mark.parametrize("seed", [8200055, 8200449])
+def test_seeds_that_once_differed(seed):
+    """An energy that overflowed and was subtracted from itself; a pair of crossings in the step of an end."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert list(differences(seed)) == []
 
 
 @pytest.mark.parametrize("seed", [2000018, 770000244])

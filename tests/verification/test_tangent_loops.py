@@ -14,7 +14,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState
-from coadjoint.runs.tangent_loops import energy_loops
+from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
 from long import long_between, long_beyond
 

@@ -1,4 +1,4 @@
-"""Systems whose equations are written out by hand, and an extrapolation method in many digits: nothing of the library.
+"""Systems with explicit equations, and an extrapolation method in many digits, independent of the library.
 
 The fields take arrays of any number type, so that the same lines serve floats and mpmath.
 """
@@ -16,7 +16,7 @@ import coadjoint as co
 
 
 class Written(NamedTuple):
-    """A system of the library, the same field by hand, initial states, and a time of some tens of its turns."""
+    """A system of the library, its field written by hand, initial states, and a time of some tens of turns."""
 
     system: co.LiePoissonSystem
     field: Callable[[Any], Any]
@@ -83,7 +83,7 @@ def toda_algebra() -> co.LieAlgebra:
 
 
 def ring(x: Any) -> Any:
-    """Four spins, each turning about the sum of its neighbours, more about z."""
+    """Four spins, each turning about the sum of its neighbours, with a larger weight of z."""
     spins = x.reshape(4, 3)
     around = (np.roll(spins, 1, axis=0) + np.roll(spins, -1, axis=0)) * np.array([1.0, 1.0, 1.25])
     return np.concatenate([cross(u, s) for u, s in zip(around, spins, strict=True)])
@@ -134,15 +134,15 @@ def written_out() -> dict[str, Written]:
 STAGES = 9
 ENOUGH = 1e-16
 DIGITS = 30
-# Extended precision where the machine has it, a hundred times faster; its rounding, 5e-20 a hundredfold in each of some
-# hundred steps, stays far below what is enough.
+# Extended precision where available, a hundred times faster; its rounding, 5e-20 a hundredfold in each of some hundred
+# steps, stays far below `ENOUGH`.
 LONG: Any = np.longdouble if np.finfo(np.longdouble).nmant >= 63 else mpmath.mpf
 
 
 def many_digits(field: Callable[[Any], Any], x0: np.ndarray, time: float) -> tuple[np.ndarray, float]:
     """Return the state at `time` and the largest momentum on the way, by Gragg's extrapolated midpoint rule.
 
-    Of order 18, with as many steps as it takes for the estimates of the errors of all steps to add up to `ENOUGH`.
+    Of order 18; the number of steps is doubled until the estimated errors of all steps add up to `ENOUGH` at most.
     """
     start = np.array([LONG(float(value)) for value in x0])
     with mpmath.workdps(DIGITS):
@@ -159,7 +159,7 @@ def many_digits(field: Callable[[Any], Any], x0: np.ndarray, time: float) -> tup
 
 
 def extrapolated(field: Callable[[Any], Any], x: Any, h: Any) -> tuple[Any, float]:
-    """Return one step, and how much the last extrapolation changed it."""
+    """Return one step, and the change by its last extrapolation."""
     rows: list[list[Any]] = []
     slope = field(x)
     for stage in range(1, STAGES + 1):

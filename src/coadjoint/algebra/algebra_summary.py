@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from coadjoint.algebra.bracket_format import count_of_brackets, format_brackets
+from coadjoint.algebra.brackets import count_of_brackets, format_brackets
 from coadjoint.algebra.catalogue import families, get, names
 from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.algebra.lie_algebra import LieAlgebra
@@ -30,12 +30,12 @@ def listed_algebras() -> list[str]:
     ['A4_9(b)         dimension 4, -1 < b <= 1', 'so(n)           a family; give the numbers, such as so(3)']
     """
     known, patterns = entries(), families()
-    return [f"{_head(name, known):16}{_summary_line(name, known, patterns)}" for name in names()]
+    return [f"{_signature(name, known):16}{_summary_line(name, known, patterns)}" for name in names()]
 
 
-def _head(name: str, known: Mapping[str, Mapping[str, Any]]) -> str:
-    given = known.get(name, {}).get("parameters", ())
-    return f"{name}({', '.join(given)})" if given else name
+def _signature(name: str, known: Mapping[str, Mapping[str, Any]]) -> str:
+    parameters = known.get(name, {}).get("parameters", ())
+    return f"{name}({', '.join(parameters)})" if parameters else name
 
 
 def _summary_line(name: str, known: Mapping[str, Mapping[str, Any]], patterns: Mapping[str, tuple[str, ...]]) -> str:
@@ -90,8 +90,8 @@ def algebra_text(algebra: LieAlgebra) -> str:
 def _lines(algebra: LieAlgebra) -> Iterator[str]:
     yield str(algebra.name or "a Lie algebra")
     yield from _entry("dimension", str(algebra.dim))
-    listed = algebra.basis if algebra.dim <= MAX_NAMES else (*algebra.basis[:3], "...", algebra.basis[-1])
-    yield from _entry("basis", in_one_line(", ".join(listed), MAX_FORMULA_LENGTH))
+    basis_names = algebra.basis if algebra.dim <= MAX_NAMES else (*algebra.basis[:3], "...", algebra.basis[-1])
+    yield from _entry("basis", in_one_line(", ".join(basis_names), MAX_FORMULA_LENGTH))
     count = count_of_brackets(algebra.triples)
     shown = format_brackets(algebra.triples, algebra.basis, MAX_BRACKETS)
     more = [f"and {count - len(shown)} more"] if count > len(shown) else []
@@ -109,10 +109,10 @@ def _casimirs(algebra: LieAlgebra) -> list[str]:
     known: Mapping[str, Any] = algebra.casimirs_known
     if not known and algebra.dim > MAX_SEARCHED_DIMENSION:
         return [f"not computed here, since there are {algebra.dim} coordinates; call casimirs() of the algebra"]
-    found = known or algebra.casimirs()
-    if not found:
-        return [in_one_line(repr(found), MAX_FORMULA_LENGTH).removeprefix("{}").strip(" ()") or "none"]
-    return [in_one_line(_formula(name, value), MAX_FORMULA_LENGTH) for name, value in found.items()]
+    casimirs = known or algebra.casimirs()
+    if not casimirs:
+        return [in_one_line(repr(casimirs), MAX_FORMULA_LENGTH).removeprefix("{}").strip(" ()") or "none"]
+    return [in_one_line(_formula(name, value), MAX_FORMULA_LENGTH) for name, value in casimirs.items()]
 
 
 def _formula(name: str, value: Any) -> str:

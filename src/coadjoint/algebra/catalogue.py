@@ -6,13 +6,12 @@ import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.algebra.families.classical import gl, sl, sp
-from coadjoint.algebra.families.heisenberg import heisenberg
+from coadjoint.algebra.families.classical import gl, sl, sp, su, u
 from coadjoint.algebra.families.low_dimensional import A3_7, entries, low_dimensional
 from coadjoint.algebra.families.orthogonal import e, se, so
+from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra
-from coadjoint.algebra.families.unitary import su, u
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.errors import unknown_attribute, unknown_name
 from coadjoint.short_repr import short
@@ -123,21 +122,21 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     """
     if not isinstance(name, str):
         raise TypeError(f"name of an algebra must be a string, not {short(name)}")
-    plain = re.sub(r"\s", "", name)
-    published = plain.replace(",", "_")
-    if published in entries():
-        return low_dimensional(published, **parameters)
-    if plain == "heisenberg":
-        plain = "heisenberg(n)" if parameters else "heisenberg(1)"
-    if plain in _FAMILIES:
-        build, wanted = _FAMILIES[plain]
+    compact = re.sub(r"\s", "", name)
+    entry_name = compact.replace(",", "_")
+    if entry_name in entries():
+        return low_dimensional(entry_name, **parameters)
+    if compact == "heisenberg":
+        compact = "heisenberg(n)" if parameters else "heisenberg(1)"
+    if compact in _FAMILIES:
+        build, wanted = _FAMILIES[compact]
         _check_parameters(name, wanted, parameters)
         return build(*(parameters[key] for key in wanted))
-    match = re.fullmatch(r"([a-z]+)\(([0-9]{1,4000})(?:,([0-9]{1,4000}))?\)", plain)
+    match = re.fullmatch(r"([a-z]+)\(([0-9]{1,4000})(?:,([0-9]{1,4000}))?\)", compact)
     if match is None or match[1] not in {pattern.split("(")[0] for pattern in _FAMILIES}:
-        bare = re.fullmatch(r"([a-z]+)[_-]?([0-9]{1,3})", plain)
-        meant = () if bare is None or f"{bare[1]}(n)" not in _FAMILIES else (f"{bare[1]}({bare[2]})",)
-        raise unknown_name("algebra", name, meant or names())
+        bare = re.fullmatch(r"([a-z]+)[_-]?([0-9]{1,3})", compact)  # such as so3
+        near = (f"{bare[1]}({bare[2]})",) if bare and f"{bare[1]}(n)" in _FAMILIES else names()
+        raise unknown_name("algebra", name, near)
     if match[3] is not None and match[1] != "so":
         raise unknown_name("algebra", name, names())
     _check_parameters(name, (), parameters)
@@ -145,11 +144,11 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     return sp(*numbers) if match[1] == "sp" else _FAMILIES[f"{match[1]}(n)"][0](*numbers)
 
 
-def _check_parameters(name: str, wanted: tuple[str, ...], argument: Mapping[str, Any]) -> None:
-    missing = [key for key in wanted if key not in argument]
+def _check_parameters(name: str, wanted: tuple[str, ...], parameters: Mapping[str, Any]) -> None:
+    missing = [key for key in wanted if key not in parameters]
     if missing:
         raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
-    extra = sorted(set(argument) - set(wanted))
+    extra = sorted(set(parameters) - set(wanted))
     if extra:
         accepted = ", ".join(wanted) or "none"
         raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")

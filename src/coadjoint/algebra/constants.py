@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra import bracket_parser as written_brackets
+from coadjoint.algebra import brackets as bracket_text
 from coadjoint.algebra.exact.sparse_sums import Floats, Integers
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
@@ -132,10 +132,10 @@ def _check_finite_constants(i: Integers, j: Integers, k: Integers, c: Floats) ->
 def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
     """Convert ``{(i, j): {k: c}}`` to rows (i, j, k, c); basis names may replace indices.
 
-    An empty bracket is kept: it states that the pair commutes and contradicts a nonzero one in the opposite order.
+    An empty bracket is retained: the pair commutes, which contradicts a nonzero bracket in the opposite order.
     """
     if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
-        brackets = written_brackets.parse_brackets(brackets, read_basis(basis, dim))
+        brackets = bracket_text.parse_brackets(brackets, read_basis(basis, dim))
     if not isinstance(brackets, Mapping):
         raise TypeError(
             f"brackets must be a mapping {{(i, j): {{k: c}}}}, or lines such as '[e1, e2] = e3', not "

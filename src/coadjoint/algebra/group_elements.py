@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-# Elements given to half of the digits of float64, or with the round-off of a long run, are accepted.
+# Accepts elements with half of the digits of float64, or with the round-off of a long run.
 TOLERANCE = 2.0**-26
 MAX_SPAN_ENTRIES = 1 << 24  # entries of a representation; above, only forms and determinants are checked
 
@@ -83,23 +83,24 @@ def _element_violation(g: Floats, preserved: _PreservedQuantities) -> str | None
     inverse = np.linalg.inv(unit)
     # Change of the determinant when every entry is rounded.
     tolerance = TOLERANCE * float((np.abs(inverse) @ np.abs(unit)).sum(axis=1).max())
-    for moved, size in (
+    for displacement, size in (
         (g @ preserved.fixed - preserved.fixed, largest),
         ((preserved.covectors @ g - preserved.covectors), largest),
     ):
-        if np.abs(moved).max(initial=0.0) > TOLERANCE * max(1.0, size):
-            return "it moves a vector that every element of the group leaves where it is"
+        if np.abs(displacement).max(initial=0.0) > TOLERANCE * max(1.0, size):
+            return "it moves a vector that every element of the group fixes"
     if not preserved.orthogonal:
         sign, logarithm = np.linalg.slogdet(g)
         if sign < 0 or (preserved.special and abs(logarithm) > tolerance):
-            wanted = "1" if preserved.special else "positive"
-            return f"its determinant is {sign * np.exp(min(logarithm, 700.0)):.6g}; that of every element is {wanted}"
+            expected = "1" if preserved.special else "positive"
+            return f"its determinant is {sign * np.exp(min(logarithm, 700.0)):.6g}; that of every element is {expected}"
     if preserved.span is None:
         return None
-    turned = (unit @ preserved.generator @ inverse).ravel()
-    rest = turned - preserved.span @ (preserved.span.T @ turned)
-    if np.abs(rest).max() > TOLERANCE * float((np.abs(unit) @ np.abs(preserved.generator) @ np.abs(inverse)).max()):
-        return "it does not keep the brackets: g rho g^-1 is no element of the algebra"
+    conjugated = (unit @ preserved.generator @ inverse).ravel()
+    remainder = conjugated - preserved.span @ (preserved.span.T @ conjugated)
+    size = float((np.abs(unit) @ np.abs(preserved.generator) @ np.abs(inverse)).max())
+    if np.abs(remainder).max() > TOLERANCE * size:
+        return "it does not preserve the brackets: g rho g^-1 is no element of the algebra"
     return None
 
 
@@ -114,15 +115,15 @@ def automorphism_violation(groups: Floats, structure_matrix: Callable[[Floats], 
     >>> J = co.algebras.so(3).structure_matrix
     >>> automorphism_violation(np.eye(3)[None], J)
     >>> automorphism_violation(2 * np.eye(3)[None], J)
-    'it does not keep the brackets: K J(x) K^T differs from J(K x)'
+    'it does not preserve the brackets: K J(x) K^T differs from J(K x)'
     """
     x: Floats = np.random.default_rng(0).standard_normal((groups.shape[1],))
     J = np.asarray(structure_matrix(x))
     for K in groups:
-        found, wanted = K @ J @ K.T, np.asarray(structure_matrix(np.asarray(K @ x)))
-        size = np.abs(K) @ np.abs(J) @ np.abs(K).T
-        if np.abs(found - wanted).max(initial=0.0) > TOLERANCE * max(float(size.max()), float(np.abs(wanted).max())):
-            return "it does not keep the brackets: K J(x) K^T differs from J(K x)"
+        transformed, expected = K @ J @ K.T, np.asarray(structure_matrix(np.asarray(K @ x)))
+        size = max(float((np.abs(K) @ np.abs(J) @ np.abs(K).T).max()), float(np.abs(expected).max()))
+        if np.abs(transformed - expected).max(initial=0.0) > TOLERANCE * size:
+            return "it does not preserve the brackets: K J(x) K^T differs from J(K x)"
     return None
 
 

@@ -28,25 +28,25 @@ def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bo
     first = np.repeat(starts, np.diff(np.append(starts, order.size)))
     wrong = np.flatnonzero(c != c[first])
     if wrong.size:
-        at = int(wrong[0])
-        where = triple_name((int(i[at]), int(j[at]), int(k[at])), names)
+        row = int(wrong[0])
+        where = triple_name((int(i[row]), int(j[row]), int(k[row])), names)
         raise ValueError(
-            f"structure constant {where} is given twice, as {c[first[at]]:g} and as {c[at]:g}; give it once"
+            f"structure constant {where} is given twice, as {c[first[row]]:g} and as {c[row]:g}; give it once"
         )
     i, j, k, c = i[starts], j[starts], k[starts], c[starts]
     size = np.zeros(dim)
     np.maximum.at(size, i, np.abs(c))
     np.maximum.at(size, j, np.abs(c))
     allowed = DEFECT_FACTOR * UNIT_ROUNDOFF * np.minimum(size[i], size[j])
-    own = np.flatnonzero((i == j) & ((np.abs(c) > allowed) | (not complete and c != 0.0)))
-    if own.size:
-        at = int(own[0])
+    diagonal = np.flatnonzero((i == j) & ((np.abs(c) > allowed) | (not complete and c != 0.0)))
+    if diagonal.size:
+        row = int(diagonal[0])
         raise ValueError(
-            f"[{names[i[at]]}, {names[i[at]]}] (index {i[at]}) must be zero, but has component {c[at]:g} "
-            f"along {names[k[at]]}"
+            f"[{names[i[row]]}, {names[i[row]]}] (index {i[row]}) must be zero, but has component {c[row]:g} "
+            f"along {names[k[row]]}"
         )
-    apart = i != j
-    i, j, k, c, allowed = i[apart], j[apart], k[apart], c[apart], allowed[apart]
+    off_diagonal = i != j
+    i, j, k, c, allowed = i[off_diagonal], j[off_diagonal], k[off_diagonal], c[off_diagonal], allowed[off_diagonal]
     forward = i < j
     low, high = np.minimum(i, j), np.maximum(i, j)
     order, starts = groups(low * dim + high, k)
@@ -55,22 +55,22 @@ def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bo
     )
     allowed = allowed[order[starts]] if order.size else allowed
     low, high, k = low[order[starts]], high[order[starts]], k[order[starts]]
-    both = np.full(low.size, complete)
+    paired = np.full(low.size, complete)
     if not complete and not forward.all():
         pairs = (i * dim + j)[forward], (j * dim + i)[~forward]
-        both = np.isin(low * dim + high, np.intersect1d(*pairs))
-    wrong = np.flatnonzero(both & (np.abs(0.5 * ahead + 0.5 * behind) > 0.5 * allowed))
+        paired = np.isin(low * dim + high, np.intersect1d(*pairs))
+    wrong = np.flatnonzero(paired & (np.abs(0.5 * ahead + 0.5 * behind) > 0.5 * allowed))
     if wrong.size:
-        at = int(wrong[0])
-        pair = int(low[at]), int(high[at])
+        row = int(wrong[0])
+        pair = int(low[row]), int(high[row])
         raise ValueError(
-            f"antisymmetry violated for {triple_name(pair, names)}: component {names[k[at]]} is {ahead[at]:g} in "
-            f"[{names[pair[0]]}, {names[pair[1]]}] and {behind[at]:g} in the opposite order; they must be opposite"
+            f"antisymmetry violated for {triple_name(pair, names)}: component {names[k[row]]} is {ahead[row]:g} in "
+            f"[{names[pair[0]]}, {names[pair[1]]}] and {behind[row]:g} in the opposite order; they must be opposite"
         )
     exact = ahead == -behind
-    value = np.where(both, np.where(exact, ahead, 0.5 * ahead - 0.5 * behind), ahead - behind)
-    kept = value != 0.0
-    return Triples(low[kept], high[kept], k[kept], value[kept])
+    value = np.where(paired, np.where(exact, ahead, 0.5 * ahead - 0.5 * behind), ahead - behind)
+    nonzero = value != 0.0
+    return Triples(low[nonzero], high[nonzero], k[nonzero], value[nonzero])
 
 
 def both_orders(triples: Triples) -> Triples:
@@ -97,9 +97,9 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     >>> so3 = Triples(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.array([1.0, -1.0, 1.0]))
     >>> check_jacobi(so3, 3, ("e1", "e2", "e3"))
     """
-    every = both_orders(triples)
-    order, _ = groups(every.i, every.j, every.k)
-    outer = every.rows(order)  # by first, then second index
+    both = both_orders(triples)
+    order, _ = groups(both.i, both.j, both.k)
+    outer = both.rows(order)  # by first, then second index
     outer_size = group_max_abs(outer.i * dim + outer.j, outer.c)
     order, _ = groups(triples.k, triples.i)
     inner = triples.rows(order)  # by component, then first index
@@ -114,21 +114,21 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     costs = (outer_stop - outer_start) + (inner_stop - inner_start)
     for part in chunks(outer.i, costs.astype(np.int64)):
         a, b, m, c = outer.rows(part)
-        row, at = expand(outer_start[part], outer_stop[part])  # +-c_ab^m c_md^l
-        other = outer.j[at]
-        row, at, other = (column[other != b[row]] for column in (row, at, other))
-        low, high = np.minimum(b[row], other), np.maximum(b[row], other)
+        row, position = expand(outer_start[part], outer_stop[part])  # +-c_ab^m c_md^l
+        third = outer.j[position]
+        row, position, third = (column[third != b[row]] for column in (row, position, third))
+        low, high = np.minimum(b[row], third), np.maximum(b[row], third)
         below, under = expand(inner_start[part], inner_stop[part])  # c_bd^m c_ma^l = -c_am^l c_bd^m
-        first = np.concatenate([np.where(b[row] < other, c[row], -c[row]), -c[below]])
-        second = np.concatenate([outer.c[at], inner.c[under]])
+        first = np.concatenate([np.where(b[row] < third, c[row], -c[row]), -c[below]])
+        second = np.concatenate([outer.c[position], inner.c[under]])
         size = outer_size[part]
-        sizes = np.concatenate([size[row], size[below]]), np.concatenate([outer_size[at], inner_size[under]])
+        sizes = np.concatenate([size[row], size[below]]), np.concatenate([outer_size[position], inner_size[under]])
         pair = np.concatenate([a[row] * dim + low, a[below] * dim + inner.i[under]])
-        rest = np.concatenate([high * dim + outer.k[at], inner.j[under] * dim + m[below]])
-        found = largest_violation((pair, rest), (first, second), sizes)
-        if found is not None:
-            (a_, b_), (d_, l_) = divmod(int(pair[found[0]]), dim), divmod(int(rest[found[0]]), dim)
+        rest = np.concatenate([high * dim + outer.k[position], inner.j[under] * dim + m[below]])
+        violation = largest_violation((pair, rest), (first, second), sizes)
+        if violation is not None:
+            (a_, b_), (d_, l_) = divmod(int(pair[violation[0]]), dim), divmod(int(rest[violation[0]]), dim)
             raise ValueError(
-                f"Jacobi identity violated for {triple_name((a_, b_, d_), names)}: defect {found[1]:.3g} in component "
-                f"{names[l_]}, where it must be zero to {DEFECT_FACTOR} units of round-off of the products in it"
+                f"Jacobi identity violated for {triple_name((a_, b_, d_), names)}: defect {violation[1]:.3g} in "
+                f"component {names[l_]}, where it must be zero to {DEFECT_FACTOR} units of round-off of its products"
             )

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.bracket_format import count_of_brackets, format_brackets
-from coadjoint.algebra.bracket_parser import names_in
+from coadjoint.algebra.brackets import count_of_brackets, format_brackets, names_in
 from coadjoint.algebra.constants import Triples, parse_brackets, parse_constants, read_basis
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
@@ -31,7 +30,7 @@ class LieAlgebra(Structure):
 
     The constants are stored sparse. Antisymmetry and the Jacobi identity are checked at construction, to 64 u times the
     sum of the absolute values of the products in each identity (u = 2^-53). The object is immutable, and two algebras
-    with equal constants are equal, whatever their names.
+    with equal constants are equal, even if their names differ.
 
     Choose `LieAlgebra` for constants in an array or a list, `LieAlgebra.from_brackets` to write brackets down, and
     `coadjoint.algebras` for the known algebras.
@@ -50,7 +49,7 @@ class LieAlgebra(Structure):
     representation : array of shape (n, d, d), optional
         Matrices rho_i with [rho_i, rho_j] = sum_k c_ij^k rho_k; checked.
     casimirs : mapping of str to Polynomial or Invariant, optional
-        Known Casimir functions; kept as given.
+        Known Casimir functions, stored unchanged.
 
     Raises
     ------
@@ -87,21 +86,23 @@ class LieAlgebra(Structure):
         representation: Any = None,
         casimirs: Mapping[str, Any] | None = None,
     ) -> None:
-        size, given, complete = parse_constants(constants, dim)
+        size, parsed, complete = parse_constants(constants, dim)
         names = read_basis(basis, size)
         if name is not None:
             read_title(name, "name of a Lie algebra")
-        triples = antisymmetric(given, size, names, complete)
+        triples = antisymmetric(parsed, size, names, complete)
         check_jacobi(triples, size, names)
         if casimirs is not None and not isinstance(casimirs, Mapping):
             raise TypeError(f"casimirs must be a mapping from names to functions, not {type(casimirs).__name__}")
-        for key, one in (casimirs or {}).items():
-            if not isinstance(key, str) or not isinstance(one, Polynomial | Invariant):
+        for key, casimir in (casimirs or {}).items():
+            if not isinstance(key, str) or not isinstance(casimir, Polynomial | Invariant):
                 raise TypeError(
-                    f"casimirs has {short(key)}: {short(one)}; give a name, and a Polynomial or an Invariant"
+                    f"casimirs has {short(key)}: {short(casimir)}; give a name, and a Polynomial or an Invariant"
                 )
-            if isinstance(one, Polynomial) and one.dim != size:
-                raise ValueError(f"casimirs has {short(key)} of {one.dim} variables; the algebra has dimension {size}")
+            if isinstance(casimir, Polynomial) and casimir.dim != size:
+                raise ValueError(
+                    f"casimirs has {short(key)} of {casimir.dim} variables; the algebra has dimension {size}"
+                )
         rho = None if representation is None else check_representation(representation, triples, size, names)
         self._store(triples, size, names, name, rho, casimirs or {})
 
@@ -120,10 +121,10 @@ class LieAlgebra(Structure):
         self._representation, self._casimirs = representation, dict(casimirs)
 
     @classmethod
-    def _from_valid(cls, *everything: Any) -> LieAlgebra:
+    def _from_valid(cls, *data: Any) -> LieAlgebra:
         """Construct without validation from data that is valid by construction, sorted and unique; see `_store`."""
         algebra = cls.__new__(cls)
-        algebra._store(*everything)
+        algebra._store(*data)
         return algebra
 
     @classmethod
@@ -196,7 +197,7 @@ class LieAlgebra(Structure):
 
     @property
     def representation(self) -> Floats | None:
-        """Matrices of the representation, shape (n, d, d), read-only; None where none was given."""
+        """Matrices of the representation, shape (n, d, d), read-only; None if none was given."""
         return self._representation
 
     @property
@@ -217,15 +218,15 @@ class LieAlgebra(Structure):
         return f"LieAlgebra({label}dim={self._dim}: {', '.join(format_brackets(self._triples, self._basis, count))})"
 
     def __str__(self) -> str:
-        head = f"{self._name or 'a Lie algebra'}, of dimension {self._dim}"
+        heading = f"{self._name or 'a Lie algebra'}, of dimension {self._dim}"
         count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self._basis, MAX_BRACKETS)
-        left = [f"and {count - len(lines)} more"] if count > len(lines) else []
-        return "\n  ".join([head, *lines, *left])
+        remainder = [f"and {count - len(lines)} more"] if count > len(lines) else []
+        return "\n  ".join([heading, *lines, *remainder])
 
     def _repr_html_(self) -> str:
         count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self._basis, MAX_BRACKETS)
-        left = f", and {count - len(lines)} more" if count > len(lines) else ""
-        rows = {"dimension": self._dim, "basis": short(self._basis), "brackets": (", ".join(lines) or "none") + left}
+        brackets = (", ".join(lines) or "none") + (f", and {count - len(lines)} more" if count > len(lines) else "")
+        rows = {"dimension": self._dim, "basis": short(self._basis), "brackets": brackets}
         return html_table(self._name or "a Lie algebra", rows)
 
     def __eq__(self, other: object) -> bool:
@@ -242,7 +243,7 @@ class LieAlgebra(Structure):
 
         The homogeneous solutions of each degree form a linear space. A basis of it modulo the products of Casimirs of
         lower degree is returned. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
-        There can be more than ``dim - generic_rank()`` of them, with relations between them (A5,2 has C1 ... C4 for
+        They can be more than ``dim - generic_rank()``, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
         If the constants round simple fractions (`coadjoint.algebra.exact.rational_constants`), the equations are solved
@@ -258,9 +259,9 @@ class LieAlgebra(Structure):
         Returns
         -------
         dict of str to Polynomial
-            By degree and leading monomial. ``"C2"`` is the name of a single one of degree 2, ``"C2_1", "C2_2"`` are
-            those of two. Those of one degree are the rows of a reduced row echelon form over the monomials in the order
-            of `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the leading
+            By degree and leading monomial: ``"C2"`` if there is one of degree 2, ``"C2_1", "C2_2"`` if there are two.
+            The Casimirs of one degree are the rows of a reduced row echelon form over the monomials in the order of
+            `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the leading
             coefficient is 1. The repr of an empty result explains why it is empty.
 
         Raises
@@ -271,8 +272,8 @@ class LieAlgebra(Structure):
 
         See Also
         --------
-        casimirs_known : those given with the algebra, of any kind.
-        generic_rank : for the number of independent ones.
+        casimirs_known : Casimirs given with the algebra, of any kind.
+        generic_rank : for the number of independent Casimirs.
 
         References
         ----------
@@ -286,5 +287,5 @@ class LieAlgebra(Structure):
         """
         from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
 
-        found = casimirs(self._triples, self._dim, max_degree)
-        return found or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))
+        polynomials = casimirs(self._triples, self._dim, max_degree)
+        return polynomials or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))

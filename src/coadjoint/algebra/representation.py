@@ -71,28 +71,29 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
     per_element += np.bincount(triples.i, weights=structure[1] - structure[0], minlength=dim)
     for part in chunks(np.arange(dim), per_element.astype(np.int64)):
         entries = slice(*np.searchsorted(i, [part.start, part.stop]))
-        listed = slice(*np.searchsorted(triples.i, [part.start, part.stop]))
-        one, other = expand(joins[0][0][entries], joins[0][1][entries])
-        one, other = one + entries.start, by_row[other]
-        two, also = expand(joins[1][0][entries], joins[1][1][entries])
-        two, also = two + entries.start, by_column[also]
-        row, element = expand(structure[0][listed], structure[1][listed])
-        row += listed.start
-        pair = [i[one] * dim + i[other], i[two] * dim + i[also], (triples.i * dim + triples.j)[row]]
-        place = [a[one] * d + b[other], a[also] * d + b[two], a[element] * d + b[element]]
-        keys = np.concatenate(pair), np.concatenate(place)
-        factors = np.concatenate([v[one], -v[two], -triples.c[row]]), np.concatenate([v[other], v[also], v[element]])
+        constant_rows = slice(*np.searchsorted(triples.i, [part.start, part.stop]))
+        # p, q: entries of rho_i and rho_j in rho_i rho_j; r, s: in rho_j rho_i
+        p, q = expand(joins[0][0][entries], joins[0][1][entries])
+        p, q = p + entries.start, by_row[q]
+        r, s = expand(joins[1][0][entries], joins[1][1][entries])
+        r, s = r + entries.start, by_column[s]
+        row, element = expand(structure[0][constant_rows], structure[1][constant_rows])
+        row += constant_rows.start
+        pair = [i[p] * dim + i[q], i[r] * dim + i[s], (triples.i * dim + triples.j)[row]]
+        position = [a[p] * d + b[q], a[s] * d + b[r], a[element] * d + b[element]]
+        keys = np.concatenate(pair), np.concatenate(position)
+        factors = np.concatenate([v[p], -v[r], -triples.c[row]]), np.concatenate([v[q], v[s], v[element]])
         sizes = (
-            np.concatenate([v_size[one], v_size[two], c_size[row]]),
-            np.concatenate([v_size[other], v_size[also], v_size[element]]),
+            np.concatenate([v_size[p], v_size[r], c_size[row]]),
+            np.concatenate([v_size[q], v_size[s], v_size[element]]),
         )
-        found = largest_violation(keys, factors, sizes)
-        if found is not None:
-            first, second = divmod(int(keys[0][found[0]]), dim)
-            at = divmod(int(keys[1][found[0]]), d)
+        violation = largest_violation(keys, factors, sizes)
+        if violation is not None:
+            first, second = divmod(int(keys[0][violation[0]]), dim)
+            entry = divmod(int(keys[1][violation[0]]), d)
             raise ValueError(
                 f"representation violates the commutator of {triple_name((first, second), names)}: "
-                f"[rho_i, rho_j] - sum_k c_ij^k rho_k has {found[1]:.3g} at {at}, where it must be zero"
+                f"[rho_i, rho_j] - sum_k c_ij^k rho_k has {violation[1]:.3g} at {entry}, where it must be zero"
             )
     rho.flags.writeable = False
     return rho
@@ -102,11 +103,11 @@ def _solutions(left: Floats, right: Floats) -> Floats:
     """Return a basis (r, m, d) of the matrices X with X right_i = left_i X for all i."""
     m, d = left.shape[1], right.shape[1]
     size = np.maximum(np.abs(left).max(axis=(1, 2)), np.abs(right).max(axis=(1, 2)))
-    size = np.where(size > 0.0, size, 1.0)[:, None, None]  # equal weight for every i, whatever its units
+    size = np.where(size > 0.0, size, 1.0)[:, None, None]  # equal weight for every i, independent of units
     left, right = left / size, right / size
     per_fold = max(1, REDUCED_ROWS // (m * d))
     folded = 8 * (m * d) ** 2 * (per_fold + 3)
-    check_available_memory(folded, f"to look at a representation by {d} x {d} matrices")
+    check_available_memory(folded, f"the analysis of a representation by {d} x {d} matrices")
     triangle: Floats = np.zeros((0, m * d))
     for begin in range(0, left.shape[0], per_fold):
         blocks = [

@@ -18,29 +18,29 @@ if TYPE_CHECKING:
 
 def actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
     """Return the starts (n + 1,) and sorted entries (i, row, column, value) of every D_{e_i}."""
-    every = both_orders(triples)  # (D_{e_i})_jk = c_ji^k
-    order, _ = groups(every.j, every.i, every.k)
-    acting = every.j[order]
-    starts = np.searchsorted(acting, np.arange(dim + 1)).astype(np.int64)
-    return starts, Triples(acting, every.i[order], every.k[order], every.c[order])
+    both = both_orders(triples)  # (D_{e_i})_jk = c_ji^k
+    order, _ = groups(both.j, both.i, both.k)
+    element = both.j[order]
+    starts = np.searchsorted(element, np.arange(dim + 1)).astype(np.int64)
+    return starts, Triples(element, both.i[order], both.k[order], both.c[order])
 
 
 def coadjoint_entries(
-    starts: Integers, every: Triples, indices: Integers, coefficients: NDArray[Any]
+    starts: Integers, entries: Triples, indices: Integers, coefficients: NDArray[Any]
 ) -> tuple[Integers, Integers, NDArray[Any]]:
     """Return sorted unique rows, columns and values of sum_i u_i D_{e_i}, without exact zeros.
 
-    `starts`, `every` are from `actions`; `indices`, `coefficients` (m,) are the nonzero u_i.
+    `starts`, `entries` are from `actions`; `indices`, `coefficients` (m,) are the nonzero u_i.
     """
-    which, at = expand(starts[indices], starts[indices + 1])
-    constants = exact_numbers(every.c[at].tolist()) if coefficients.dtype == object else every.c[at]
-    entries = coefficients[which] * constants
-    rows, columns = every.j[at], every.k[at]
+    element, index = expand(starts[indices], starts[indices + 1])
+    constants = exact_numbers(entries.c[index].tolist()) if coefficients.dtype == object else entries.c[index]
+    products = coefficients[element] * constants
+    rows, columns = entries.j[index], entries.k[index]
     order, first = groups(rows, columns)
-    values = np.add.reduceat(entries[order], first) if order.size else entries
-    kept = np.asarray(values != 0, dtype=bool)
-    place = order[first][kept]
-    return rows[place], columns[place], values[kept]
+    values = np.add.reduceat(products[order], first) if order.size else products
+    nonzero = np.asarray(values != 0, dtype=bool)
+    representatives = order[first][nonzero]
+    return rows[representatives], columns[representatives], values[nonzero]
 
 
 def structure_operator(triples: Triples, x: NDArray[np.floating[Any]]) -> LinearOperator:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.numbers import exact_numbers
+from coadjoint.algebra.exact.ranks import generic_rank
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.algebra.invariants.generic_rank import generic_rank
 from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
 from coadjoint.memory import check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
@@ -109,9 +109,9 @@ class Structure:
         array([ 0., -2.])
         """
         left, constants = self._vector(u, "u")
-        right, others = self._vector(v, "v")
+        right, right_constants = self._vector(v, "v")
         if right.dtype == object and left.dtype != object:
-            left, constants = exact_numbers(left.tolist()), others
+            left, constants = exact_numbers(left.tolist()), right_constants
         elif left.dtype == object and right.dtype != object:
             right = exact_numbers(right.tolist())
         i, j, k, _ = self._triples
@@ -157,13 +157,13 @@ class Structure:
 
     @cached_property
     def actions(self) -> tuple[Integers, Triples]:
-        """Where the entries of each D_{e_i} begin, and all entries (i, row, column, value), sorted; read-only.
+        """Starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only.
 
         Examples
         --------
         >>> import coadjoint as co
-        >>> start, every = co.LieAlgebra([(0, 1, 1, 2.0)], dim=2).actions
-        >>> start.tolist(), every.c.tolist()
+        >>> starts, entries = co.LieAlgebra([(0, 1, 1, 2.0)], dim=2).actions
+        >>> starts.tolist(), entries.c.tolist()
         ([0, 1, 2], [-2.0, 2.0])
         """
         return actions(self._triples, self._dim)
@@ -242,7 +242,7 @@ class Structure:
 
         Constants are interpreted as simple fractions (q <= 10^6), or as exact floats. If they then fulfil the Jacobi
         identity exactly, the rank is the larger of two, modulo random 62-bit primes at seeded random points: never too
-        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.exact.modular`). For
+        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.exact.ranks`). For
         constants known only to round-off, singular values decide the rank.
 
         Returns
@@ -271,7 +271,7 @@ class Structure:
         return neighbours(self._triples, self._dim)
 
     def neighbours(self) -> tuple[Integers, Integers]:
-        """Return, for each basis element, those that do not commute with it, in compressed sparse rows.
+        """Return the noncommuting pairs of basis elements in compressed sparse rows.
 
         Returns
         -------
@@ -314,5 +314,5 @@ class Structure:
         i, j = (read_integer(index, "the index of a basis element", 0, self._dim - 1) for index in (i, j))
         indptr, indices = self._neighbours
         row = indices[indptr[i] : indptr[i + 1]]
-        at = int(np.searchsorted(row, j))
-        return not (at < row.size and row[at] == j)
+        position = int(np.searchsorted(row, j))
+        return not (position < row.size and row[position] == j)

@@ -13,8 +13,8 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.times import Times
 
-# Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. None
-# is a power of two, so that the rounding of their steps differs from that of the run.
+# Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
+# are not powers of two, so that the rounding of their steps differs from that of the run.
 REFINEMENTS = (1.5, 1.75, 2.5, 3.5)
 # Differences above this multiple of the expected round-off are truncation errors.
 ROUNDOFF_FACTOR = 16.0
@@ -43,19 +43,19 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
     if steps == 0:
         return np.zeros(len(starts))
-    squares, seen, untold = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))
-    for times in REFINEMENTS:
-        if not len(untold):
+    squares, counts, pending = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))
+    for refinement in REFINEMENTS:
+        if not len(pending):
             break
-        apart = _distances(solution, starts[untold], ends[untold], time, steps, times)
-        sound = np.isfinite(apart)
-        squares[untold[sound]] += apart[sound] ** 2
-        seen[untold[sound]] += 1
+        distances = _distances(solution, starts[pending], ends[pending], time, steps, refinement)
+        valid = np.isfinite(distances)
+        squares[pending[valid]] += distances[valid] ** 2
+        counts[pending[valid]] += 1
         # A single difference within round-off may be small by chance, so a second one is required.
-        told = sound & ((apart > ROUNDOFF_FACTOR * choice.roundoff) | (seen[untold] == 2))
-        untold = untold[~told]
-    squares[seen == 0] = np.inf
-    return np.maximum(np.sqrt(squares / np.maximum(seen, 1)), UNIT_ROUNDOFF)
+        resolved = valid & ((distances > ROUNDOFF_FACTOR * choice.roundoff) | (counts[pending] == 2))
+        pending = pending[~resolved]
+    squares[counts == 0] = np.inf
+    return np.maximum(np.sqrt(squares / np.maximum(counts, 1)), UNIT_ROUNDOFF)
 
 
 def _distances(
@@ -64,30 +64,28 @@ def _distances(
     ends: NDArray[np.float64],
     time: float,
     steps: int,
-    times: float,
+    refinement: float,
 ) -> NDArray[np.float64]:
-    """Return the distances of ends from those of a finer run, relative to the size and corrected for the error of that
-    run.
-    """
-    finer = solution.method.finer(steps, times)
+    """Return the relative distances of end states from those of a finer run, corrected for the error of that run."""
+    finer = solution.method.finer(steps, refinement)
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
-    ready = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
-    at_once = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
-    parts = [slice(first, first + at_once) for first in range(0, len(starts), at_once)]
-    found = [_of_members(ready, plan, starts[part], ends[part]) for part in parts]
-    return np.concatenate(found) / (1.0 - finer.left)
+    prepared = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
+    size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
+    groups = [slice(first, first + size) for first in range(0, len(starts), size)]
+    distances = [_group_distances(prepared, plan, starts[group], ends[group]) for group in groups]
+    return np.concatenate(distances) / (1.0 - finer.left)
 
 
-def _of_members(
-    ready: PreparedRun, plan: Times, starts: NDArray[np.float64], ends: NDArray[np.float64]
+def _group_distances(
+    prepared: PreparedRun, plan: Times, starts: NDArray[np.float64], ends: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    run = ready.begun(plan, ready.start(starts))
+    run = prepared.begun(plan, prepared.start(starts))
     run.advance()
     x: Any = run.saved["x"][..., : starts.shape[1]]
     failed = run.state["status"] != 0
     size = np.max(np.linalg.norm(x, axis=2), axis=0)
-    apart = np.linalg.norm(ends - x[-1], axis=1)
-    # If the size is zero, so is the difference.
-    return np.where(failed, np.inf, apart / np.where(size > 0.0, size, 1.0))
+    distances = np.linalg.norm(ends - x[-1], axis=1)
+    # If the size is zero, so is the distance.
+    return np.where(failed, np.inf, distances / np.where(size > 0.0, size, 1.0))

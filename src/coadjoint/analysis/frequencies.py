@@ -19,11 +19,10 @@ Floats = NDArray[np.float64]
 
 WINDOW = 5
 MIN_SAMPLES = 64
-MAX_NUMBERS = 2**23  # held in memory at once; ensembles are analysed in groups
+MAX_NUMBERS = 2**23  # largest size of the arrays of a group of members
 MAX_COMBINATIONS = 2**21
-WINDOW_REDUCTION = (
-    2  # reduction of the power for the second window; the change of the result estimates the leakage of lines
-)
+# Reduction of the power for the second window; the change of the result estimates the leakage of lines.
+WINDOW_REDUCTION = 2
 
 
 @dataclass(frozen=True)
@@ -116,28 +115,30 @@ class Frequencies:
         Examples
         --------
         >>> t = np.arange(4096) * 0.1
-        >>> found = frequencies(t, 2.0 * np.cos(t) + np.cos(np.sqrt(2.0) * t) + 0.1 * np.cos((1 + np.sqrt(2.0)) * t))
-        >>> found.combinations().integers.tolist()
+        >>> lines = frequencies(t, 2.0 * np.cos(t) + np.cos(np.sqrt(2.0) * t) + 0.1 * np.cos((1 + np.sqrt(2.0)) * t))
+        >>> lines.combinations().integers.tolist()
         [[1, 0], [0, 1], [1, 1]]
         """
         if self.frequency.ndim == 2:
             raise ValueError("these are the frequencies of an ensemble; analyse one member")
         largest = read_integer(largest, "largest", 1, MAX_COMBINATIONS)
-        there = np.isfinite(self.frequency)
-        w, known = (
-            self.frequency[there],
-            4.0 * self.uncertainty[there] + 4.0 * UNIT_ROUNDOFF * np.abs(self.frequency[there]),
-        )
+        present = np.isfinite(self.frequency)
+        w = self.frequency[present]
+        tolerance = 4.0 * self.uncertainty[present] + 4.0 * UNIT_ROUNDOFF * np.abs(w)
         if basis is not None:
             axes = np.atleast_1d(read_finite(basis, "basis"))
             if axes.ndim != 1 or largest * axes.size * float(np.max(np.abs(axes), initial=0.0)) == np.inf:
                 raise ValueError(f"basis is {short(basis)}; give a few frequencies, (d,), whose sums fit float64")
-            return _combined(axes, np.zeros(len(axes)), w, known, largest)
+            return _nearest_combinations(axes, np.zeros(len(axes)), w, tolerance, largest)
+
+        def of_lines(basis_lines: list[int], lines: slice) -> Combinations:
+            return _nearest_combinations(w[basis_lines], tolerance[basis_lines], w[lines], tolerance[lines], largest)
+
         chosen: list[int] = []
         for k in range(len(w)):
-            if not chosen or not _combined(w[chosen], known[chosen], w[k : k + 1], known[k : k + 1], largest).found[0]:
+            if not chosen or not of_lines(chosen, slice(k, k + 1)).found[0]:
                 chosen.append(k)
-        return _combined(w[chosen], known[chosen], w, known, largest)
+        return of_lines(chosen, slice(None))
 
     def __str__(self) -> str:
         """Format as a table with one row for each frequency."""
@@ -166,7 +167,7 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
         over the times. An array holds the samples: (k,), (k, channels), or (k, members, channels). The channels
         share their frequencies, and each line has an amplitude in each of them.
     count : int
-        Number of lines. Weaker lines that are not included perturb the others; increase it to see by how much.
+        Number of lines. Weaker lines that are not included perturb the others; a larger count shows by how much.
     window : int
         Power p of the Hann window (1 + cos)^p, from 1 to 12. Lines that are m > p bins of 2 pi / span apart perturb
         each other by about m^-(2p+1); below p + 1 bins they are poorly resolved. A small p suits noise, a large one
@@ -187,8 +188,8 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
 
     Notes
     -----
-    Laskar's frequency analysis (find the highest peak of the windowed transform, refine, subtract, repeat), in which
-    all lines found so far are then corrected together by windowed least squares in frequencies and amplitudes: a
+    Laskar's frequency analysis: find the highest peak of the windowed transform, refine it, subtract it, and repeat.
+    After each new line all lines are corrected together, by windowed least squares in frequencies and amplitudes. A
     finite sum of lines is found to round-off; for an infinite sum the window suppresses the remaining lines.
 
     References
@@ -198,8 +199,8 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     Examples
     --------
     >>> t = np.arange(2000) * 0.25
-    >>> found = frequencies(t, np.cos(0.7 * t) + 1e-5 * np.sin(np.sqrt(3.0) * t), count=2)
-    >>> bool(np.all(np.abs(found.frequency - [0.7, np.sqrt(3.0)]) < [1e-14, 1e-9]))
+    >>> lines = frequencies(t, np.cos(0.7 * t) + 1e-5 * np.sin(np.sqrt(3.0) * t), count=2)
+    >>> bool(np.all(np.abs(lines.frequency - [0.7, np.sqrt(3.0)]) < [1e-14, 1e-9]))
     True
     """
     count, power = read_integer(count, "count"), read_integer(window, "window", 1, 12)
@@ -212,8 +213,8 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
             "count"
         )
     group = max(1, MAX_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
-    parts = [_analysed(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
-    w, a, uncertainty, diffusion, mean, residual = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))
+    groups = [_analyse(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
+    w, a, uncertainty, diffusion, mean, residual = (np.concatenate(arrays) for arrays in zip(*groups, strict=True))
     if not data.channels:
         a, mean = a[..., 0], mean[..., 0]
     if not data.members:
@@ -221,18 +222,18 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     return Frequencies(w, a, uncertainty, diffusion, mean, residual, not np.iscomplexobj(data.values))
 
 
-def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[NDArray[Any], ...]:
+def _analyse(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[NDArray[Any], ...]:
+    """Return the first six attributes of `Frequencies` for signals (members, samples, channels)."""
     middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
     s = np.linspace(-1.0, 1.0, len(t))
     lines = find_lines(s, values, min(count + 1, len(t) // (8 * (power + 1))), power)
-    other = correct_lines(
-        s, values, lines.frequency, lines.present, hann(s, max(1, power - WINDOW_REDUCTION)), FINAL_ITERATIONS
-    )
+    narrower = hann(s, max(1, power - WINDOW_REDUCTION))
+    other = correct_lines(s, values, lines.frequency, lines.present, narrower, FINAL_ITERATIONS)
     rounding = UNIT_ROUNDOFF * np.abs(lines.frequency)
     uncertainty = np.sqrt(
         (other.frequency - lines.frequency) ** 2 + spread_by_noise(lines, s, power) ** 2 + rounding**2
     )
-    diffusion = _halves(s, values, lines, power)
+    diffusion = _diffusion(s, values, lines, power)
     w = lines.frequency / half
     a = lines.amplitude * np.exp(-1j * w * middle)[..., None]
     mirrored = (w < 0.0) & (not np.iscomplexobj(values))  # backward runs, or corrections across zero
@@ -242,34 +243,36 @@ def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[
     order = np.argsort(-size, axis=1, kind="stable")[:, :count]
     present = np.take_along_axis(lines.present, order, axis=1)
 
-    def picked(of: NDArray[Any]) -> Any:
-        found = np.take_along_axis(of, order, axis=1)
-        return np.pad(np.where(present, found, np.nan), ((0, 0), (0, count - order.shape[1])), constant_values=np.nan)
+    def strongest(series: NDArray[Any]) -> Any:
+        ordered = np.take_along_axis(series, order, axis=1)
+        return np.pad(np.where(present, ordered, np.nan), ((0, 0), (0, count - order.shape[1])), constant_values=np.nan)
 
     amplitude = np.take_along_axis(a, order[..., None], axis=1)
     amplitude = np.where(present[..., None], amplitude, np.nan)
     amplitude = np.pad(amplitude, ((0, 0), (0, count - order.shape[1]), (0, 0)), constant_values=np.nan)
-    left_out = lines.present.copy()
-    np.put_along_axis(left_out, order, False, axis=1)
-    weaker = np.exp(1j * s[:, None] * lines.frequency[:, None]) @ np.where(left_out[..., None], lines.amplitude, 0.0)
+    omitted = lines.present.copy()
+    np.put_along_axis(omitted, order, False, axis=1)
+    weaker = np.exp(1j * s[:, None] * lines.frequency[:, None]) @ np.where(omitted[..., None], lines.amplitude, 0.0)
     residual = lines.residual + (weaker if np.iscomplexobj(values) else weaker.real)
-    rest = np.sqrt(np.einsum("s,msc->m", hann(s, power), np.abs(residual) ** 2))
-    return picked(w), amplitude, picked(uncertainty / abs(half)), picked(diffusion / half), lines.mean, rest
+    rms = np.sqrt(np.einsum("s,msc->m", hann(s, power), np.abs(residual) ** 2))
+    return strongest(w), amplitude, strongest(uncertainty / abs(half)), strongest(diffusion / half), lines.mean, rms
 
 
-def _halves(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Floats:
+def _diffusion(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Floats:
     """Return the change of each frequency from the first half of the span to the second."""
     size = (len(s) + 1) // 2
-    own = np.linspace(-1.0, 1.0, size)
-    scale = (size - 1) / (len(s) - 1)
+    half = np.linspace(-1.0, 1.0, size)
+    weight, scale = hann(half, power), (size - 1) / (len(s) - 1)
     early, late = (
-        correct_lines(own, part, lines.frequency * scale, lines.present, hann(own, power), FINAL_ITERATIONS).frequency
+        correct_lines(half, part, lines.frequency * scale, lines.present, weight, FINAL_ITERATIONS).frequency
         for part in (values[:, :size], values[:, len(s) - size :])
     )
     return np.asarray((late - early) / scale)
 
 
-def _combined(basis: Floats, basis_known: Floats, w: Floats, known: Floats, largest: int) -> Combinations:
+def _nearest_combinations(
+    basis: Floats, basis_tolerance: Floats, w: Floats, tolerance: Floats, largest: int
+) -> Combinations:
     d = len(basis)
     if (2 * largest + 1) ** d > MAX_COMBINATIONS:
         raise ValueError(
@@ -278,13 +281,13 @@ def _combined(basis: Floats, basis_known: Floats, w: Floats, known: Floats, larg
         )
     grid = np.array(list(product(range(-largest, largest + 1), repeat=d)))
     grid = grid[np.argsort(np.sum(np.abs(grid), axis=1), kind="stable")]
-    sums, slack = grid @ basis, np.abs(grid) @ basis_known
+    sums, slack = grid @ basis, np.abs(grid) @ basis_tolerance
     integers, misfit, found = [], [], []
-    for line, own in zip(w, known, strict=True):
-        off = np.abs(sums - line)
-        within = off <= own + slack
-        place = int(np.argmax(within)) if np.any(within) else int(np.argmin(off))
-        integers.append(grid[place])
-        misfit.append(line - sums[place])
-        found.append(bool(within[place]))
+    for line, allowed in zip(w, tolerance, strict=True):
+        distance = np.abs(sums - line)
+        within = distance <= allowed + slack
+        index = int(np.argmax(within)) if np.any(within) else int(np.argmin(distance))
+        integers.append(grid[index])
+        misfit.append(line - sums[index])
+        found.append(bool(within[index]))
     return Combinations(basis, np.array(integers), np.array(misfit), np.array(found))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.linear_fit import MIN_SAMPLES
+from coadjoint.analysis.fits import MIN_SAMPLES
 from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.signals import Sampled, sampled
@@ -77,38 +77,38 @@ def line_drift(
     if w == 0.0:
         raise ValueError("frequency is 0.0; a constant has no phase; give another frequency")
     run = sampled(solution, signal, MIN_WINDOW_SAMPLES + MIN_SAMPLES)
-    right = _reference_signal(solution, run, reference, signal)
+    reference_values = _reference_signal(solution, run, reference, signal)
     span = abs(run.t[-1] - run.t[0])
-    wide = span / WINDOWS_PER_SPAN if width is None else read_positive(width, "width")
-    samples = int(round(wide / span * (len(run.t) - 1))) + 1
+    duration = span / WINDOWS_PER_SPAN if width is None else read_positive(width, "width")
+    samples = int(round(duration / span * (len(run.t) - 1))) + 1
     if not MIN_WINDOW_SAMPLES <= samples <= len(run.t) - MIN_SAMPLES:
         raise ValueError(
             f"the window takes {samples} of {len(run.t)} samples; it must take at least {MIN_WINDOW_SAMPLES} and leave "
             f"{MIN_SAMPLES}, so save more often, or give another width"
         )
-    places = np.unique(np.linspace(0, len(run.t) - samples, WINDOW_POSITIONS).round().astype(np.int64))
+    starts = np.unique(np.linspace(0, len(run.t) - samples, WINDOW_POSITIONS).round().astype(np.int64))
     weight = hann(np.linspace(-1.0, 1.0, samples), WINDOW_POWER)
-    middles = run.t[places] + 0.5 * (run.t[samples - 1] - run.t[0])
-    found = []
-    for own, exact in zip(run.values, right, strict=True):
-        ahead, true = (demodulated(run.t, values, w, weight, places) for values in (own, exact))
-        products = np.sum(ahead * true.conj(), axis=1)
+    middles = run.t[starts] + 0.5 * (run.t[samples - 1] - run.t[0])
+    drifts = []
+    for computed, exact in zip(run.values, reference_values, strict=True):
+        first, second = (demodulated(run.t, values, w, weight, starts) for values in (computed, exact))
+        products = np.sum(first * second.conj(), axis=1)
         size = float(np.sqrt(np.mean(np.abs(exact) ** 2)))
         if float(np.min(np.abs(products))) <= (2.0**-40 * size) ** 2:
             raise ValueError(f"the signal has no line at the frequency {w:g}; take one that frequencies() finds")
-        found.append(drift_of_series(middles, np.copysign(1.0, w) * np.unwrap(np.angle(products)), ANGLES))
-    return found if run.members else found[0]
+        drifts.append(drift_of_series(middles, np.copysign(1.0, w) * np.unwrap(np.angle(products)), ANGLES))
+    return drifts if run.members else drifts[0]
 
 
 def demodulated(
-    t: NDArray[np.float64], values: NDArray[Any], w: float, weight: NDArray[np.float64], places: NDArray[np.int64]
+    t: NDArray[np.float64], values: NDArray[Any], w: float, weight: NDArray[np.float64], starts: NDArray[np.int64]
 ) -> NDArray[np.complex128]:
-    """Return the complex amplitude of a line in each window, shape (places, channels); for a real signal half of it.
+    """Return the complex amplitude of a line in each window, shape (windows, channels); half of it for a real signal.
 
-    The signal has shape (k, channels); `weight` is the window of sum one, and `places` are the starts of the windows.
+    The signal has shape (k, channels); `weight` is the window, of sum one, and `starts` are its first indices.
     """
     slow = values * np.exp(-1j * w * t)[:, None]
-    return np.array([weight @ slow[first : first + len(weight)] for first in places])
+    return np.array([weight @ slow[first : first + len(weight)] for first in starts])
 
 
 def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: Any) -> NDArray[Any]:
@@ -122,12 +122,12 @@ def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: 
         return np.broadcast_to(other.values, run.values.shape)
     if isinstance(signal, str) or (signal is not None and np.ndim(signal)):
         raise TypeError(f"signal is {short(signal)}; without a run for the reference give a component or a function")
-    found = []
+    signals = []
     for member in range(len(run.values)):
         x0 = solution.x[0, member] if run.members else solution.x[0]
         system = solution.system[member] if isinstance(solution.system, Batch) else solution.system
         start = run.t[0] if reference is None else 0.0
         states = motion_of(system, reference, x0)(run.t - start)
         values = states if signal is None else signal(states) if callable(signal) else states[:, signal]
-        found.append(np.asarray(values).reshape(len(run.t), -1))
-    return np.array(found)
+        signals.append(np.asarray(values).reshape(len(run.t), -1))
+    return np.array(signals)

@@ -78,13 +78,13 @@ class LyapunovExponents:
 
         The maximum of two estimates: the standard error of the mean over ten time blocks (fewer if fewer times are
         saved), which applies to chaotic motion; and the change of the estimate within the last half of the time, which
-        bounds the rest of an exponent that falls as log(t)/t. NaN if fewer than two times are saved.
+        bounds an exponent that falls as log(t)/t. NaN if fewer than two times are saved.
         """
         edges = np.unique(np.linspace(0, len(self.t) - 1, BLOCKS + 1).round().astype(int))
         if len(edges) < 3:
             return np.full_like(self.exponents, np.nan)
-        own = np.diff(self.stretches[edges], axis=0) / np.diff(self._elapsed[edges], axis=0)
-        scatter = np.std(own, axis=0, ddof=1) / np.sqrt(len(own))
+        blocks = np.diff(self.stretches[edges], axis=0) / np.diff(self._elapsed[edges], axis=0)
+        scatter = np.std(blocks, axis=0, ddof=1) / np.sqrt(len(blocks))
         late = self.history[(len(self.t) - 1) // 2 - 1 :]
         return np.asarray(np.maximum(scatter, np.max(np.abs(late - self.exponents), axis=0)))
 
@@ -101,8 +101,8 @@ class LyapunovExponents:
         contributes a zero exponent. NaN if not all exponents were computed.
         """
         ordered = np.sort(self.exponents, axis=-1)
-        found = np.max(np.abs(ordered + ordered[..., ::-1]), axis=-1)
-        return np.asarray(found if ordered.shape[-1] == self.dim else np.full_like(found, np.nan))
+        deviation = np.max(np.abs(ordered + ordered[..., ::-1]), axis=-1)
+        return np.asarray(deviation if ordered.shape[-1] == self.dim else np.full_like(deviation, np.nan))
 
     @property
     def _elapsed(self) -> NDArray[np.float64]:
@@ -176,9 +176,9 @@ def lyapunov(
 
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> found = co.lyapunov(body, (0.0, 1.0, 0.0), t_span=(0, 200), step=0.05, transient=50)
+    >>> result = co.lyapunov(body, (0.0, 1.0, 0.0), t_span=(0, 200), step=0.05, transient=50)
     >>> rate = ((1 / 1 - 1 / 2) * (1 / 2 - 1 / 3)) ** 0.5
-    >>> bool(abs(found.exponents - [rate, 0.0, -rate]).max() < 1e-3)
+    >>> bool(abs(result.exponents - [rate, 0.0, -rate]).max() < 1e-3)
     True
     """
     scheme = Splitting() if method is None else read_method(method)
@@ -192,16 +192,16 @@ def lyapunov(
     check_available_memory(
         8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}"
     )
-    times = _marked(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
+    times = _with_saved_steps(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
     frame = Frame(frame_of(count, system.dim), every)
     workers = min(len(start.momenta), workers or os.cpu_count() or 1)
-    found = stretching(system, scheme, times, start, frame, workers)
-    stretches = found.logarithms - found.logarithms[0]
+    measured = stretching(system, scheme, times, start, frame, workers)
+    stretches = measured.logarithms - measured.logarithms[0]
     if start.single:
         stretches = stretches[:, 0]
-    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, found.by)
-    if found.run.failed_count:
-        raise found.run.failure(result)
+    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, measured.by)
+    if measured.run.failed_count:
+        raise measured.run.failure(result)
     if not np.all(np.isfinite(result.exponents)):
         raise ValueError(
             "the tangent vectors at the end of the run could no longer be distinguished; give a smaller "
@@ -210,16 +210,16 @@ def lyapunov(
     return result
 
 
-def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:
-    """Return the times, with the end of the transient and the saved steps after it as marks."""
-    passed = read_number(transient, "transient")
-    if passed < 0.0:
-        raise ValueError(f"transient is {passed!r}; it must not be negative")
-    first = times_between((0.0, passed), abs(times.h), 1).steps if passed else 0
+def _with_saved_steps(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:
+    """Return times that are saved at the end of the transient, and every few steps after it."""
+    duration = read_number(transient, "transient")
+    if duration < 0.0:
+        raise ValueError(f"transient is {duration!r}; it must not be negative")
+    first = times_between((0.0, duration), abs(times.h), 1).steps if duration else 0
     counted = times.steps - first
     if counted < 1:
         span = times.steps * abs(times.h)
-        raise ValueError(f"transient is {passed!r} and the run lasts {span!r}; it must be shorter than the run")
+        raise ValueError(f"transient is {duration!r} and the run lasts {span!r}; it must be shorter than the run")
     if save_every is None:
         every = max(1, counted // POINTS)
     else:
@@ -240,7 +240,7 @@ def frame_of(count: int, size: int) -> NDArray[np.float64]:
         for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
             mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
     vectors = ((mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53 - 0.5).reshape(count, size).T.copy()
-    for _ in range(2):  # the second pass restores the digits that the first loses
+    for _ in range(2):  # the second pass restores digits lost in the first
         if make_orthonormal(vectors) is None:
             raise AssertionError("the mixed bits are not independent")
     return np.ascontiguousarray(vectors.T)

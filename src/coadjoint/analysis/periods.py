@@ -46,14 +46,13 @@ class Period(NamedTuple):
 def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = ()) -> Period:
     """Return the period of the motion x' = f(x) through a state, to about 13 digits.
 
-    Choose it if coadjoint orbits are surfaces with closed energy curves, so that motions are periodic: for the free
-    rigid body, for modified fields of schemes on it, and for other systems of three coordinates with a Casimir.
+    Choose it for motions on coadjoint orbits that are surfaces with closed energy curves: of the free rigid body, of
+    modified fields of schemes on it, and of other systems of three coordinates with a Casimir.
 
     Parameters
     ----------
     field : callable
-        The function f. It takes the state followed by the additional variables, (n + c,), and returns the derivative
-        of both.
+        The function f of the state followed by the additional variables, (n + c,); returns the derivatives of both.
     x0 : array_like, shape (n,)
         The initial state.
     carried : array_like, shape (c,), optional
@@ -79,24 +78,24 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
     >>> round(circle.time / np.pi, 11)
     1.0
     """
-    start, beside = read_finite(x0, "x0"), read_finite(carried, "carried")
-    if start.ndim != 1 or not start.size or beside.ndim != 1:
+    start, extra = read_finite(x0, "x0"), read_finite(carried, "carried")
+    if start.ndim != 1 or not start.size or extra.ndim != 1:
         raise ValueError(f"x0 has the shape {start.shape}; it must be one state, (n,)")
-    motion = _Motion(field, start, beside)
-    y, time, reach, crossings = np.concatenate([start, beside]), 0.0, 0.0, 0
+    motion = _Motion(field, start, extra)
+    y, time, reach, crossings = np.concatenate([start, extra]), 0.0, 0.0, 0
     for _ in range(MAX_SEGMENTS):
-        stretch = motion.run(y, SEGMENT_DURATION / motion.rate, stop=True)
-        reach = max(reach, motion.distance_from_start(stretch.y))
-        for when, there in zip(stretch.t_events[0], stretch.y_events[0], strict=True):
-            if time + when <= MIN_PERIOD / motion.rate:
+        segment = motion.run(y, SEGMENT_DURATION / motion.rate, crossings=True)
+        reach = max(reach, motion.distance_from_start(segment.y))
+        for t, state in zip(segment.t_events[0], segment.y_events[0], strict=True):
+            if time + t <= MIN_PERIOD / motion.rate:
                 continue  # the start itself
             crossings += 1
-            if motion.distance_from_start(there[:, None]) <= CROSSING_TOLERANCE * reach:
-                end, late = motion.at_plane(y, float(when))
+            if motion.distance_from_start(state[:, None]) <= CROSSING_TOLERANCE * reach:
+                end, late = motion.at_plane(y, float(t))
                 misfit = motion.distance_from_start(end[:, None]) / reach
                 if misfit <= RETURN_TOLERANCE:
-                    return Period(time + float(when) - late, misfit, end[motion.n :])
-        y, time = stretch.y[:, -1], time + float(stretch.t[-1])
+                    return Period(time + float(t) - late, misfit, end[motion.n :])
+        y, time = segment.y[:, -1], time + float(segment.t[-1])
         if crossings > MAX_CROSSINGS:
             break
     raise ValueError(f"the motion from x0 = {short(start.tolist())} does not return until t = {time:g}: not periodic")
@@ -105,10 +104,10 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
 class _Motion:
     """The motion from an initial state, and the plane through that state normal to the field."""
 
-    def __init__(self, field: Callable[[Floats], Any], start: Floats, beside: Floats) -> None:
+    def __init__(self, field: Callable[[Floats], Any], start: Floats, extra: Floats) -> None:
         self.n, self.start = len(start), start
         self.field: Callable[[Floats], Floats] = lambda y: np.asarray(field(y), dtype=np.float64)
-        y = np.concatenate([start, beside])
+        y = np.concatenate([start, extra])
         first = self.field(y.copy())[: self.n]
         speed, size = float(np.linalg.norm(first)), float(np.linalg.norm(start)) or 1.0
         nudge = size * 2.0**-20
@@ -118,7 +117,7 @@ class _Motion:
             raise ValueError(f"the field at x0 = {short(start.tolist())} is {short(first.tolist())}; it must be finite")
         if speed <= EQUILIBRIUM_SPEED * rate * size:
             raise ValueError(f"x0 = {short(start.tolist())} is at rest: the field there is {short(first.tolist())}")
-        self.rate, self.across = max(rate, speed / size), first / speed
+        self.rate, self.normal = max(rate, speed / size), first / speed
         self.tolerance = ABSOLUTE_TOLERANCE * np.where(np.arange(len(y)) < self.n, size, 1.0)
 
     def distance_from_start(self, states: Floats) -> float:
@@ -127,32 +126,32 @@ class _Motion:
 
     def plane(self, _: float, y: Floats) -> float:
         """Return the signed distance from the plane."""
-        return float(self.across @ (y[: self.n] - self.start))
+        return float(self.normal @ (y[: self.n] - self.start))
 
-    def run(self, y: Floats, duration: float, stop: bool = False) -> Any:
-        """Integrate over a duration; with `stop`, record the upward crossings of the plane."""
+    def run(self, y: Floats, duration: float, crossings: bool = False) -> Any:
+        """Integrate over a duration; with `crossings`, record the upward crossings of the plane."""
         from scipy.integrate import solve_ivp
 
         def upward(t: float, z: Floats) -> float:
             return self.plane(t, z)
 
         upward.direction = 1.0  # type: ignore[attr-defined]
-        found = solve_ivp(
+        result = solve_ivp(
             lambda _, z: self.field(z),
             (0.0, duration),
             y,
             "DOP853",
             rtol=RELATIVE_TOLERANCE,
             atol=self.tolerance,
-            events=upward if stop else None,
+            events=upward if crossings else None,
         )
-        if not found.success or not np.all(np.isfinite(found.y[:, -1])):
+        if not result.success or not np.all(np.isfinite(result.y[:, -1])):
             raise ValueError(f"the motion from x0 = {short(self.start.tolist())} could not be followed: it diverges")
-        return found
+        return result
 
-    def at_plane(self, y: Floats, when: float) -> tuple[Floats, float]:
-        """Return the state on the plane near a time, and the time correction of the interpolated crossing."""
-        end = self.run(y, when).y[:, -1]
+    def at_plane(self, y: Floats, t: float) -> tuple[Floats, float]:
+        """Return the state on the plane near a time, and the time since the crossing at the given time."""
+        end = self.run(y, t).y[:, -1]
         slope = self.field(end.copy())
-        late = self.plane(0.0, end) / float(self.across @ slope[: self.n])
+        late = self.plane(0.0, end) / float(self.normal @ slope[: self.n])
         return end - late * slope, late

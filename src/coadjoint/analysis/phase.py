@@ -13,7 +13,7 @@ from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_finite
 
 MAX_ITERATIONS = 30
-FIRST_POINTS = 4  # points with initial guess zero; afterwards known leads are extrapolated to as many points again
+FIRST_POINTS = 4  # points with initial guess zero; then the number of points is doubled, by extrapolation
 
 
 def phase_error(
@@ -39,8 +39,8 @@ def phase_error(
     -------
     ndarray, shape (k,)
         The lead d for which right(t + d) is the point nearest to x, in units of time; positive is early, negative late.
-        NaN if no nearest point is found, or the reference ends too early. For ordered times the lead is continued from
-        the first one and may exceed a period; otherwise leads are less than half a period.
+        NaN if no nearest point is found, or the reference ends too early. For ordered times leads are continued from
+        the first one and may exceed a period; otherwise they are less than half a period.
 
     Raises
     ------
@@ -83,16 +83,16 @@ def leads(
     first, last = 0, FIRST_POINTS
     while first < len(times):
         lead[first:last] = _solve_leads(
-            system, motion_at, times[first:last], states[first:last], _expected(times, lead, first, last)
+            system, motion_at, times[first:last], states[first:last], _extrapolated(times, lead, first, last)
         )
         first, last = last, min(2 * last, len(times))
     return lead
 
 
-def _expected(
+def _extrapolated(
     times: npt.NDArray[np.float64], lead: npt.NDArray[np.float64], first: int, last: int
 ) -> npt.NDArray[np.float64]:
-    """Extrapolate the later half of the known leads to the next times."""
+    """Extrapolate the later half of the known leads to the next times, by a least-squares line."""
     known = np.flatnonzero(np.isfinite(lead[:first]))
     known = known[len(known) // 2 :]
     if len(known) < 2:

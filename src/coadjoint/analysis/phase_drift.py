@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.linear_fit import MIN_SAMPLES, straight_line
+from coadjoint.analysis.fits import MIN_SAMPLES, straight_line
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.rotations import acts_by_rotations, twist
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SIGNIFICANT_UNCERTAINTIES = 4.0  # uncertainties
+SIGNIFICANT_UNCERTAINTIES = 4.0  # of a slope that is significant
 SLOW_FRACTION = 1.0 / 128.0  # slow deviations below this fraction of the growth of the line count as linear
-WANDERING_FRACTION = 1.0 / 3.0
+WANDERING_EXPONENT = 1.0 / 3.0
 ANGLES, TIMES = "radians", "time"
 
 
@@ -66,13 +66,13 @@ class PhaseDrift:
 
     @property
     def growth(self) -> str:
-        """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``; `phase_drift` gives the criterion."""
+        """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``, by the criteria of `phase_drift`."""
         line = abs(self.slope) * abs(self.t[-1] - self.t[0])
         if self.exponent >= 1.0 and self.slow_deviation > SLOW_FRACTION * line:
             return "faster"
         if abs(self.slope) > SIGNIFICANT_UNCERTAINTIES * self.uncertainty:
             return "linear"
-        return "wandering" if self.exponent > WANDERING_FRACTION else "bounded"
+        return "wandering" if self.exponent > WANDERING_EXPONENT else "bounded"
 
     def plot(self) -> Figure:
         """Plot the lead with its fitted line, and the deviations from the line.
@@ -124,7 +124,7 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
     Notes
     -----
     A lead is asymptotically linear if its deviations from the line grow more slowly than time, that is, if the
-    `exponent` H of the slow deviations is below 1 (`straight_line`). So ``growth`` is the first that applies of:
+    `exponent` H of the slow deviations is below 1. ``growth`` is the first of these that applies:
 
     - "faster": H >= 1, and the slow deviations are more than 1/128 of the growth of the line over the run (those of a
       parabola are 1/13 of its line). A scheme that loses energy has H = 2, unbiased round-off H = 3/2.
@@ -144,8 +144,8 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
     of = read_choice(of, "of", ("momentum", "attitude"))
     several = solution.failed is not None
     members = range(solution.x.shape[1]) if several else [None]
-    found = [_of_member(solution, reference, of, member) for member in members]
-    return found if several else found[0]
+    drifts = [_member_drift(solution, reference, of, member) for member in members]
+    return drifts if several else drifts[0]
 
 
 def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDrift:
@@ -173,8 +173,8 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
     times, series = read_finite(t, "t"), read_numbers(lead, "lead")
     if times.ndim != 1 or series.shape != times.shape:
         raise ValueError(f"t and lead have the shapes {times.shape} and {series.shape}; they must both be (k,)")
-    known = np.isfinite(series)
-    times, series = times[known], series[known]
+    finite = np.isfinite(series)
+    times, series = times[finite], series[finite]
     if len(times) < MIN_SAMPLES:
         raise ValueError(f"{len(times)} points have a lead; a drift needs {MIN_SAMPLES}, so save more often")
     if not (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0)):
@@ -183,34 +183,34 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
     return PhaseDrift(times, series, read_choice(unit, "unit", (TIMES, ANGLES)), **line._asdict())
 
 
-def _of_member(run: Solution, reference: Any, of: str, member: int | None) -> PhaseDrift:
+def _member_drift(run: Solution, reference: Any, of: str, member: int | None) -> PhaseDrift:
     system = run.system[member or 0] if isinstance(run.system, Batch) else run.system
     x = run.x if member is None else run.x[:, member]
     if of == "attitude":
         return drift_of_series(run.t, _precession(run, system, x, reference, member), ANGLES)
     if reference is None and run.t[0] != 0.0:
         start = run.t[0]
-        right = motion_of(system, None, x[0])
-        return drift_of_series(run.t, leads(system, lambda t: right(t - start), run.t, x))
+        exact = motion_of(system, None, x[0])
+        return drift_of_series(run.t, leads(system, lambda t: exact(t - start), run.t, x))
     return drift_of_series(run.t, leads(system, motion_of(system, reference, x[0], member), run.t, x))
 
 
 def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: int | None) -> Floats:
     attitude = _attitude(run, member, "the run")
     if reference is None:
-        right = np.asarray(system.exact(x[0], run.t - run.t[0], attitude=attitude[0])[1])
+        exact = np.asarray(system.exact(x[0], run.t - run.t[0], attitude=attitude[0])[1])
     elif isinstance(reference, Solution):
-        right = _attitude(reference, member, "the reference")
+        exact = _attitude(reference, member, "the reference")
         if not np.array_equal(reference.t, run.t):
             raise ValueError("the reference has other saved times than the run; save both at the same times")
     else:
         raise TypeError(
-            f"reference is {short(reference)}; of the attitude give a Solution, or None for the closed form"
+            f"reference is {short(reference)}; for the attitude give a Solution, or None for the closed form"
         )
-    return np.asarray(np.unwrap(twist(attitude, right, attitude[0] @ x[0])))
+    return np.asarray(np.unwrap(twist(attitude, exact, attitude[0] @ x[0])))
 
 
-def _attitude(run: Solution, member: int | None, what: str) -> Floats:
+def _attitude(run: Solution, member: int | None, name: str) -> Floats:
     if run.attitude is None or not acts_by_rotations(run.system[0] if isinstance(run.system, Batch) else run.system):
-        raise ValueError(f"{what} has no attitude of a body, 3 x 3; integrate with attitude=True")
+        raise ValueError(f"{name} has no attitude of a body, 3 x 3; integrate with attitude=True")
     return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]

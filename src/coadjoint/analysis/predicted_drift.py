@@ -91,7 +91,7 @@ def predicted_drift(
     Notes
     -----
     The numerical solution follows x' = f~(x) on the orbit of x0, along the energy curve H~(x) = H~(x0), with period P~;
-    the exact motion has period P. After n periods the numerical solution is where the exact motion was n (P~ - P)
+    the exact motion has period P. After n periods the numerical solution is at the state of the exact motion n (P~ - P)
     earlier, so the lead grows by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period
     and the frequency w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P). The first term comes from the
     energy: the numerical solution has the energy E at which H + h^2 H2 is H~(x0) on average, and not H(x0).
@@ -117,7 +117,7 @@ def predicted_drift(
     0.001
     """
     check_vector_states(system, "a phase drift can be predicted for states that are vectors")
-    if sum(given is not None for given in (modified, gradient, field)) != 1:
+    if sum(argument is not None for argument in (modified, gradient, field)) != 1:
         raise TypeError("give exactly one of modified, gradient and field")
     if modified is not None:
         gradient, field = _at_step(system, modified, step)
@@ -125,42 +125,41 @@ def predicted_drift(
         raise TypeError(
             "step is given without modified; a gradient or a field already belongs to one step, so omit step"
         )
-    chosen: Any = gradient if field is None else field
-    check_arguments(chosen, "gradient" if field is None else "field", "x")
+    function: Any = gradient if field is None else field
+    check_arguments(function, "gradient" if field is None else "field", "x")
     if gradient is not None:
-        gradient = _returning_vectors(gradient, system.dim, "gradient")
+        gradient = _validated(gradient, system.dim, "gradient")
     if field is not None:
-        field = _returning_vectors(field, system.dim, "field")
+        field = _validated(field, system.dim, "field")
     start = read_finite(x0, "x0")
     if start.shape != (system.dim,):
         raise ValueError(f"x0 has the shape {start.shape}; it must be ({system.dim},)")
-    carry = read_bool(attitude, "attitude")
-    if not carry:
-        moved = field or _field_of(system, gradient)
-        right = period(system.vector_field, start).time
-        wrong = period(moved, start).time
-        return PredictedDrift(right / wrong - 1.0, None, right, wrong)
+    if not read_bool(attitude, "attitude"):
+        modified_field = field or _field_of(system, gradient)
+        exact_period = period(system.vector_field, start).time
+        modified_period = period(modified_field, start).time
+        return PredictedDrift(exact_period / modified_period - 1.0, None, exact_period, modified_period)
     if gradient is None:
         raise TypeError(
             "attitude=True needs the gradient of the Hamiltonian, which a field does not provide; give gradient"
         )
     if not isinstance(system, LiePoissonSystem) or not acts_by_rotations(system):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
-    exact, computed = (_with_attitude(system, of, start) for of in (system.hamiltonian.gradient, gradient))
+    exact, computed = (_attitude_motion(system, slope, start) for slope in (system.hamiltonian.gradient, gradient))
     slope = exact.time / computed.time - 1.0
     psi = float(np.remainder(computed.psi - exact.psi + np.pi, 2.0 * np.pi) - np.pi)
     return PredictedDrift(slope, psi / computed.time + exact.speed * slope, exact.time, computed.time)
 
 
 def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Function | None]:
-    """Return the gradient or the field at a step; the other one is None."""
+    """Return the gradient (or None) and the field (or None) at a step."""
     if not isinstance(modified, ModifiedHamiltonian | ModifiedField):
         raise TypeError(
             f"modified is {short(modified)}; give a ModifiedHamiltonian, which has a gradient, or a ModifiedField"
         )
-    own = modified.dim if isinstance(modified, ModifiedHamiltonian) else modified.system.dim
-    if own != system.dim:
-        raise ValueError(f"modified is in {own} coordinates; {system.name} has {system.dim}")
+    dim = modified.dim if isinstance(modified, ModifiedHamiltonian) else modified.system.dim
+    if dim != system.dim:
+        raise ValueError(f"modified is in {dim} coordinates; {system.name} has {system.dim}")
     if step is None:
         raise TypeError("step is missing; give the step of the scheme with modified")
     h = read_number(step, "step")
@@ -175,16 +174,16 @@ def _field_of(system: Any, gradient: Function | None) -> Function:
     return lambda x: system.sign * (system.structure_matrix(x) @ slope(x))
 
 
-def _returning_vectors(function: Function, n: int, name: str) -> Function:
+def _validated(function: Function, n: int, name: str) -> Function:
     """Wrap a user function so that its values are validated, with its name in messages."""
 
-    def read(x: Floats) -> Floats:
-        found = read_numbers(function(x), f"what {name} returns")
-        if found.shape != (n,):
-            raise ValueError(f"what {name} returns has the shape {found.shape}; it must be ({n},)")
-        return found
+    def validated(x: Floats) -> Floats:
+        value = read_numbers(function(x), f"what {name} returns")
+        if value.shape != (n,):
+            raise ValueError(f"what {name} returns has the shape {value.shape}; it must be ({n},)")
+        return value
 
-    return read
+    return validated
 
 
 class _AttitudeMotion(NamedTuple):
@@ -193,21 +192,21 @@ class _AttitudeMotion(NamedTuple):
     speed: float  # mean angular velocity about it
 
 
-def _with_attitude(system: LiePoissonSystem, gradient: Function, start: Floats) -> _AttitudeMotion:
+def _attitude_motion(system: LiePoissonSystem, gradient: Function, start: Floats) -> _AttitudeMotion:
     """Integrate the momentum, the attitude from the unit matrix, and the angle about the momentum, over one period."""
     representation = system.representation
     assert representation is not None
     along = start / np.linalg.norm(start)
 
-    def moved(y: Floats) -> Floats:
+    def field_with_attitude(y: Floats) -> Floats:
         x, g = y[:3], y[3:12].reshape(3, 3)
         u = gradient(x)
-        turning = -system.sign * np.einsum("i,iab->ab", u, representation)
-        spatial = g @ turning @ g.T
+        rate = -system.sign * np.einsum("i,iab->ab", u, representation)
+        spatial = g @ rate @ g.T
         axial = np.array([spatial[2, 1] - spatial[1, 2], spatial[0, 2] - spatial[2, 0], spatial[1, 0] - spatial[0, 1]])
         field = system.sign * (system.structure_matrix(x) @ u)
-        return np.concatenate([field, (g @ turning).ravel(), [0.5 * float(axial @ along)]])
+        return np.concatenate([field, (g @ rate).ravel(), [0.5 * float(axial @ along)]])
 
-    found = period(moved, start, np.append(np.eye(3).ravel(), 0.0))
-    psi = twist(found.carried[:9].reshape(3, 3), np.eye(3), start)
-    return _AttitudeMotion(found.time, float(psi), float(found.carried[9]) / found.time)
+    motion = period(field_with_attitude, start, np.append(np.eye(3).ravel(), 0.0))
+    psi = twist(motion.carried[:9].reshape(3, 3), np.eye(3), start)
+    return _AttitudeMotion(motion.time, float(psi), float(motion.carried[9]) / motion.time)

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
 
 NODES = 8  # saved points around a time; with their slopes they define a polynomial of degree 15
-FEWER_NODES = 6
+FEWER_NODES = 6  # for the comparison that estimates the error
 TOLERANCE = 2.0**-30  # largest difference of the polynomials of both degrees, relative to the largest state
 
 
@@ -44,14 +44,14 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
 
     check_arguments(reference, "reference", "t")
 
-    def given(t: Floats) -> Floats:
+    def validated(t: Floats) -> Floats:
         states = read_numbers(reference(t), "what reference(t) returned")
         if states.shape != (len(t), system.dim):
             raise ValueError(f"reference(t) has the shape {states.shape}; it must be ({len(t)}, {system.dim})")
         check_finite(states, "what reference(t) returned")
         return states
 
-    return given
+    return validated
 
 
 def field_along(system: System, states: Floats, times: Floats) -> Floats:
@@ -74,42 +74,43 @@ def _interpolated(system: System, run: Solution, member: int | None) -> Motion:
         raise ValueError(f"the reference has {len(t)} saved points; {NODES} are needed to interpolate")
     slopes = field_along(system, states, t)
     largest = float(np.max(np.abs(states)))
-    rising = t if t[-1] > t[0] else -t
+    direction = 1.0 if t[-1] > t[0] else -1.0
+    ascending = direction * t
 
     def at(times: Floats) -> Floats:
-        where = times if t[-1] > t[0] else -times
-        reach = (rising[-1] - rising[0]) * 2.0**-20
-        inside = (where >= rising[0] - reach) & (where <= rising[-1] + reach)
-        found = np.full((len(times), system.dim), np.nan)
-        found[inside] = _read(times[inside], where[inside])
-        return found
+        tolerance = (ascending[-1] - ascending[0]) * 2.0**-20
+        inside = (direction * times >= ascending[0] - tolerance) & (direction * times <= ascending[-1] + tolerance)
+        values = np.full((len(times), system.dim), np.nan)
+        values[inside] = interpolate(times[inside])
+        return values
 
-    def _read(times: Floats, where: Floats) -> Floats:
-        place = np.searchsorted(rising, where)
-        fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER_NODES))
+    def interpolate(times: Floats) -> Floats:
+        after = np.searchsorted(ascending, direction * times)
+        fine, coarse = (_hermite(t, states, slopes, times, after, count) for count in (NODES, FEWER_NODES))
         # The polynomial of more points is more accurate than this difference by orders of magnitude.
-        off = float(np.max(np.abs(fine - coarse), initial=0.0))
-        if off > TOLERANCE * largest:
+        difference = float(np.max(np.abs(fine - coarse), initial=0.0))
+        if difference > TOLERANCE * largest:
             raise ValueError(
                 f"the saved points of the reference are too far apart for interpolation, with an error of about "
-                f"{off:.1e}; save it more often"
+                f"{difference:.1e}; save it more often"
             )
         return fine
 
     return at
 
 
-def _hermite(t: Floats, x: Floats, slopes: Floats, times: Floats, place: NDArray[np.int64], count: int) -> Floats:
-    first = np.clip(place - count // 2, 0, len(t) - count)
+def _hermite(t: Floats, x: Floats, slopes: Floats, times: Floats, after: NDArray[np.int64], count: int) -> Floats:
+    """Interpolate states at times, each by the `count` saved points around index `after` and their slopes."""
+    first = np.clip(after - count // 2, 0, len(t) - count)
     index = first[:, None] + np.arange(count)
     unit = abs(t[-1] - t[0]) / (len(t) - 1)
     s = (t[index] - t[first][:, None]) / unit
     u = (times - t[first]) / unit
-    apart = s[:, :, None] - s[:, None] + np.eye(count)
+    distances = s[:, :, None] - s[:, None] + np.eye(count)
     from_node = u[:, None] - s
-    others = np.where(np.eye(count, dtype=bool), 1.0, from_node[:, None, :] / apart)
-    basis = np.prod(others, axis=2)
-    steepness = np.sum(np.where(np.eye(count, dtype=bool), 0.0, 1.0 / apart), axis=2)
-    values = (1.0 - 2.0 * steepness * from_node) * basis**2
-    turning = from_node * basis**2 * unit
-    return np.asarray(np.einsum("kj,kjn->kn", values, x[index]) + np.einsum("kj,kjn->kn", turning, slopes[index]))
+    factors = np.where(np.eye(count, dtype=bool), 1.0, from_node[:, None, :] / distances)
+    basis = np.prod(factors, axis=2)
+    basis_slopes = np.sum(np.where(np.eye(count, dtype=bool), 0.0, 1.0 / distances), axis=2)
+    values = (1.0 - 2.0 * basis_slopes * from_node) * basis**2
+    tangents = from_node * basis**2 * unit
+    return np.asarray(np.einsum("kj,kjn->kn", values, x[index]) + np.einsum("kj,kjn->kn", tangents, slopes[index]))

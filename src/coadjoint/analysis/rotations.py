@@ -41,7 +41,7 @@ def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
     >>> attitude_angle(np.eye(3), quarter) == np.pi / 2
     True
     """
-    first, second = _checked(A, "A"), _checked(B, "B")
+    first, second = _read_matrices(A, "A"), _read_matrices(B, "B")
     angle = _axis_and_angle(np.swapaxes(first, -1, -2) @ second)[1]
     return float(angle) if angle.ndim == 0 else angle
 
@@ -74,8 +74,8 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
     >>> precession_error(np.eye(3), quarter, [0.0, 0.0, 5.0]) == -np.pi / 2
     True
     """
-    turned, angle, direction = _turn_about(A, B, axis)
-    along = turned @ direction * angle
+    rotation_axis, angle, direction = _relative_rotation(A, B, axis)
+    along = rotation_axis @ direction * angle
     return float(along) if along.ndim == 0 else along
 
 
@@ -107,9 +107,9 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     >>> round(twist(np.eye(3), quarter, [0.0, 0.0, 5.0]) / np.pi, 12)
     -0.5
     """
-    turned, angle, direction = _turn_about(A, B, axis)
-    half = 2.0 * np.arctan2(turned @ direction * np.sin(0.5 * angle), np.cos(0.5 * angle))
-    return float(half) if half.ndim == 0 else half
+    rotation_axis, angle, direction = _relative_rotation(A, B, axis)
+    twisted = 2.0 * np.arctan2(rotation_axis @ direction * np.sin(0.5 * angle), np.cos(0.5 * angle))
+    return float(twisted) if twisted.ndim == 0 else twisted
 
 
 def acts_by_rotations(system: Any) -> bool:
@@ -119,25 +119,25 @@ def acts_by_rotations(system: Any) -> bool:
     >>> acts_by_rotations(co.systems.rigid_body()), acts_by_rotations(co.systems.paper_a37())
     (True, False)
     """
-    own: Any = getattr(system, "representation", None)
-    turning: Any = catalogue.so(3).representation
-    return np.array_equal(own, turning)
+    representation: Any = getattr(system, "representation", None)
+    rotations: Any = catalogue.so(3).representation
+    return np.array_equal(representation, rotations)
 
 
-def _turn_about(
+def _relative_rotation(
     A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return axis and angle of A B^T, and the unit vector along the given axis."""
+    """Return axis and angle of A B^T, and the unit vector along `axis`."""
     direction = read_finite(axis, "axis")
     if direction.shape != (3,) or not np.any(direction):
         raise ValueError(f"axis is {short(axis)}; it must be three numbers, not all zero")
     direction /= np.max(np.abs(direction))  # so that its square does not overflow
-    turned, angle = _axis_and_angle(_checked(A, "A") @ np.swapaxes(_checked(B, "B"), -1, -2))
-    return turned, angle, direction / np.linalg.norm(direction)
+    rotation_axis, angle = _axis_and_angle(_read_matrices(A, "A") @ np.swapaxes(_read_matrices(B, "B"), -1, -2))
+    return rotation_axis, angle, direction / np.linalg.norm(direction)
 
 
-def _checked(given: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
-    matrices = read_finite(given, name)
+def _read_matrices(value: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    matrices = read_finite(value, name)
     if matrices.shape[-2:] != (3, 3):
         raise ValueError(f"{name} has the shape {matrices.shape}; it must be (..., 3, 3)")
     return matrices
@@ -153,6 +153,6 @@ def _axis_and_angle(R: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64]
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     column = np.take_along_axis(outer, largest[..., None, None], axis=-1)[..., 0]
     column = np.where(np.sum(column * axial, axis=-1, keepdims=True) < 0.0, -column, column)
-    beyond = cosine < 0.0
-    length = np.where(beyond, np.linalg.norm(column, axis=-1), 1.0)
-    return np.where(beyond[..., None], column / length[..., None], axis), np.arctan2(sine, cosine)
+    obtuse = cosine < 0.0
+    length = np.where(obtuse, np.linalg.norm(column, axis=-1), 1.0)
+    return np.where(obtuse[..., None], column / length[..., None], axis), np.arctan2(sine, cosine)

@@ -115,26 +115,26 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     >>> round_off(sol)["|x|^2"].growth < 20
     True
     """
-    _check_kept(solution)
+    _check_unforced(solution)
     if solution.energy.ndim == 1:
         raise ValueError(
             "round-off is measured over an ensemble, and the solution has one trajectory; give x0 of shape (members, n)"
         )
-    found = {}
+    batch = isinstance(solution.system, Batch)
+    systems = list(solution.system) if batch else [solution.system] * len(solution.x[0])
+    walks = {}
     for name, values in {"energy": solution.energy, **solution.casimirs}.items():
         size = np.max(np.abs(values), axis=0)
-        of = solution.system
-        systems = list(of) if isinstance(of, Batch) else [of] * len(solution.x[0])
-        invariants = [own.hamiltonian if name == "energy" else own.casimirs[name] for own in systems]
-        if not any(isinstance(own, Invariant) for own in invariants):
+        invariants = [system.hamiltonian if name == "energy" else system.casimirs[name] for system in systems]
+        if not any(isinstance(invariant, Invariant) for invariant in invariants):
             pairs = zip(invariants, solution.x[0], strict=True)
-            size = np.array([np.linalg.norm(own.gradient(x)) * np.linalg.norm(x) for own, x in pairs])
-        found[name] = random_walk((values - values[0]) / size, early)
-    return found
+            size = np.array([np.linalg.norm(invariant.gradient(x)) * np.linalg.norm(x) for invariant, x in pairs])
+        walks[name] = random_walk((values - values[0]) / size, early)
+    return walks
 
 
-def _check_kept(solution: Any) -> None:
-    """Raise an error unless it is a solution without forces, whose invariants change by round-off only."""
+def _check_unforced(solution: Any) -> None:
+    """Raise an error unless it is a solution without forces."""
     check_solution(solution)
     if solution.work:
         raise TypeError(f"{solution.system.name} has forces, which change its invariants; see solution.balance()")
@@ -148,7 +148,7 @@ def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
     solution : Solution
         A run of an ensemble, with an attitude.
     size : int, optional
-        Size of the leading block, for instance 3 for the rotation in a rigid motion. None is the whole matrix.
+        Size of the leading block, for instance 3 for the rotation in a rigid motion. None is the complete matrix.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def spatial_momentum(solution: Any) -> RandomWalk:
     >>> spatial_momentum(co.integrate(body, x0, (0, 100), 0.1, save_every=10, attitude="coadjoint")).worst < 1e-14
     True
     """
-    _check_kept(solution)
+    _check_unforced(solution)
     if solution.carried != "coadjoint" or solution.x.ndim != 3:
         raise ValueError(
             'the solution is not of an ensemble with the coadjoint matrix; give x0 members, and attitude="coadjoint"'

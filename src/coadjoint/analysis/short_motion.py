@@ -15,17 +15,16 @@ Floats = NDArray[np.float64]
 
 
 def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) -> tuple[Floats, float]:
-    """Return states (count + 1, n) along the motion, a quarter of a radian apart, and its rate in radians per unit of
-    time.
+    """Return states (count + 1, n) along the motion, a quarter of a radian apart, and the rate of the motion.
 
     Fewer states are returned if the motion leaves the range of float64; ValueError if that happens within a few steps.
     """
     rate = rate_at(system, start)
     spacing = RELATIVE_STEP / rate
     try:
-        found = integrate(system, start, (0.0, count * spacing), spacing, GaussLegendre(3), watch=False).x
+        states = integrate(system, start, (0.0, count * spacing), spacing, GaussLegendre(3), watch=False).x
     except IntegrationError as error:
         if error.partial is None or len(error.partial.x) <= MIN_STEPS:
             raise orbit_overflow_error(start, spacing) from None
-        found = error.partial.x
-    return np.asarray(found), rate
+        states = error.partial.x
+    return np.asarray(states), rate

@@ -18,7 +18,7 @@ from coadjoint.validation import check_finite, read_finite, read_integer, read_n
 class Sampled(NamedTuple):
     """A signal at equidistant times, with values (members, k, channels).
 
-    `members` and `channels` are whether the given signal had these axes.
+    `members` and `channels` state whether the argument had these axes.
     """
 
     t: NDArray[np.float64]
@@ -28,7 +28,7 @@ class Sampled(NamedTuple):
 
 
 def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
-    """Return the signal of a run, or given samples at equidistant times, of at least `least` points.
+    """Return the signal of a run, or samples, at equidistant times; at least `least` of them.
 
     For the kinds of signals see `frequencies`. Raise ValueError for uneven times, too few samples, or values that are
     not finite or do not match the times, and TypeError for another type of signal.
@@ -37,23 +37,23 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
     (1, 3, 1)
     """
     if isinstance(given, Solution):
-        t, values, several = given.t, _of_run(given, signal), given.failed is not None
+        t, values, several = given.t, _signal_of_run(given, signal), given.failed is not None
     else:
         t, several = read_finite(given, "t"), False
         if signal is None or isinstance(signal, str) or callable(signal):
             raise TypeError(f"signal is {short(signal)}; with times t, give its samples as an array")
         values = to_array(signal, "signal", "iufc")
         several = values.ndim == 3
-    kept = _even(t, least)
+    count = _count_equidistant(t, least)
     values = values.astype(np.complex128) if values.dtype.kind == "c" else read_numbers(values, "signal")
     shapes = ((2, 3) if several else (1, 2)) if isinstance(given, Solution) else (1, 2, 3)
     if values.ndim not in shapes or len(values) != len(t):
-        wanted = (
+        expected = (
             f"({len(t)}, members) or ({len(t)}, members, channels)"
             if several
             else f"({len(t)},) or ({len(t)}, channels)"
         )
-        raise ValueError(f"signal has the shape {values.shape}; it must be {wanted}")
+        raise ValueError(f"signal has the shape {values.shape}; it must be {expected}")
     check_finite(values, "signal")
     channels = values.ndim == (3 if several else 2)
     if not channels:
@@ -62,10 +62,10 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
         values = values[:, None]
     if 0 in values.shape:
         raise ValueError(f"signal has the shape {values.shape}; it must have at least one member and one channel")
-    return Sampled(t[:kept], np.swapaxes(values[:kept], 0, 1), several, channels)
+    return Sampled(t[:count], np.swapaxes(values[:count], 0, 1), several, channels)
 
 
-def _of_run(run: Solution, signal: Any) -> NDArray[Any]:
+def _signal_of_run(run: Solution, signal: Any) -> NDArray[Any]:
     several = run.failed is not None
     if run.failed is not None and np.any(run.failed):
         raise ValueError(f"member {int(np.argmax(run.failed))} of the run failed; run again without it")
@@ -80,12 +80,12 @@ def _of_run(run: Solution, signal: Any) -> NDArray[Any]:
             return run.energy
         if signal not in run.observed:
             known = ", ".join(map(repr, ("attitude", "energy", *run.observed)))
-            raise ValueError(f"signal is {short(signal)}; a run has {known}, and its components by number")
+            raise ValueError(f"signal is {short(signal)}; give {known}, or the number of a component")
         return np.asarray(run.observed[signal])
     if callable(signal):
         check_arguments(signal, "signal", "x")
-        chosen: Callable[..., Any] = signal
-        return to_array(chosen(run.x), "what signal(sol.x) returned", "iufc")
+        function: Callable[..., Any] = signal
+        return to_array(function(run.x), "what signal(sol.x) returned", "iufc")
     samples = to_array(signal, "signal", "iufc")
     if samples.ndim == 0:
         components = _flat(run.x, several)
@@ -97,14 +97,14 @@ def _flat(values: NDArray[Any], several: bool) -> NDArray[Any]:
     return values.reshape(*values.shape[: 2 if several else 1], -1)
 
 
-def _even(t: NDArray[np.float64], least: int) -> int:
-    """Return the number of equidistant times; the last one may be off the grid, as in a run."""
+def _count_equidistant(t: NDArray[np.float64], least: int) -> int:
+    """Return the number of equidistant times; the last time, which may be off the grid, is then not counted."""
     if t.ndim != 1 or len(t) < least:
         raise ValueError(f"t has the shape {t.shape}; give at least {least} equidistant times, (k,)")
     spacing = (t[-2] - t[0]) / (len(t) - 2) if len(t) > 2 else t[-1] - t[0]
     off = np.abs(t - (t[0] + spacing * np.arange(len(t))))
-    fine = off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))
-    kept = len(t) - (not fine[-1])
-    if spacing == 0.0 or not np.all(fine[:kept]) or kept < least:
+    on_grid = off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))
+    count = len(t) - (not on_grid[-1])
+    if spacing == 0.0 or not np.all(on_grid[:count]) or count < least:
         raise ValueError(f"t is {short(t)}; give at least {least} equidistant times")
-    return kept
+    return count

@@ -51,7 +51,7 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
     """
     weight = hann(s, power)
     members, _, channels = values.shape
-    found = Lines(
+    lines = Lines(
         np.zeros((members, 0)),
         np.zeros((members, 0, channels), dtype=np.complex128),
         mean := np.einsum("s,msc->mc", weight, values),
@@ -59,29 +59,28 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
         np.zeros((members, 0), dtype=np.bool_),
     )
     for _ in range(count):
-        start, height = _highest(s, found, weight)
-        frequency = np.concatenate([found.frequency, start[:, None]], axis=1)
-        strongest = np.max(np.linalg.norm(found.amplitude, axis=2), axis=1, initial=0.0)
-        largest = np.maximum(strongest, height) + np.linalg.norm(found.mean, axis=1)
+        start, height = _highest_peak(s, lines, weight)
+        frequency = np.concatenate([lines.frequency, start[:, None]], axis=1)
+        strongest = np.max(np.linalg.norm(lines.amplitude, axis=2), axis=1, initial=0.0)
+        largest = np.maximum(strongest, height) + np.linalg.norm(lines.mean, axis=1)
         # Rounding of the arguments of the sines, and of the samples.
         floor = 8.0 * UNIT_ROUNDOFF * (1.0 + np.max(np.abs(frequency), axis=1)) * largest
-        present = np.concatenate([found.present, (height > floor)[:, None]], axis=1)
+        present = np.concatenate([lines.present, (height > floor)[:, None]], axis=1)
         if not np.any(present[:, -1]):
             break
-        found = correct_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
-    return correct_lines(s, values, found.frequency, found.present, weight, FINAL_ITERATIONS)
+        lines = correct_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
+    return correct_lines(s, values, lines.frequency, lines.present, weight, FINAL_ITERATIONS)
 
 
 def correct_lines(
     s: Floats, values: NDArray[Any], frequency: Floats, present: NDArray[np.bool_], weight: Floats, iterations: int
 ) -> Lines:
-    """Refine approximate frequencies (members, lines) by Gauss-Newton steps with the amplitudes eliminated (variable
-    projection).
+    """Refine frequencies (members, lines) by Gauss-Newton steps with eliminated amplitudes (variable projection).
 
-    With columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), the derivatives by w_k lie in the span of s B, so
-    a step needs only the Gram matrix of (B, s B) and its products with the residual. Only frequencies in `present`
-    move.
+    Only frequencies in `present` change.
     """
+    # With columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), the derivatives by w_k lie in the span of s B: a
+    # step needs only the Gram matrix of (B, s B) and its products with the residual.
     w = frequency.copy()
     bin_width, last = math.pi, math.inf
     lines = w.shape[1]
@@ -91,11 +90,11 @@ def correct_lines(
         inner = fit.columns.shape[2] // 2 + 1  # columns of B; the columns s B follow, without s itself
         eliminated = np.linalg.solve(fit.gram[:, :inner, :inner], fit.gram[:, :inner])
         schur = fit.gram - np.swapaxes(eliminated.conj(), 1, 2) @ fit.gram[:, :inner]
-        rest = moments - np.swapaxes(eliminated.conj(), 1, 2) @ moments[:, :inner]
-        schur, rest = schur[:, inner:, inner:], rest[:, inner:]
+        reduced = moments - np.swapaxes(eliminated.conj(), 1, 2) @ moments[:, :inner]
+        schur, reduced = schur[:, inner:, inner:], reduced[:, inner:]
         slopes = _slopes(fit.amplitude, real=not np.iscomplexobj(values))
         matrix = np.einsum("mkac,mab,mlbc->mkl", slopes.conj(), schur, slopes, optimize=True).real
-        right = np.einsum("mkac,mac->mk", slopes.conj(), rest).real
+        right = np.einsum("mkac,mac->mk", slopes.conj(), reduced).real
         matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(lines))
         size = np.sqrt(np.maximum(np.einsum("mkk->mk", matrix), np.finfo(float).tiny))
         scaled = matrix / size[:, :, None] / size[:, None] + UNIT_ROUNDOFF * np.eye(lines)
@@ -114,7 +113,7 @@ def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
     """Return the standard error of each frequency due to noise near its line, shape (members, lines).
 
     The noise is the median power of the residual near the line, which is insensitive to further lines, without the bins
-    at the line, whose noise the fit has taken away; for white noise the error is unbiased.
+    at the line, from which the fit has removed noise; for white noise the error is unbiased.
     """
     weight = hann(s, power)
     real = not np.iscomplexobj(lines.residual)
@@ -143,28 +142,28 @@ class _Fit(NamedTuple):
 
 
 def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _Fit:
-    """Return the least-squares amplitudes of given frequencies, and the residual."""
-    waves = np.exp(1j * s[:, None] * w[:, None, :])
+    """Return the least-squares amplitudes of frequencies w, and the residual."""
+    exponentials = np.exp(1j * s[:, None] * w[:, None, :])
     real = not np.iscomplexobj(values)
-    turning = np.concatenate([waves.real, waves.imag], axis=2) if real else waves
-    one = np.ones((len(w), len(s), 1))
-    columns = np.concatenate([one, turning, s[:, None] * turning], axis=2)
-    inside = columns[..., : turning.shape[2] + 1]
+    waves = np.concatenate([exponentials.real, exponentials.imag], axis=2) if real else exponentials
+    constant = np.ones((len(w), len(s), 1))
+    columns = np.concatenate([constant, waves, s[:, None] * waves], axis=2)
+    model = columns[..., : waves.shape[2] + 1]
     weighted = columns.conj() * weight[:, None]
     gram = np.swapaxes(weighted, 1, 2) @ columns
-    inner = gram[:, : inside.shape[2], : inside.shape[2]]
-    products = np.swapaxes(weighted[..., : inside.shape[2]], 1, 2)
+    inner = gram[:, : model.shape[2], : model.shape[2]]
+    products = np.swapaxes(weighted[..., : model.shape[2]], 1, 2)
     coefficients = np.linalg.solve(inner, products @ values)
     # Iterative refinement, so that weak lines are as accurate as strong ones.
-    coefficients = coefficients + np.linalg.solve(inner, products @ (values - inside @ coefficients))
+    coefficients = coefficients + np.linalg.solve(inner, products @ (values - model @ coefficients))
     k = w.shape[1]
-    turned = coefficients[:, 1:]
-    amplitude = turned[:, :k] - 1j * turned[:, k:] if real else turned
-    return _Fit(columns, gram, np.asarray(amplitude, complex), coefficients[:, 0], values - inside @ coefficients)
+    of_waves = coefficients[:, 1:]
+    amplitude = of_waves[:, :k] - 1j * of_waves[:, k:] if real else of_waves
+    return _Fit(columns, gram, np.asarray(amplitude, complex), coefficients[:, 0], values - model @ coefficients)
 
 
 def _slopes(amplitude: NDArray[np.complex128], real: bool) -> NDArray[Any]:
-    """Return the derivatives of the model by frequency in terms of s B, shape (members, lines, of B, channels)."""
+    """Return the derivatives of the model by frequency in terms of s B, shape (members, lines, columns, channels)."""
     lines = np.eye(amplitude.shape[1])[None, :, :, None]
     if not real:
         return 1j * lines * amplitude[:, :, None]
@@ -179,26 +178,27 @@ def _spectrum(values: NDArray[Any], weight: Floats) -> NDArray[np.complex128]:
 
 def _bins(samples: int, real: bool) -> Floats:
     """Return the angular frequencies of the FFT bins; the spacing of the samples on [-1, 1] is 2 / (samples - 1)."""
-    found = np.fft.rfftfreq(samples) if real else np.fft.fftfreq(samples)
-    return np.asarray(math.pi * (samples - 1) * found)
+    frequencies = np.fft.rfftfreq(samples) if real else np.fft.fftfreq(samples)
+    return np.asarray(math.pi * (samples - 1) * frequencies)
 
 
-def _highest(s: Floats, found: Lines, weight: Floats) -> tuple[Floats, Floats]:
+def _highest_peak(s: Floats, lines: Lines, weight: Floats) -> tuple[Floats, Floats]:
     """Return frequency and amplitude of the highest peak of the residual outside the known lines."""
-    real = not np.iscomplexobj(found.residual)
-    power = np.sum(np.abs(_spectrum(found.residual, weight)) ** 2, axis=2)
+    real = not np.iscomplexobj(lines.residual)
+    power = np.sum(np.abs(_spectrum(lines.residual, weight)) ** 2, axis=2)
     bins = _bins(len(s), real)
     top = math.pi * (len(s) - 1) / 2
-    taken = np.abs(bins) > top - RESOLUTION_BINS * math.pi
-    near = np.abs(bins - np.concatenate([found.frequency, np.zeros((len(power), 1))], axis=1)[..., None])
-    # Below zero, so that without any residual the place is also away from the constant and the known lines.
-    power = np.where(taken | np.any(near < RESOLUTION_BINS * math.pi, axis=1), -1.0, power)
-    place = np.argmax(power, axis=1)
+    at_edge = np.abs(bins) > top - RESOLUTION_BINS * math.pi
+    distance = np.abs(bins - np.concatenate([lines.frequency, np.zeros((len(power), 1))], axis=1)[..., None])
+    # Negative, so that a peak of zero residual is also away from the constant and the known lines.
+    power = np.where(at_edge | np.any(distance < RESOLUTION_BINS * math.pi, axis=1), -1.0, power)
+    peak = np.argmax(power, axis=1)
     rows = np.arange(len(power))
-    middle, left, right = (np.maximum(power[rows, (place + d) % power.shape[1]], 1e-300) for d in (0, -1, 1))
+    middle, left, right = (np.maximum(power[rows, (peak + d) % power.shape[1]], 1e-300) for d in (0, -1, 1))
+    # The vertex of a parabola through three logarithms.
     below, above = np.log(left / middle), np.log(right / middle)
     bend = below + above
     shift = np.where(bend < 0.0, 0.5 * (below - above) / np.where(bend < 0.0, bend, -1.0), 0.0)
     spacing = bins[1] - bins[0]
     height = np.sqrt(middle) * (2.0 if real else 1.0)
-    return bins[place] + np.clip(shift, -0.5, 0.5) * spacing, np.where(middle > 1e-300, height, 0.0)
+    return bins[peak] + np.clip(shift, -0.5, 0.5) * spacing, np.where(middle > 1e-300, height, 0.0)

@@ -24,7 +24,7 @@ def suggest_step(
 ) -> float:
     """Return the largest step at which the energy stays within a bound, from the modified Hamiltonian.
 
-    A run keeps H + h^p H_p + ..., so its energy varies as h^p H_p does along the motion, for any length of the run.
+    A run preserves H + h^p H_p + ..., so its energy varies as h^p H_p does along the motion, for any length of the run.
     Choose it to control the energy error. `choose` selects scheme and step for an error of the momentum over a span.
 
     Parameters
@@ -59,26 +59,26 @@ def suggest_step(
     True
     """
     system, scheme = read_subject(system, method)
-    wanted = read_positive(energy, "energy")
+    bound = read_positive(energy, "energy")
     points = np.atleast_2d(read_finite(x0, "x0"))
     if points.ndim != 2 or points.shape[1] != system.dim:
         raise ValueError(f"x0 has the shape {points.shape}; it must be ({system.dim},) or (k, {system.dim})")
-    return min(_step_from(system, scheme, start, wanted) for start in points)
+    return min(_largest_step(system, scheme, start, bound) for start in points)
 
 
-def _step_from(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], wanted: float) -> float:
+def _largest_step(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], bound: float) -> float:
     H = modified_hamiltonian(system, method, method.order + 3)
     points, rate = short_motion(system, start)
-    plain = H(points, 0.0)
+    energy = H(points, 0.0)
 
-    def change(h: float) -> float:
-        added = H(points, h) - plain
-        return float(np.max(np.abs(added - added[0])))
+    def variation(h: float) -> float:
+        correction = H(points, h) - energy
+        return float(np.max(np.abs(correction - correction[0])))
 
     low, high = 0.0, 1.0 / rate
-    if change(high) <= wanted:
+    if variation(high) <= bound:
         return high
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if change(middle) <= wanted else (low, middle)
+        low, high = (middle, high) if variation(middle) <= bound else (low, middle)
     return low

@@ -12,7 +12,7 @@ import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, supported_candidates
 from coadjoint.choosing.cost_model import StepPredictor
-from coadjoint.choosing.fitting import Fit, confirmed, fit
+from coadjoint.choosing.fitting import Fit, confirmed_fit, fit
 from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
@@ -31,7 +31,7 @@ from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_bool, read_list, read_number
 
 # Safety factor of the target error; rounding alone may take at most half of the accuracy (ROUNDING_SHARE).
-SAFETY = 3.0
+SAFETY_FACTOR = 3.0
 MODERATE_ORDER = 8
 # Accepted ratio of the error to its target.
 ACCEPTED_RATIO = 2.0
@@ -90,14 +90,14 @@ class Choice:
     others: tuple[Choice, ...] = field(default=(), repr=False)
 
     def __str__(self) -> str:
-        said = (
+        text = (
             f"{self.method} with step {self.step:.6g}: expected error {self.error:.1e} for the wanted "
             f"{self.accuracy:.1e} ({self.roundoff:.1e} of it rounding), at the cost of {self.cost:.2g} rotations"
         )
         if not self.others:
-            return said
-        other = self.others[0]
-        return f"{said}; next {other.method} at {other.cost / max(self.cost, 1e-300):.2g} times that"
+            return text
+        next_choice = self.others[0]
+        return f"{text}; next {next_choice.method} at {next_choice.cost / max(self.cost, 1e-300):.2g} times that"
 
 
 @suggest_keywords
@@ -169,7 +169,7 @@ def choose(
     True
     """
     check_vector_states(system, "give step= and method=, since the cost of a step of matrices is not known")
-    wanted, processed = _checked(accuracy), read_bool(processed, "processed")
+    wanted, processed = _read_accuracy(accuracy), read_bool(processed, "processed")
     if processed and methods is not None:
         raise TypeError(
             "choose was given methods and processed; processed=True adds to the default schemes: list processed "
@@ -177,10 +177,10 @@ def choose(
         )
     # Numbers overflow near a blow-up; the results are checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _chosen(system, x0, span_of(t_span), wanted, attitude, methods, processed)
+        return _choose(system, x0, span_of(t_span), wanted, attitude, methods, processed)
 
 
-def _chosen(
+def _choose(
     system: System, x0: Any, span: tuple[float, float], wanted: float, attitude: Any, methods: Any, processed: bool
 ) -> Choice:
     t0, t1 = span
@@ -192,21 +192,21 @@ def _chosen(
         return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, wanted)
     if least_roundoff(pilot) >= ROUNDING_SHARE:
-        raise _failed_everywhere(candidates, abs(t1 - t0))
-    fits = _fits(pilot, candidates, wanted)
+        raise _no_accuracy_error(candidates, abs(t1 - t0))
+    fits = _fit_candidates(pilot, candidates, wanted)
     if not fits:
         raise ValueError(
-            f"no step of {_named(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at "
+            f"no step of {_scheme_text(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at "
             "an acceptable cost; ask for a larger error, or for a shorter time"
         )
-    exact = [better for each in fits if (better := _with_acceptable_roundoff(each, wanted)) is not None]
-    if not exact:
-        raise _unreachable(fits, candidates, wanted, abs(t1 - t0))
-    best, *others = _confirmed_cheapest(exact, wanted)
-    return replace(_choice(best, wanted), others=tuple(_choice(each, wanted) for each in others))
+    accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, wanted)) is not None]
+    if not accurate:
+        raise _unreachable_error(fits, candidates, wanted, abs(t1 - t0))
+    best, *others = _confirmed_cheapest(accurate, wanted)
+    return replace(_choice_of_fit(best, wanted), others=tuple(_choice_of_fit(each, wanted) for each in others))
 
 
-def _checked(accuracy: Any) -> float:
+def _read_accuracy(accuracy: Any) -> float:
     wanted = read_number(accuracy, "accuracy")
     if not 0.0 < wanted < 1.0:
         raise ValueError(f"accuracy is {wanted:g}; it must lie between 0 and 1, such as 1e-6")
@@ -215,106 +215,113 @@ def _checked(accuracy: Any) -> float:
 
 def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     if methods is None:
-        known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
-        return tuple(each for each in known if dim <= each.largest)
+        default_schemes = (*SCHEMES, *PROCESSED) if processed else SCHEMES
+        return tuple(each for each in default_schemes if dim <= each.largest)
     rule = "it must be one or more schemes such as Splitting(order=4)"
-    one = isinstance(methods, Method | str | Mapping)
-    given = tuple(
+    single = isinstance(methods, Method | str | Mapping)
+    schemes = tuple(
         read_method(each) if isinstance(each, str | Mapping) else each
-        for each in ((methods,) if one else read_list(methods, "methods", rule))
+        for each in ((methods,) if single else read_list(methods, "methods", rule))
     )
-    wrong = [each for each in given if not isinstance(each, Method)]
-    if wrong or not given:
-        raise TypeError(f"methods contains {short(wrong[0]) if wrong else 'nothing'}; {rule}")
-    return given
+    invalid = [each for each in schemes if not isinstance(each, Method)]
+    if invalid or not schemes:
+        raise TypeError(f"methods contains {short(invalid[0]) if invalid else 'nothing'}; {rule}")
+    return schemes
 
 
-def _goal(candidate: Candidate, wanted: float) -> float:
+def _target_error(candidate: Candidate, wanted: float) -> float:
     """Return the target of the truncation error: lower for high orders, whose errors vary more with the step."""
     if candidate.method.own_steps:
-        return wanted / SAFETY
-    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
+        return wanted / SAFETY_FACTOR
+    return max(wanted / (SAFETY_FACTOR * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
 
 
-def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
+def _fit_candidates(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
     """Fit the schemes that may be the best; those with variable steps get a first trial, and are fitted last."""
     least = least_roundoff(pilot)
-    goal_of = partial(_goal, wanted=wanted)
-    long_operation = [each for each in candidates if not each.method.own_steps]
-    looks = [(each, first_tolerance_trial(pilot, each, goal_of(each))) for each in candidates if each.method.own_steps]
-    seen = [extrapolated_fit(look, goal_of(each)) for each, look in looks if look is not None]
-    nearest = min(seen, key=lambda look: look.cost, default=None)
-    foresight = StepPredictor(goal_of, nearest)
+    goal_of = partial(_target_error, wanted=wanted)
+    pending = [each for each in candidates if not each.method.own_steps]
+    first_trials = [
+        (each, first_tolerance_trial(pilot, each, goal_of(each))) for each in candidates if each.method.own_steps
+    ]
+    extrapolated = [
+        extrapolated_fit(first_trial, goal_of(each)) for each, first_trial in first_trials if first_trial is not None
+    ]
+    cheapest = min(extrapolated, key=lambda first_trial: first_trial.cost, default=None)
+    predictor = StepPredictor(goal_of, cheapest)
     # The first trial is not exact.
-    own = math.inf if nearest is None else TRIAL_COST_FACTOR * nearest.cost
-    found = list[Fit]()
+    variable_step_cost = math.inf if cheapest is None else TRIAL_COST_FACTOR * cheapest.cost
+    fits = list[Fit]()
 
-    def sound() -> float:
+    def lowest_cost() -> float:
         """Return the least cost among fits with acceptable rounding."""
         return min(
-            (each.cost for each in found if _with_acceptable_roundoff(each, wanted) is not None), default=math.inf
+            (each.cost for each in fits if _with_acceptable_roundoff(each, wanted) is not None), default=math.inf
         )
 
-    while long_operation:
-        candidate = long_operation.pop(0)
+    while pending:
+        candidate = pending.pop(0)
         # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
-        if foresight.cost_lower_bound(candidate) > min(own, sound()):
+        if predictor.cost_lower_bound(candidate) > min(variable_step_cost, lowest_cost()):
             continue
-        limit = min([own, *(each.cost for each in found)])
-        result = fit(pilot, candidate, goal_of(candidate), limit, foresight.predict_steps(candidate))
+        limit = min([variable_step_cost, *(each.cost for each in fits)])
+        result = fit(pilot, candidate, goal_of(candidate), limit, predictor.predict_steps(candidate))
         if result is None:
             continue
-        if foresight.add_fit(result):
-            long_operation = foresight.cheapest_first(long_operation)
+        if predictor.add_fit(result):
+            pending = predictor.cheapest_first(pending)
         if not result.abandoned:
-            found.append(result)
+            fits.append(result)
             if ROUNDING_SHARE * wanted < result.roundoff <= least:
                 # All other schemes have as much rounding.
                 break
-    for candidate, look in looks:
-        result = fit_of_tolerance(pilot, candidate, goal_of(candidate), sound(), look)
+    for candidate, first_trial in first_trials:
+        result = fit_of_tolerance(pilot, candidate, goal_of(candidate), lowest_cost(), first_trial)
         if result is not None:
-            found.append(result)
-    return found
+            fits.append(result)
+    return fits
 
 
-def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
+def _confirmed_cheapest(accurate: Sequence[Fit], wanted: float) -> list[Fit]:
     """Sort by cost with the first one confirmed; confirmation may increase its cost."""
-    long_operation, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
-    while long_operation and (not confirmed_ones or long_operation[0].cost < min(each.cost for each in confirmed_ones)):
-        first = long_operation.pop(0)
-        goal = _goal(first.candidate, wanted)
-        confirmed_ones.append(confirmed(first, goal, min(ACCEPTED_RATIO * goal, wanted * (1.0 - ROUNDING_SHARE))))
-    confirmed_ones.sort(key=lambda each: each.cost)
-    return [confirmed_ones[0], *sorted([*confirmed_ones[1:], *long_operation], key=lambda each: each.cost)]
+    pending, confirmed_fits = sorted(accurate, key=lambda each: each.cost), list[Fit]()
+    while pending and (not confirmed_fits or pending[0].cost < min(each.cost for each in confirmed_fits)):
+        first = pending.pop(0)
+        goal = _target_error(first.candidate, wanted)
+        confirmed_fits.append(confirmed_fit(first, goal, min(ACCEPTED_RATIO * goal, wanted * (1.0 - ROUNDING_SHARE))))
+    confirmed_fits.sort(key=lambda each: each.cost)
+    return [confirmed_fits[0], *sorted([*confirmed_fits[1:], *pending], key=lambda each: each.cost)]
 
 
-def _with_acceptable_roundoff(found: Fit, wanted: float) -> Fit | None:
-    """Return a fit with acceptable rounding, with compensated summation if necessary and left open; else None."""
-    if found.roundoff <= ROUNDING_SHARE * wanted:
-        return found
-    compensated = found.candidate.compensated()
+def _with_acceptable_roundoff(fitted: Fit, wanted: float) -> Fit | None:
+    """Return a fit with acceptable rounding, by compensated summation if needed and allowed; else None."""
+    if fitted.roundoff <= ROUNDING_SHARE * wanted:
+        return fitted
+    compensated = fitted.candidate.compensated()
     if compensated is None:
         return None
-    better = replace(found, candidate=compensated)
-    return better if better.roundoff <= ROUNDING_SHARE * wanted else None
+    adjusted = replace(fitted, candidate=compensated)
+    return adjusted if adjusted.roundoff <= ROUNDING_SHARE * wanted else None
 
 
-def _unreachable(fits: Sequence[Fit], candidates: Sequence[Candidate], wanted: float, time: float) -> ValueError:
-    every = [*fits, *(replace(each, candidate=c) for each in fits if (c := each.candidate.compensated()) is not None)]
-    reached = min(each.roundoff for each in every) / ROUNDING_SHARE
-    if not reached < 1.0:
-        return _failed_everywhere(candidates, time)
+def _unreachable_error(fits: Sequence[Fit], candidates: Sequence[Candidate], wanted: float, time: float) -> ValueError:
+    all_fits = [
+        *fits,
+        *(replace(each, candidate=c) for each in fits if (c := each.candidate.compensated()) is not None),
+    ]
+    reachable = min(each.roundoff for each in all_fits) / ROUNDING_SHARE
+    if not reachable < 1.0:
+        return _no_accuracy_error(candidates, time)
     return ValueError(
-        f"accuracy {wanted:g} is below what float64 reaches with {_named(candidates)} over the time {time:g}; with "
-        f"rounding, {_rounded_up(reached)} is the least; ask for that, or for a shorter time"
+        f"accuracy {wanted:g} is below what float64 reaches with {_scheme_text(candidates)} over the time {time:g}; "
+        f"with rounding, {_rounded_up(reachable)} is the least; ask for that, or for a shorter time"
     )
 
 
-def _failed_everywhere(candidates: Sequence[Candidate], time: float) -> ValueError:
+def _no_accuracy_error(candidates: Sequence[Candidate], time: float) -> ValueError:
     return ValueError(
-        f"no accuracy is reached in float64 with {_named(candidates)} over the time {time:g}: small changes of the "
-        "initial state grow until nothing of it is left; take a shorter time"
+        f"no accuracy is reached in float64 with {_scheme_text(candidates)} over the time {time:g}: small changes "
+        "of the initial state grow to the size of the motion; take a shorter time"
     )
 
 
@@ -324,11 +331,11 @@ def _rounded_up(value: float) -> str:
     return f"{math.ceil(value / unit) * unit:.1e}"
 
 
-def _named(candidates: Sequence[Candidate]) -> str:
+def _scheme_text(candidates: Sequence[Candidate]) -> str:
     return str(candidates[0].method) if len(candidates) == 1 else "any scheme"
 
 
-def _choice(found: Fit, wanted: float) -> Choice:
-    span = abs(found.pilot.span)
-    error = found.error + found.roundoff
-    return Choice(found.candidate.method, span / found.steps, wanted, error, found.roundoff, found.cost)
+def _choice_of_fit(fitted: Fit, wanted: float) -> Choice:
+    span = abs(fitted.pilot.span)
+    error = fitted.error + fitted.roundoff
+    return Choice(fitted.candidate.method, span / fitted.steps, wanted, error, fitted.roundoff, fitted.cost)

@@ -10,7 +10,7 @@ from typing import Any
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.system_cache import cached_for_system
 from coadjoint.kernels.interface import limit
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.start import momenta_of, representations_of, start_of
@@ -21,7 +21,7 @@ from coadjoint.systems.system_checks import System
 class Candidate:
     """A scheme that supports a system, with the work of its step.
 
-    `compensation_open` states whether its summation is open, `in_lanes` whether members are integrated side by side,
+    `compensation_open` states whether compensated summation may be chosen, `in_lanes` whether members run side by side,
     `group` is the representation of the group element.
     """
 
@@ -73,12 +73,12 @@ class Candidate:
         return restored is not None and self.system.dim - len(restored) <= 2
 
     def compensated(self) -> Candidate | None:
-        """Return the same scheme with compensated summation; None if this is not left open."""
-        better = self.method.with_compensation() if self.compensation_open else None
-        if better is None:
+        """Return the same scheme with compensated summation; None if the choice is not open."""
+        method = self.method.with_compensation() if self.compensation_open else None
+        if method is None:
             return None
-        dearer = self.work.compensated
-        return replace(self, method=better, work=self.work if dearer is None else dearer())
+        compensated_work = self.work.compensated
+        return replace(self, method=method, work=self.work if compensated_work is None else compensated_work())
 
 
 def supported_candidates(
@@ -90,23 +90,25 @@ def supported_candidates(
     """
     members = len(momenta_of(system, x0)[0])
     in_lanes = members >= MIN_LANE_MEMBERS and system.dim <= limit("WIDEST")
-    found: list[Candidate] = []
-    refusal: Exception | None = None
+    candidates: list[Candidate] = []
+    first_error: Exception | None = None
     for method in schemes:
-        at(f"the work of {type(method).__name__}")
+        note_progress(f"the work of {type(method).__name__}")
         try:
             group = representations_of(system, method, attitude)[0]
             if group is not None:
                 start_of(system, method, x0, attitude)  # validates the initial group element
             compensation_open = not strict or len(schemes) > 1
-            found.append(Candidate(system, method, _work_of(system, method, group), compensation_open, in_lanes, group))
+            candidates.append(
+                Candidate(system, method, _work_of(system, method, group), compensation_open, in_lanes, group)
+            )
         except (ValueError, TypeError) as error:
             if strict:
                 raise
-            refusal = refusal or error
-    if not found and refusal is not None:
-        raise refusal
-    return found
+            first_error = first_error or error
+    if not candidates and first_error is not None:
+        raise first_error
+    return candidates
 
 
 def _work_of(system: System, method: Method, representation: Any) -> Work:

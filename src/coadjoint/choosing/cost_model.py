@@ -8,8 +8,7 @@ from dataclasses import fields, is_dataclass, replace
 
 from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.fitting import MEANINGLESS_ERROR, Fit
-from coadjoint.choosing.growth import Growth
-from coadjoint.choosing.pilot import REFERENCE, Trial
+from coadjoint.choosing.pilot import REFERENCE, Growth, Trial
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.taylor import Taylor
 
@@ -18,10 +17,10 @@ from coadjoint.methods.taylor import Taylor
 # mostly cheaper by only a few per cent.
 NEAREST_DIVISOR = 1.2
 RELATED_DIVISOR = 1.6
-# Before two series were tried: ratio of constant to variable steps at the same order, and the smallest useful estimate.
+# Before two series are fitted: ratio of constant to variable steps at the same order, and the smallest useful estimate.
 CONSTANT_STEP_RATIO, MIN_PREDICTED_STEPS = 1.25, 12.0
-# Without related schemes: competitive schemes of order p needed at least 1 / AHEAD (typically 1 / OFTEN_AHEAD) of the
-# steps of the series of order p, and at least min(p, ROUNDS) iterations of their stages.
+# Without related schemes: competitive schemes of order p need at least 1 / MAX_ADVANTAGE (typically
+# 1 / TYPICAL_ADVANTAGE) of the steps of the series of order p, and at least min(p, MIN_ITERATIONS) iterations.
 MAX_ADVANTAGE = 4.0
 TYPICAL_ADVANTAGE = 2.5
 MIN_ITERATIONS = 10.0
@@ -35,10 +34,10 @@ class SeriesErrorModel:
     With N steps over the time T, ``log N = log(T / r) + (log c - log goal) / p``.
     """
 
-    def __init__(self, one: Fit, other: Fit) -> None:
-        p, q = one.candidate.method.order, other.candidate.method.order
+    def __init__(self, first: Fit, second: Fit) -> None:
+        p, q = first.candidate.method.order, second.candidate.method.order
         at_p, at_q = (
-            math.log(fit.steps) + math.log(max(fit.error, MIN_ERROR)) / p for fit, p in ((one, p), (other, q))
+            math.log(fit.steps) + math.log(max(fit.error, MIN_ERROR)) / p for fit, p in ((first, p), (second, q))
         )
         self._amount = (at_p - at_q) / (1.0 / p - 1.0 / q)
         self._rate = at_p - self._amount / p
@@ -104,7 +103,7 @@ class StepPredictor:
             return min(self._related_cost(self._error_model, candidate, each) for each in related) / RELATED_DIVISOR
         order = candidate.method.order
         steps = self._error_model.steps(order, self._goal_of(candidate)) / MAX_ADVANTAGE
-        return steps * _cost(
+        return steps * _step_cost(
             candidate, min(float(order), MIN_ITERATIONS), order / 2
         )  # no tableau of s stages is above 2 s
 
@@ -132,10 +131,10 @@ class StepPredictor:
         stages = related.trial.evaluations / max(related.trial.iterations, 1.0)
         stages *= candidate.method.order / related.candidate.method.order
         steps = self._steps(error_model, candidate, related) / math.sqrt(related.extrapolated)
-        return steps * _cost(candidate, related.trial.iterations, stages)
+        return steps * _step_cost(candidate, related.trial.iterations, stages)
 
 
-def _cost(candidate: Candidate, iterations: float, stages: float) -> float:
+def _step_cost(candidate: Candidate, iterations: float, stages: float) -> float:
     trial = Trial(1, Growth(0.0, 0.0, 0.0), iterations, iterations * stages)
     return candidate.cost(trial) * candidate.share
 
@@ -143,24 +142,24 @@ def _cost(candidate: Candidate, iterations: float, stages: float) -> float:
 def series_error_model(fits: Sequence[Fit]) -> SeriesErrorModel | None:
     """Return the model by the first two series with sufficiently different orders; None if there are none."""
     series = [each for each in fits if _is_series(each.candidate.method)]
-    for other, one in ((a, b) for k, a in enumerate(series) for b in series[:k]):
-        if abs(one.candidate.method.order - other.candidate.method.order) >= MIN_ORDER_DIFFERENCE:
-            return SeriesErrorModel(one, other)
+    for second, first in ((a, b) for k, a in enumerate(series) for b in series[:k]):
+        if abs(first.candidate.method.order - second.candidate.method.order) >= MIN_ORDER_DIFFERENCE:
+            return SeriesErrorModel(first, second)
     return None
 
 
-def _related(one: Method, other: Method) -> bool:
+def _related(first: Method, second: Method) -> bool:
     """Test whether two schemes differ only in order or stages (series: in anything)."""
-    if _is_series(one) or _is_series(other):
-        return _is_series(one) and _is_series(other)
-    if type(one) is not type(other) or not is_dataclass(one):
+    if _is_series(first) or _is_series(second):
+        return _is_series(first) and _is_series(second)
+    if type(first) is not type(second) or not is_dataclass(first):
         return False
     for name in ("order", "stages"):
-        if any(field.name == name and field.init for field in fields(one)):
+        if any(field.name == name and field.init for field in fields(first)):
             try:
-                return bool(replace(one, **{name: getattr(other, name)}) == other)
+                return bool(replace(first, **{name: getattr(second, name)}) == second)
             except (ValueError, TypeError):
-                return False  # there is no such order of this family
+                return False  # the family has no such order
     return False
 
 

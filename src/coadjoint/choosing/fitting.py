@@ -8,14 +8,14 @@ from functools import cached_property
 
 from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
-from coadjoint.choosing.roundoff import MARGIN, roundoff
+from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
 
-MOST_TRIALS = 10
+MAX_TRIALS = 10
 # Largest cost of a trial, in rotations (30 ms), for any accuracy; smaller steps are extrapolated by the order.
 MAX_TRIAL_COST = 3e6
 # Largest cost of the confirmation of a choice, which may be repeated.
 MAX_CONFIRMATION_COST = 16 * MAX_TRIAL_COST
-MOST_CORRECTIONS = 6
+MAX_CORRECTIONS = 6
 # Smallest ratio of a measurable truncation error to rounding and to the error of the reference.
 MEASURABLE_RATIO = 16.0
 # Errors up to this multiple of the expected rounding may be rounding.
@@ -60,19 +60,19 @@ class Fit:
 
     @cached_property
     def end(self) -> float:
-        """The truncation error expected at the end with the steps of the trial; meaningless from `MEANINGLESS_ERROR`
-        on.
-        """
+        """The truncation error expected at the end with the steps of the trial."""
         return self.trial.error * self.candidate.growth(self.pilot, self.trial)
 
     @cached_property
     def roundoff(self) -> float:
-        """Upper bound of the rounding error at the end; for variable steps the excess seen in the trial counts too."""
-        seen = self.end - self.error if self.candidate.method.own_steps else 0.0
-        return max(seen, _rounding(self.pilot, self.candidate, self.steps, self.pilot.windows, MARGIN))
+        """Upper bound of the rounding error at the end; for variable steps at least the excess in the trial."""
+        excess = self.end - self.error if self.candidate.method.own_steps else 0.0
+        return max(
+            excess, _expected_rounding(self.pilot, self.candidate, self.steps, self.pilot.windows, ROUNDING_MARGIN)
+        )
 
 
-def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float, margin: float = 1.0) -> float:
+def _expected_rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float, margin: float = 1.0) -> float:
     return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows, margin)
 
 
@@ -85,23 +85,23 @@ def fit(
     `predicted_steps` is an estimate of the steps over the span.
     """
     order = candidate.method.order
-    dear = (1.0 + ABANDON_COST_EXCESS / order) * limit
+    cost_limit = (1.0 + ABANDON_COST_EXCESS / order) * limit
     # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
-    usual = pilot.window / pilot.natural_step * REFERENCE.order / order
-    first = usual if predicted_steps is None else predicted_steps / pilot.windows
-    steps = pilot.fitting(min(max(first, usual / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual))
+    usual_steps = pilot.window / pilot.natural_step * REFERENCE.order / order
+    first = usual_steps if predicted_steps is None else predicted_steps / pilot.windows
+    steps = pilot.fitting(min(max(first, usual_steps / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual_steps))
     # If more steps fail than the order predicts, the steps are at the limit of stability.
-    away = min(UNSTABLE_STEP_FACTOR, (LARGE_ERROR / goal) ** (1.0 / order))
-    seen: set[int] = set()
+    safety_factor = min(UNSTABLE_STEP_FACTOR, (LARGE_ERROR / goal) ** (1.0 / order))
+    tried: set[int] = set()
     too_few, best = 0, None
-    for _ in range(MOST_TRIALS):
-        if steps in seen:
+    for _ in range(MAX_TRIALS):
+        if steps in tried:
             break
-        seen.add(steps)
+        tried.add(steps)
         trial = pilot.trial(candidate.method, steps)
         if trial is None or not trial.error < LARGE_ERROR:
             too_few = max(too_few, steps)
-            if trial is not None and _least_cost(pilot, candidate, trial) > dear:
+            if trial is not None and _least_cost(pilot, candidate, trial) > cost_limit:
                 # More steps are even more expensive.
                 return None if best is None else replace(best, abandoned=True)
             if steps > (2**20 if trial is None else MAX_TRIAL_COST / candidate.cost(trial)):
@@ -109,31 +109,31 @@ def fit(
             # Bisect between failing and successful numbers of steps, if there are both.
             steps = pilot.fitting(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
             continue
-        noise = MEASURABLE_RATIO * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
-        best = _extrapolated(pilot, candidate, goal, trial, noise)
-        known = best.end < MEANINGLESS_ERROR or _least_cost(pilot, candidate, trial) > dear
-        if best.cost > dear and trial.error > noise and known:
+        noise = MEASURABLE_RATIO * max(pilot.noise, _expected_rounding(pilot, candidate, steps, 1.0))
+        best = _extrapolate(pilot, candidate, goal, trial, noise)
+        conclusive = best.end < MEANINGLESS_ERROR or _least_cost(pilot, candidate, trial) > cost_limit
+        if best.cost > cost_limit and trial.error > noise and conclusive:
             return replace(best, abandoned=True)
         aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
-        most = MAX_TRIAL_COST / candidate.cost(trial)
-        wanted = pilot.fitting(max(away * too_few, min(steps * min(max(change, 0.2), 5.0), most)))
-        if 1 / MAX_EXTRAPOLATION <= wanted / steps <= MAX_EXTRAPOLATION and trial.error <= 4 * aim:
+        max_steps = MAX_TRIAL_COST / candidate.cost(trial)
+        next_steps = pilot.fitting(max(safety_factor * too_few, min(steps * min(max(change, 0.2), 5.0), max_steps)))
+        if 1 / MAX_EXTRAPOLATION <= next_steps / steps <= MAX_EXTRAPOLATION and trial.error <= 4 * aim:
             break
-        steps = wanted
-    if best is None or best.steps >= away * too_few * pilot.windows:
+        steps = next_steps
+    if best is None or best.steps >= safety_factor * too_few * pilot.windows:
         return best
-    steps = math.ceil(away * too_few * pilot.windows)
+    steps = math.ceil(safety_factor * too_few * pilot.windows)
     return replace(best, steps=steps, error=best.error * (best.steps / steps) ** order)
 
 
 def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
     """Return a lower bound on the cost with the steps of a trial, with one iteration per step."""
-    once = trial._replace(iterations=1.0, evaluations=trial.evaluations / max(trial.iterations, 1.0), newton=False)
-    return trial.steps * pilot.windows * candidate.cost(once) * candidate.share
+    single = trial._replace(iterations=1.0, evaluations=trial.evaluations / max(trial.iterations, 1.0), newton=False)
+    return trial.steps * pilot.windows * candidate.cost(single) * candidate.share
 
 
-def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
+def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
     """Extrapolate by the order from a trial to the goal; trial errors count as at least noise / 256."""
     end = max(trial.error, noise / 256) * candidate.growth(pilot, trial)
     per_window = trial.steps * (end / goal) ** (1.0 / candidate.method.order) if end < math.inf else math.inf
@@ -144,31 +144,33 @@ def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial,
     return Fit(pilot, candidate, steps, error, trial)
 
 
-def confirmed(found: Fit, goal: float, bound: float) -> Fit:
-    """Run a choice over the window once more, and correct its step until the error is below `bound`.
+def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
+    """Run a fit over the window once more, and correct its step until the error is below `bound`.
 
     `goal` is the target of the truncation error. The error is measured if it exceeds rounding and the run is not too
     expensive; fits with variable steps are returned unchanged.
     """
-    pilot, order = found.pilot, found.candidate.method.order
-    if found.candidate.method.own_steps:
-        return found  # its last trial had the tolerance chosen
-    for _ in range(MOST_CORRECTIONS):
-        wanted = found.steps / pilot.windows
+    pilot, order = fitted.pilot, fitted.candidate.method.order
+    if fitted.candidate.method.own_steps:
+        return fitted  # its last trial used this tolerance
+    for _ in range(MAX_CORRECTIONS):
+        wanted = fitted.steps / pilot.windows
         # At most the steps of the run: a finer trial could succeed where the run fails.
-        per_window = found.steps if pilot.whole else pilot.fitting(wanted, finer=False)
-        if per_window * found.candidate.cost(found.trial) > MAX_CONFIRMATION_COST:
-            return found
-        trial = pilot.trial(found.candidate.method, per_window)
+        per_window = fitted.steps if pilot.whole else pilot.fitting(wanted, finer=False)
+        if per_window * fitted.candidate.cost(fitted.trial) > MAX_CONFIRMATION_COST:
+            return fitted
+        trial = pilot.trial(fitted.candidate.method, per_window)
         if trial is None:
-            found = replace(found, steps=math.ceil(1.2 * found.steps))
+            fitted = replace(fitted, steps=math.ceil(1.2 * fitted.steps))
             continue
-        if trial.error <= ROUNDING_MULTIPLE * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0)):
-            return found
-        end = trial.error * (per_window / wanted) ** order * found.candidate.growth(pilot, trial)
-        found = replace(found, error=end, trial=trial)
+        if trial.error <= ROUNDING_MULTIPLE * max(
+            pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0)
+        ):
+            return fitted
+        end = trial.error * (per_window / wanted) ** order * fitted.candidate.growth(pilot, trial)
+        fitted = replace(fitted, error=end, trial=trial)
         if end <= bound:
-            return found
+            return fitted
         more: float = (end / goal) ** (1.0 / order)
-        found = replace(found, steps=math.ceil(found.steps * min(max(more, 1.02), 4.0)), error=goal)
-    return found
+        fitted = replace(fitted, steps=math.ceil(fitted.steps * min(max(more, 1.02), 4.0)), error=goal)
+    return fitted

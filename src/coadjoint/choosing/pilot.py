@@ -1,4 +1,4 @@
-"""Pilot: errors of short trial runs against a reference, for a few members, over a window from the start."""
+"""Pilot: errors of short trial runs against a reference over a window from the start, and their growth beyond it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.system_cache import loops_of
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -22,8 +21,8 @@ from coadjoint.systems.system_checks import System
 REFERENCE = GaussLegendre(8)
 # Points of a window at which errors are measured; many divisors, so that runs of any number of steps share some.
 POINTS = 240
-# Largest number of refinements of the reference; relative changes above NOT_YET that stop decreasing count as rounding
-# only after PATIENCE refinements.
+# Largest number of refinements of the reference; relative changes above UNCONVERGED_CHANGE that stop decreasing
+# count as rounding only after MIN_STALLED_REFINEMENTS refinements.
 REFINEMENTS = 9
 UNCONVERGED_CHANGE = 1e-3
 MIN_STALLED_REFINEMENTS = 3
@@ -34,7 +33,7 @@ STEP_AGREEMENT = 2.0**-40
 # Relative change at which refinement stops: halving the step of an order-16 method leaves 2^-16 of the error, and 16
 # times that is at most 64 round-offs.
 CONVERGED_CHANGE = 2.0**-35
-# Ratio that two changes by rounding hardly ever exceed.
+# Largest expected ratio of two changes by rounding.
 MAX_ROUNDING_RATIO = 4.0
 # Number of runs with different steps, whose changes by rounding are samples of one distribution.
 REPETITIONS = 3
@@ -47,11 +46,47 @@ MIN_STEP_FRACTION = 2.0**-60
 WINDOW_STEPS = 240
 # Tolerance on the length of its steps: 240 steps serve where 256 were needed.
 STEP_LENGTH_TOLERANCE = 1.07
-FEW_WINDOWS = 2.5
+# Spans of at most this many windows are run as a whole.
+MAX_WHOLE_WINDOWS = 2.5
 # Relative change of the initial state whose growth is measured.
 PERTURBATION = 2.0**-30
 MAX_PERTURBATION_GROWTH = 0.1
 SEED = 1993
+
+# Growth faster than t^2.5 in both doublings of time counts as exponential.
+EXPONENTIAL_RATIO = 2.0**2.5
+# This growth in the last half alone, after slower growth, counts as the onset of exponential growth.
+ONSET_RATIO = 16.0
+
+
+class Growth(NamedTuple):
+    """The largest errors of the second halves of a quarter, a half and the whole of a window."""
+
+    quarter: float
+    half: float
+    whole: float
+
+    def factor(self, windows: float, least: float = 1.0) -> float:
+        """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one.
+
+        Linear, unless both doublings of time show a faster power, of which the lower is used; exponential if both are
+        faster than t^2.5, or the last one much faster. `least` is the lowest power assumed: 1 for symmetric schemes and
+        Poisson maps, else 2, since their slow loss of integrals is invisible at first and then shifts phases
+        quadratically.
+        """
+        if windows <= 1.0 or self.whole == 0.0:
+            return 1.0
+        late, early = _ratio(self.whole, self.half), _ratio(self.half, self.quarter)
+        slowest = min(late, early)
+        if slowest > EXPONENTIAL_RATIO or (late > ONSET_RATIO and math.sqrt(late * early) > EXPONENTIAL_RATIO):
+            # Their product is the growth over three quarters of a window.
+            exponent = math.log(late * early) / 0.75 * (windows - 1.0)
+            return math.exp(exponent) if exponent < 700.0 else math.inf
+        return windows ** max(least, math.log2(slowest) if slowest > 0.0 else 0.0)
+
+
+def _ratio(late: float, early: float) -> float:
+    return late / early if early > 0.0 else 1.0
 
 
 class Trial(NamedTuple):
@@ -82,16 +117,17 @@ class Pilot:
     ) -> None:
         self.system, self.momenta, self.t0, self.span = system, momenta, t0, span
         self.natural_step = self._natural_step()
-        least = POINTS // 5
-        steps = max(least, min(WINDOW_STEPS, WINDOW_STEPS * 16 // system.dim))
-        # For a span of a few windows the window is the whole span.
-        self.window = abs(span) if abs(span) <= FEW_WINDOWS * steps * self.natural_step else steps * self.natural_step
+        min_steps = POINTS // 5
+        steps = max(min_steps, min(WINDOW_STEPS, WINDOW_STEPS * 16 // system.dim))
+        self.window = (
+            abs(span) if abs(span) <= MAX_WHOLE_WINDOWS * steps * self.natural_step else steps * self.natural_step
+        )
         self.windows = abs(span) / self.window
-        self.points = POINTS if steps >= POINTS else least
+        self.points = POINTS if steps >= POINTS else min_steps
         coarse, self.reference, self.reference_steps = self._converged_reference()
         # At rest all errors are zero, for any size.
-        found = _largest(self.reference)
-        self.size = np.where(found > 0.0, found, 1.0)
+        largest = _largest(self.reference)
+        self.size = np.where(largest > 0.0, largest, 1.0)
         self.sensitivity = self._sensitivity(coarse)
         self.noise = self._noise(coarse, accuracy)
         self.speed = self._speed()
@@ -125,17 +161,17 @@ class Pilot:
         run = self.run(method, steps)
         if np.any(run.state["status"]):
             return None
-        count = steps * len(self.momenta)
+        step_count = steps * len(self.momenta)
         iterations, evaluations = int(run.state["iterations"].sum()), int(run.state["evaluations"].sum())
         newton = method.took_newton(run.state["memory"])
-        return Trial(steps, self.growth_of(run.saved["x"]), iterations / count, evaluations / count, newton)
+        return Trial(steps, self.growth_of(run.saved["x"]), iterations / step_count, evaluations / step_count, newton)
 
-    def growth_of(self, found: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:
+    def growth_of(self, states: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:
         """Compare states at evenly spaced points of the window with the reference, or with another motion."""
-        count = len(found) - 1
-        exact = self.reference if motion is None else motion
-        apart = np.linalg.norm(found - exact[:: self.points // count], axis=2) / self.size
-        worst = np.max(apart, axis=1)
+        count = len(states) - 1
+        reference = self.reference if motion is None else motion
+        differences = np.linalg.norm(states - reference[:: self.points // count], axis=2) / self.size
+        worst = np.max(differences, axis=1)
         parts = (worst[count * k // 8 + 1 : count * k // 4 + 1] for k in (1, 2, 4))
         return Growth(*(float(np.max(part, initial=0.0)) for part in parts))
 
@@ -151,21 +187,21 @@ class Pilot:
         h = abs(self.span)
         while h * rate > MAX_INITIAL_ANGLE and h > MIN_STEP_FRACTION * abs(self.span):
             h /= 2
-        begun = h
-        one: NDArray[np.float64] | None = None
+        initial_h = h
+        full: NDArray[np.float64] | None = None
         for _ in range(64):
-            two = self._first_steps(h, 2)
-            one = one if one is not None or two is None else self._first_steps(h, 1)
-            if _agree(one, two):
+            halves = self._first_steps(h, 2)
+            full = full if full is not None or halves is None else self._first_steps(h, 1)
+            if _agree(full, halves):
                 break
             # The first of two half steps is the next full step.
-            one = None if two is None else two[:2]
+            full = None if halves is None else halves[:2]
             h /= 2
         else:
             name = self.system.name
             raise ValueError(f"no step is small enough for {name} at x0: its trial run fails at the first step")
         # Near x = 0 the initial rate is no scale of the motion, so an accepted first step may grow.
-        while h >= begun and 2 * h <= abs(self.span) and _agree(*(self._first_steps(2 * h, n) for n in (1, 2))):
+        while h >= initial_h and 2 * h <= abs(self.span) and _agree(*(self._first_steps(2 * h, n) for n in (1, 2))):
             h *= 2
         return h
 
@@ -177,24 +213,24 @@ class Pilot:
 
     def _converged_reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
         """Refine the reference until it converges; return the last two, and the steps of the last one."""
-        fewest = self.points * math.ceil(self.window / self.natural_step / self.points / STEP_LENGTH_TOLERANCE)
-        last, change, stalled = None, None, 0
+        min_steps = self.points * math.ceil(self.window / self.natural_step / self.points / STEP_LENGTH_TOLERANCE)
+        previous, change, stalled = None, None, 0
         failed: Run | None = None
-        for steps in (fewest * 2**k for k in range(REFINEMENTS)):
+        for steps in (min_steps * 2**k for k in range(REFINEMENTS)):
             run = self.run(REFERENCE, steps)
             if np.any(run.state["status"]):
-                failed, last = run, None
+                failed, previous = run, None
                 continue
-            found = run.saved["x"]
-            if last is not None:
-                size, moved = _largest(found), _largest(found - last)
-                stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
+            states = run.saved["x"]
+            if previous is not None:
+                size, difference = _largest(states), _largest(states - previous)
+                stalled = stalled + 1 if change is not None and not np.any(difference < change / 16) else 0
                 # Large changes may decrease only at smaller steps, or not at all if the motion is chaotic.
-                done = stalled >= (1 if np.all(moved <= UNCONVERGED_CHANGE * size) else MIN_STALLED_REFINEMENTS)
-                if done or np.all(moved <= CONVERGED_CHANGE * size):
-                    return last, found, steps
-                change = moved
-            last = found
+                done = stalled >= (1 if np.all(difference <= UNCONVERGED_CHANGE * size) else MIN_STALLED_REFINEMENTS)
+                if done or np.all(difference <= CONVERGED_CHANGE * size):
+                    return previous, states, steps
+                change = difference
+            previous = states
         raise ValueError(self._failure_text(failed))
 
     def _failure_text(self, failed: Run | None) -> str:
@@ -209,15 +245,15 @@ class Pilot:
 
     def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:
         """Return the rounding error of the reference, relative to the motion, at the worst point."""
-        moved = _largest(self.reference - coarse)
-        change = MAX_ROUNDING_RATIO * moved
+        difference = _largest(self.reference - coarse)
+        change = MAX_ROUNDING_RATIO * difference
         # A single change may be small by chance, or truncation of the coarse run; other numbers of steps show rounding.
         if np.any(self.sensitivity.factor(self.windows) * change > NEGLIGIBLE_ROUNDING * accuracy * self.size):
             repeated = [self.run(REFERENCE, self.reference_steps + k * self.points) for k in range(1, REPETITIONS + 1)]
-            sound = [again.saved["x"] for again in repeated if not np.any(again.state["status"])]
-            if sound:
-                apart = np.max([_largest(found - self.reference) for found in sound], axis=0)
-                change = np.maximum(apart, np.minimum(moved, MAX_ROUNDING_RATIO * apart))
+            succeeded = [repetition.saved["x"] for repetition in repeated if not np.any(repetition.state["status"])]
+            if succeeded:
+                spread = np.max([_largest(states - self.reference) for states in succeeded], axis=0)
+                change = np.maximum(spread, np.minimum(difference, MAX_ROUNDING_RATIO * spread))
         return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
 
     def _sensitivity(self, coarse: NDArray[np.float64]) -> Growth:
@@ -242,11 +278,11 @@ class Pilot:
         return float(max(speeds))
 
 
-def _agree(one: NDArray[np.float64] | None, two: NDArray[np.float64] | None) -> bool:
+def _agree(full: NDArray[np.float64] | None, halves: NDArray[np.float64] | None) -> bool:
     """Test whether one step and two half steps succeed and agree."""
-    if one is None or two is None:
+    if full is None or halves is None:
         return False
-    return bool(np.all(np.linalg.norm(one[-1] - two[-1], axis=1) <= STEP_AGREEMENT * _largest(two)))
+    return bool(np.all(np.linalg.norm(full[-1] - halves[-1], axis=1) <= STEP_AGREEMENT * _largest(halves)))
 
 
 def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -264,10 +300,10 @@ def short_run(
     steps: int,
     save_every: int = 1,
 ) -> Run:
-    """Run without attitude and watching, also if it fails; see `status` of its state."""
+    """Run without attitude and watching; a failure is recorded in `status` of its state."""
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
-    at(f"a pilot run of {steps} steps by {type(method).__name__}")
+    note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
     run = Run(system, method, loops_of(system, method, times.h), times, start, False)
     run.advance()
     return run

@@ -10,7 +10,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.systems.system_checks import System
 
-Found = TypeVar("Found")
+ResultT = TypeVar("ResultT")
 
 # Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
 MAX_CACHED_DIMENSION = 64
@@ -24,24 +24,24 @@ def _cache_of(system: System) -> dict[Hashable, Any]:
     return {}
 
 
-def cached_for_system(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
+def cached_for_system(system: System, key: Hashable, compute: Callable[[], ResultT]) -> ResultT:
     """Return the cached result of `make` for an immutable system and a key, computing it on first use.
 
     Unhashable keys are not cached, nor are exceptions. Callers must not modify the result.
     """
     if system.dim > MAX_CACHED_DIMENSION:
-        return make()
+        return compute()
     try:
-        known = _cache_of(system)
-        found: Found = known[key]
+        cache = _cache_of(system)
+        result: ResultT = cache[key]
     except KeyError:
-        found = make()
-        if len(known) >= MAX_ENTRIES:
-            known.clear()
-        known[key] = found
+        result = compute()
+        if len(cache) >= MAX_ENTRIES:
+            cache.clear()
+        cache[key] = result
     except TypeError:
-        return make()
-    return found
+        return compute()
+    return result
 
 
 def loops_of(system: System, method: Method, h: float) -> SystemLoops:
@@ -50,13 +50,13 @@ def loops_of(system: System, method: Method, h: float) -> SystemLoops:
     They are cached if they depend neither on the step nor on user functions, which may have state.
     """
 
-    def made() -> SystemLoops:
+    def build() -> SystemLoops:
         return SystemLoops(system, method, h, None, casimirs={})
 
     return (
-        cached_for_system(system, ("loops", method), made)
+        cached_for_system(system, ("loops", method), build)
         if method.tables_of_any_step and not _has_functions(system)
-        else made()
+        else build()
     )
 
 

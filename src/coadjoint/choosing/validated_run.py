@@ -1,4 +1,4 @@
-"""Runs prepared for an accuracy: one choice for a sample of states, validated in each run."""
+"""Runs prepared for an accuracy: one choice for a sample of states, checked in each run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ ALLOWED_RATIO = 2.0
 CHECKED_STEPS = 64
 # Difference between a step and two half steps by rounding alone.
 ROUNDING_DIFFERENCE = 32 * UNIT_ROUNDOFF
-SLACK = 1.0 + 2.0**-40
+# Largest ratio of the time of a run to the prepared time, with rounding.
+MAX_TIME_RATIO = 1.0 + 2.0**-40
 # Range of squared norms in which they are compared.
 MIN_SQUARE, MAX_SQUARE = 2.0**-900, 2.0**900
 
@@ -69,13 +70,15 @@ class SampledRun(PreparedRun):
             raise TypeError("accuracy chooses the step for one system, and this is a batch; prepare a run of a member")
         t0, t1 = span_of(t_span)
         if t0 == t1:
-            raise ValueError(f"t_span is {[t0, t1]}; a run is prepared for a time that is longer than 0")
+            raise ValueError(f"t_span is {[t0, t1]}; a prepared run needs a time longer than 0")
         momenta, _ = momenta_of(system, sample)
-        picked = sample_of(cast(System, system), momenta, t0, t1 - t0)
+        states = sample_of(cast(System, system), momenta, t0, t1 - t0)
         attitude = read_attitude(attitude)
-        # Elements of the members of a run, which need not be as many as states of the sample.
-        self._kind = True if np.ndim(attitude) == 3 else attitude
-        self.choice: Choice = choose(cast(Any, system), picked, (t0, t1), accuracy, attitude=self._kind, methods=method)
+        # Runs may have another number of members than the sample, so stacked initial group elements are not passed on.
+        self._attitude_option = True if np.ndim(attitude) == 3 else attitude
+        self.choice: Choice = choose(
+            cast(Any, system), states, (t0, t1), accuracy, attitude=self._attitude_option, methods=method
+        )
         step = self.choice.step
         super().__init__(
             system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
@@ -89,9 +92,9 @@ class SampledRun(PreparedRun):
         self._last_span: tuple[Any, float] = None, t0
         self._variable_steps, self._allowed = self.choice.method.own_steps, math.inf
         if self._variable_steps:
-            self.most_evaluations = ALLOWED_RATIO * self._evaluations(picked, t0)
+            self.most_evaluations = ALLOWED_RATIO * self._evaluations(states, t0)
         else:
-            self._allowed = max(ROUNDING_DIFFERENCE, ALLOWED_RATIO * self._worst_along(picked, t0))
+            self._allowed = max(ROUNDING_DIFFERENCE, ALLOWED_RATIO * self._worst_along(states, t0))
 
     def __repr__(self) -> str:
         return f"<run of {self.system!r} prepared for the accuracy {self.choice.accuracy:g}: {self.method}>"
@@ -132,14 +135,14 @@ class SampledRun(PreparedRun):
             As in `integrate`.
         """
         t0 = self._start_of(t_span)
-        given: dict[str, Any] = {"t_eval": t_eval, "attitude": attitude, "progress": progress, "events": events}
-        given |= inputs
+        options: dict[str, Any] = {"t_eval": t_eval, "attitude": attitude, "progress": progress, "events": events}
+        options |= inputs
         if self._variable_steps or self.serves(x0, t0):
-            found = super().run(x0, t_span, save_every, **given)
-            if _max_evaluations(found) <= self.most_evaluations:
-                return with_choice(found, self.choice)
-        alone, choice = self._run_with_own_choice(x0, t_span)
-        return with_choice(alone.run(x0, t_span, save_every, **given), choice)
+            solution = super().run(x0, t_span, save_every, **options)
+            if _max_evaluations(solution) <= self.most_evaluations:
+                return with_choice(solution, self.choice)
+        own_run, choice = self._run_with_own_choice(x0, t_span)
+        return with_choice(own_run.run(x0, t_span, save_every, **options), choice)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return only the state at the end, as `PreparedRun.end`; times as in `run`. The check takes 5 us."""
@@ -164,41 +167,44 @@ class SampledRun(PreparedRun):
         """
         if self._variable_steps:
             return self._evaluations(x0, t0) <= self.most_evaluations
-        once = (t0, t0 + self.signed_step) if self._time_dependent else self._one_step_span
+        span = (t0, t0 + self.signed_step) if self._time_dependent else self._one_step_span
         try:
-            whole, halves = self._full_step_run.end(x0, once), self._half_step_run.end(x0, once)
+            full, halved = self._full_step_run.end(x0, span), self._half_step_run.end(x0, span)
         except IntegrationError:
             return False
-        if whole.ndim > 1:
-            apart, size = _squares(whole, halves)
-            sound = (size > MIN_SQUARE) & (size < MAX_SQUARE)
-            return bool(np.all((sound & (apart <= self._allowed**2 * size)) | ~np.any([whole, halves], axis=(0, 2))))
-        one, other = whole.tolist(), halves.tolist()
-        size = sum(map(mul, one, one))
+        if full.ndim > 1:
+            distance, size = _squared_distance_and_size(full, halved)
+            in_range = (size > MIN_SQUARE) & (size < MAX_SQUARE)
+            similar, at_zero = in_range & (distance <= self._allowed**2 * size), ~np.any([full, halved], axis=(0, 2))
+            return bool(np.all(similar | at_zero))
+        full_values, halved_values = full.tolist(), halved.tolist()
+        size = sum(map(mul, full_values, full_values))
         if MIN_SQUARE < size < MAX_SQUARE:
-            off = list(map(sub, one, other))
-            return bool(sum(map(mul, off, off)) <= self._allowed**2 * size)
+            difference = list(map(sub, full_values, halved_values))
+            return bool(sum(map(mul, difference, difference)) <= self._allowed**2 * size)
         # A zero state passes; if squares overflow or underflow, a choice of its own is made.
-        return not (any(one) or any(other))
+        return not (any(full_values) or any(halved_values))
 
     def _evaluations(self, x0: Any, t0: float) -> float:
-        """Return the largest number of evaluations among runs from some states, over the time prepared."""
+        """Return the largest number of evaluations among runs from states over the prepared time."""
         return _max_evaluations(self._full_step_run.run(x0, (t0, t0 + self._time), ENDS_ONLY))
 
     def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
         """Return the largest difference along the motions from a sample, relative to the state."""
         steps = max(1, round(self._time / self.signed_step))
-        along = self._full_step_run.run(sample, (t0, t0 + self._time), max(1, steps // CHECKED_STEPS))
+        solution = self._full_step_run.run(sample, (t0, t0 + self._time), max(1, steps // CHECKED_STEPS))
         if self._time_dependent:
-            starts = zip(along.x, along.t.tolist(), strict=True)
+            starts = zip(solution.x, solution.t.tolist(), strict=True)
             pairs = [(x, (t, t + self.signed_step)) for x, t in starts]
         else:
-            pairs = [(along.x.reshape(-1, along.x.shape[-1]), self._one_step_span)]
+            pairs = [(solution.x.reshape(-1, solution.x.shape[-1]), self._one_step_span)]
         worst = 0.0
-        for states, once in pairs:
-            apart, size = _squares(self._full_step_run.end(states, once), self._half_step_run.end(states, once))
+        for states, span in pairs:
+            distance, size = _squared_distance_and_size(
+                self._full_step_run.end(states, span), self._half_step_run.end(states, span)
+            )
             # Avoids division by zero for states at rest, which stay there.
-            worst = max(worst, float(np.max(apart / np.where(size > 0.0, size, 1.0))))
+            worst = max(worst, float(np.max(distance / np.where(size > 0.0, size, 1.0))))
         return math.sqrt(worst)
 
     def _start_of(self, t_span: Any) -> float:
@@ -206,10 +212,10 @@ class SampledRun(PreparedRun):
         if t_span is self._last_span[0]:
             return self._last_span[1]
         t0, t1 = span_of(t_span)
-        if not 0.0 <= (t1 - t0) / self._time <= SLACK:
+        if not 0.0 <= (t1 - t0) / self._time <= MAX_TIME_RATIO:
             raise ValueError(
-                f"t_span is {[t0, t1]}; the run was prepared for a time of {self._time:g}, and shorter ones in its "
-                "direction; prepare another run"
+                f"t_span is {[t0, t1]}; the run was prepared for at most the time {self._time:g}, in its direction; "
+                "prepare another run"
             )
         if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
             self._last_span = t_span, t0
@@ -217,16 +223,18 @@ class SampledRun(PreparedRun):
 
     def _run_with_own_choice(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
         """Return a run, with a choice of its own, for a state that the sample does not represent."""
-        given: Any = {"attitude": self._kind, "methods": self._methods}
-        choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
+        options: Any = {"attitude": self._attitude_option, "methods": self._methods}
+        choice = choose(self.system, x0, t_span, self.choice.accuracy, **options)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._options)), choice
 
 
-def _max_evaluations(found: Solution) -> float:
-    return float(np.max(found._state["evaluations"]))
+def _max_evaluations(solution: Solution) -> float:
+    return float(np.max(solution._state["evaluations"]))
 
 
-def _squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _squared_distance_and_size(
+    first: NDArray[np.float64], second: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the squared norms of the differences of states (members, n), and of the first ones."""
     with np.errstate(over="ignore"):
-        return np.sum((one - other) ** 2, axis=-1), np.sum(one**2, axis=-1)
+        return np.sum((first - second) ** 2, axis=-1), np.sum(first**2, axis=-1)

@@ -18,9 +18,7 @@ as_c_double: Any = ctypes.c_double.from_buffer
 
 
 class Extent(NamedTuple):
-    """Sizes of a run: K saved points, M members, dimension n, d*d entries of a group element, I invariants, and the
-    numbers of scheme memory of a member.
-    """
+    """Sizes of a run: M members, K points, dimension n, d*d entries of a group element, I invariants, scheme memory."""
 
     members: int
     points: int
@@ -31,9 +29,7 @@ class Extent(NamedTuple):
 
 
 class ArrayOffsets:
-    """Offsets of named arrays of 8-byte numbers in one contiguous allocation; names in `int64_names` are int64, all
-    others float64.
-    """
+    """Offsets of named arrays in one contiguous allocation: int64 for `int64_names`, otherwise float64."""
 
     def __init__(self, shapes: Mapping[str, tuple[int, ...]], int64_names: Set[str]) -> None:
         self.shapes, self.int64_names = shapes, int64_names
@@ -57,8 +53,8 @@ class NamedArrays:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         offsets = self.offsets
-        found = self.numbers[offsets.slices[name]]
-        return (found.view(np.int64) if name in offsets.int64_names else found).reshape(offsets.shapes[name])
+        numbers = self.numbers[offsets.slices[name]]
+        return (numbers.view(np.int64) if name in offsets.int64_names else numbers).reshape(offsets.shapes[name])
 
     def address_of(self, name: str) -> int:
         """Return the memory address of an array."""
@@ -66,24 +62,24 @@ class NamedArrays:
 
     def take(self, members: NDArray[np.int64], axis: int) -> NamedArrays:
         """Return the arrays of these members, in this order, along an axis common to all arrays."""
-        other = NamedArrays(self.offsets)
+        copies = NamedArrays(self.offsets)
         for name in self.offsets.shapes:
-            self[name].take(members, axis=axis, out=other[name])
-        return other
+            self[name].take(members, axis=axis, out=copies[name])
+        return copies
 
     def subset(self, names: Iterable[str]) -> NamedArrays:
         """Return a copy of some of the arrays."""
         offsets = self.offsets
-        other = NamedArrays(ArrayOffsets({name: offsets.shapes[name] for name in names}, offsets.int64_names))
-        for name in other.offsets.shapes:
-            other[name][:] = self[name]
-        return other
+        copies = NamedArrays(ArrayOffsets({name: offsets.shapes[name] for name in names}, offsets.int64_names))
+        for name in copies.offsets.shapes:
+            copies[name][:] = self[name]
+        return copies
 
     def copy(self) -> NamedArrays:
         """Return an independent copy."""
-        other = NamedArrays(self.offsets)
-        other.numbers[:] = self.numbers
-        return other
+        copies = NamedArrays(self.offsets)
+        copies.numbers[:] = self.numbers
+        return copies
 
 
 class Layout:

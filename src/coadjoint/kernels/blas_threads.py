@@ -21,17 +21,16 @@ def matrix_rows(system: Any) -> int:
 
 
 def concurrent_members(rows: int) -> int:
-    """Return the number of members to advance concurrently, one thread each: the number of cores, or 1 for matrices of
-    more than `SINGLE_THREAD_ROWS` rows, whose products BLAS distributes over threads itself.
+    """Return the number of members to advance concurrently: the number of cores, or 1 for large matrices.
+
+    BLAS distributes products of matrices with more than `SINGLE_THREAD_ROWS` rows over threads itself.
     """
     return 1 if rows > SINGLE_THREAD_ROWS else os.cpu_count() or 1
 
 
 @contextmanager
 def limited_blas_threads(rows: int, workers: int) -> Iterator[None]:
-    """Limit BLAS to one thread within the context, if matrices are small or there are several `workers`; do nothing if
-    `rows` is 0 (vector states).
-    """
+    """Limit BLAS to one thread in the context, for small matrices or several `workers`; not for vectors (`rows` 0)."""
     if not rows or (rows > SINGLE_THREAD_ROWS and workers == 1):
         yield
     else:

@@ -21,9 +21,7 @@ SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPoin
 def callback_of(
     function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str
 ) -> Any:
-    """Return a function as a C callback; raise TypeError with Numba's reason if it cannot be compiled. See
-    `CompiledFunction`.
-    """
+    """Return a function as a C callback; TypeError with the reason of Numba if it cannot be compiled."""
 
     def make() -> Any:
         try:
@@ -39,7 +37,7 @@ SECONDS_PER_FUNCTION = 0.05
 
 
 def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
-    """Warn before compilation if there are so many functions of a Hamiltonian that compiling them takes seconds."""
+    """Warn before compiling so many functions of a Hamiltonian that it takes seconds."""
     if len(functions) < WARNING_COUNT:
         return
     count = len({compilation_key(function) for function in functions} - compiled_digests())
@@ -69,7 +67,7 @@ def _inner(function: Any) -> Any:
     )
 
 
-# Called by compiled code only: no Python wrappers are compiled.
+# Called by compiled code only, so that no Python wrappers are compiled.
 _INTERNAL_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -82,10 +80,10 @@ def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
 def numba_error_text(error: Exception) -> str:
     """Return the informative lines of a Numba error, joined to one line."""
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
-    gallery_entry = [
+    informative = [
         line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
     ]
-    return " ".join(gallery_entry[:3])[:400]
+    return " ".join(informative[:3])[:400]
 
 
 def _numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
@@ -124,9 +122,9 @@ def _array(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
         for k in range(results):
             out[k] = np.nan
-        got = np.asarray(inner(carray(y, (size,)))).ravel()
+        values = np.asarray(inner(carray(y, (size,)))).ravel()
         for k in range(results):
-            out[k] = got[k]
+            out[k] = values[k]
 
     return call
 
@@ -135,9 +133,9 @@ def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
         for k in range(results):
             out[k] = np.nan
-        got = np.asarray(inner(carray(y, (size,)), t)).ravel()
+        values = np.asarray(inner(carray(y, (size,)), t)).ravel()
         for k in range(results):
-            out[k] = got[k]
+            out[k] = values[k]
 
     return call
 

@@ -42,10 +42,9 @@ class Unshifted(NamedTuple):
 
 
 class CompiledShiftCorrection:
-    """Prepared tables of one shift.
+    """Tables of one shift, whose generator X is multiplied by `rate`.
 
-    The generator X of `tables` is multiplied by `rate`. `most` bounds the norm of X for momenta with components of at
-    most 1.
+    `most` bounds the norm of X for momenta with components of at most 1.
     """
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
@@ -61,7 +60,7 @@ class CompiledShiftCorrection:
     def fill(
         self,
         out: NDArray[np.float64],
-        held: int,
+        loop_groups: int,
         momenta: NDArray[np.float64],
         initial: NDArray[np.float64],
         first: int,
@@ -71,17 +70,18 @@ class CompiledShiftCorrection:
     ) -> None:
         """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
 
-        `held` is the address of the transposed elements (k, members, d*d) of the shifted run, started at the unit
-        element. `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal `initial`
-        to the bit. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays are
-        C-contiguous.
+        `loop_groups` is the address of the transposed elements (k, members, d*d) of the shifted run, which starts at
+        the unit element. `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal
+        `initial`, bitwise. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays
+        are C-contiguous.
         """
-        x0, g0, whole = addressof(as_c_double(momenta)), addressof(as_c_double(initial)), addressof(as_c_double(out))
+        x0, g0 = addressof(as_c_double(momenta)), addressof(as_c_double(initial))
+        out_address = addressof(as_c_double(out))
         points, members = out.shape[:2]
-        since = 0 if elapsed is None else addressof(as_c_double(elapsed))
-        size = int(MAX_PRODUCTS / ((last - first) * self._products)) or 1
-        for k in range(0, points, size):
-            stop = min(k + size, points)
+        elapsed_address = 0 if elapsed is None else addressof(as_c_double(elapsed))
+        points_per_call = int(MAX_PRODUCTS / ((last - first) * self._products)) or 1
+        for k in range(0, points, points_per_call):
+            stop = min(k + points_per_call, points)
             # Packed bytes take a tenth of the time of a ctypes structure.
-            numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate, since
+            numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, self._rate, elapsed_address
             self._kernel(self._address, self._packed(*numbers), schedule)

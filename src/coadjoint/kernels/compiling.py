@@ -15,18 +15,16 @@ def _read_options(source: Path) -> Any:
 
 
 def levels(source: Path = SOURCE) -> tuple[int, ...]:
-    """Return the x86-64 levels that the kernels can be built for, highest first; `source` is the folder of the C++
-    sources.
-    """
+    """Return the x86-64 levels that the kernels can be built for, highest first; `source` is the folder of the C++."""
     return tuple(sorted((int(name.removeprefix("v")) for name in _read_options(source)["levels"]), reverse=True))
 
 
 def tuning(level: int | None, source: Path = SOURCE) -> list[str]:
     """Return the compiler options of one of `levels`; None is a processor that is not x86-64."""
-    said = _read_options(source)
-    return list(said["elsewhere"] if level is None else said["levels"][f"v{level}"])
+    option_lists = _read_options(source)
+    return list(option_lists["elsewhere"] if level is None else option_lists["levels"][f"v{level}"])
 
 
-def options(own: Sequence[str], source: Path = SOURCE) -> list[str]:
-    """Return all compiler options for a source file; `own` are the options of `tuning`, or a replacement for them."""
-    return [*_read_options(source)["always"], *own, "-DNDEBUG", "-fPIC", f"-I{source}"]
+def options(tuned: Sequence[str], source: Path = SOURCE) -> list[str]:
+    """Return all compiler options for a source file; `tuned` are the options of `tuning`, or a replacement for them."""
+    return [*_read_options(source)["always"], *tuned, "-DNDEBUG", "-fPIC", f"-I{source}"]

@@ -51,11 +51,11 @@ class FlaggedSteps(NamedTuple):
         """Return the rows with these member numbers, sorted by member and step."""
         return self._replace(members=members).select(np.lexsort((self.steps, members)))
 
-    def select(self, places: NDArray[Any]) -> FlaggedSteps:
+    def select(self, rows: NDArray[Any]) -> FlaggedSteps:
         """Return some of the rows, by a mask or by indices."""
-        members, steps, codes = self.members[places], self.steps[places], self.codes[places]
-        states, groups = self.states[places], self.groups[places]
-        return FlaggedSteps(members, steps, codes, states, groups, self.before[places], self.after[places])
+        members, steps, codes = self.members[rows], self.steps[rows], self.codes[rows]
+        states, groups = self.states[rows], self.groups[rows]
+        return FlaggedSteps(members, steps, codes, states, groups, self.before[rows], self.after[rows])
 
 
 class EventArrays:
@@ -63,8 +63,8 @@ class EventArrays:
 
     `direction` (E,) is 1 for rising zeros, -1 for falling, 0 for both. `left` (members, E) is the number of crossings
     after which an event ends the run of a member, 0 if it does not. `size` and `square` are the numbers of a state and
-    of a group element. A loop takes at most `chunk` steps between two calls of `take`. `limit` (members,) is the last
-    step of each member and may be set.
+    of a group element. A loop may take at most `chunk` steps between two calls of `take`. `limit` (members,), the
+    last step of each member, may be set.
     """
 
     def __init__(
@@ -103,18 +103,18 @@ class EventArrays:
         rows = int(self.tables.noted[0])
         if rows > self.tables.capacity:
             raise ValueError(
-                f"{rows} crossings were found in the steps of one call; take a smaller step, or fewer events"
+                f"{rows} crossings were found in the steps of one call; use a smaller step, or fewer events"
             )
         self.tables.noted[0] = 0
-        found, places = self.tables.found[:rows].copy(), self.tables.places[:rows].copy()
+        integers, numbers = self.tables.found[:rows].copy(), self.tables.places[:rows].copy()
         return FlaggedSteps(
-            found[:, 0],
-            found[:, 1],
-            found[:, 2:],
-            places[:, :size],
-            places[:, size:width],
-            places[:, width : width + count],
-            places[:, width + count :],
+            integers[:, 0],
+            integers[:, 1],
+            integers[:, 2:],
+            numbers[:, :size],
+            numbers[:, size:width],
+            numbers[:, width : width + count],
+            numbers[:, width + count :],
         )
 
     def copy(self) -> list[NDArray[Any]]:

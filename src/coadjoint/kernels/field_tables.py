@@ -1,47 +1,84 @@
-"""Construction of the arrays of a vector field and of its group equation from a system."""
+"""Tables of the vector field sign * J(x) u and of the group equation g' = -sign * g rho(u)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.functions import CompiledFunction, Owners
 from coadjoint.kernels.tables import addresses_of
-from coadjoint.program.term_table import TermTable
+from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.system_checks import System, has_compiled_bracket
+
+
+class Field(NamedTuple):
+    """The field x' = sign * J(x) grad H(x, t) in `size` coordinates.
+
+    On a Lie algebra row i of J has the entries first[i] to first[i + 1], each a nonzero structure constant:
+    `constant` = sign * c_ij^k with j = `column`, k = `state`. If `nonlinear`, `structure` holds the address of the
+    compiled function x -> J(x). `longest` is the largest number of rows of a term of H.
+    """
+
+    size: int
+    sign: float
+    first: NDArray[np.uint32]
+    column: NDArray[np.uint32]
+    state: NDArray[np.uint32]
+    constant: NDArray[np.float64]
+    nonlinear: bool
+    structure: NDArray[np.int64]
+    terms: Terms
+    addresses: NDArray[np.int64]
+    longest: int
+
+
+class GroupField(NamedTuple):
+    """The equation g' = -sign * g rho(u) for d x d matrices; `size` is d, or 0 if no group element is computed.
+
+    There are `entries` nonzeros: (rho_i)_ab with i = `element`, a = `row`, b = `column`, and `value` = -sign *
+    (rho_i)_ab.
+    """
+
+    size: int
+    entries: int
+    element: NDArray[np.uint32]
+    row: NDArray[np.uint32]
+    column: NDArray[np.uint32]
+    value: NDArray[np.float64]
 
 
 def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     """Return the vector field of a system with its functions compiled, and the owners of the compiled functions.
 
-    `called` means that the field is a call into Python, so that the bracket is not read. Raise TypeError if a function
-    of the user cannot be compiled.
+    `called` means that the field is a call into Python, which does not read the bracket. Raise TypeError if a user
+    function cannot be compiled.
     """
     table = TermTable()
     for term in system.hamiltonian.terms():
         table.add(term)
     terms = table.table()
     addresses, keepalive = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
-    none = np.zeros(0, dtype=np.int64)
+    no_integers = np.zeros(0, dtype=np.int64)
     if called:
-        read = (none, none, none, np.zeros(0))
+        triples = (no_integers, no_integers, no_integers, np.zeros(0))
     elif has_compiled_bracket(system):
-        read = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
+        triples = (
+            (no_integers, no_integers, no_integers, np.zeros(0)) if system.algebra is None else system.algebra.triples
+        )
     else:
         raise TypeError(
-            f"{system.name} has no structure constants in memory, which this scheme reads; take one whose step is "
-            "written in Python, a StepMethod"
+            f"{system.name} has no structure constants in memory, which this scheme reads; use a scheme whose step "
+            "is written in Python, a StepMethod"
         )
-    i, j, k, c = read
+    i, j, k, c = triples
     # Both orders of each pair (i, j), sorted by row, stable within a row.
     order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
     row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
-    structure = none
+    structure = no_integers
     if system.algebra is None and not called:
         n = system.dim
         compiled = CompiledFunction(
@@ -68,9 +105,9 @@ def group_of(system: System, representation: Any) -> GroupField:
     """Return the group equation for None, "coadjoint" (the coadjoint matrix) or a representation (n, d, d); size 0 for
     None.
     """
-    none = np.zeros(0, dtype=np.int64)
+    no_integers = np.zeros(0, dtype=np.int64)
     if representation is None or system.algebra is None:
-        return GroupField(0, 0, _indices(none), _indices(none), _indices(none), np.zeros(0))
+        return GroupField(0, 0, _indices(no_integers), _indices(no_integers), _indices(no_integers), np.zeros(0))
     if isinstance(representation, str):
         # (D_u)_ac = sum_i u_i c_ai^c, from both orders of each listed pair
         i, j, k, c = system.algebra.triples

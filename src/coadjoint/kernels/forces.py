@@ -13,8 +13,7 @@ from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.kernels.matrix_tables import stream_tables
-from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, inner_loop_integers, named_step_tables
-from coadjoint.kernels.stepping import STEP_LOOP
+from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.optional_packages import need
@@ -66,7 +65,7 @@ def _adapted_matrix_function(
     size = int(np.prod(shape))
 
     @numba.njit
-    def numbers(W: Any) -> Any:
+    def flattened(W: Any) -> Any:
         return np.ascontiguousarray(W).astype(kind).reshape(size).view(np.float64)
 
     @numba.njit
@@ -74,24 +73,27 @@ def _adapted_matrix_function(
         return np.ascontiguousarray(y).view(kind).reshape(shape)
 
     if arguments == "t":
-        return lambda y, t: numbers(inner(t))
+        return lambda y, t: flattened(inner(t))
     if arguments == "x":
-        return lambda y: numbers(inner(state(y)))
+        return lambda y: flattened(inner(state(y)))
     if arguments == "x, t":
-        return lambda y, t: numbers(inner(state(y), t))
-    return lambda y, t: numbers(inner(state(y[:-1]), t, y[-1]))
+        return lambda y, t: flattened(inner(state(y), t))
+    return lambda y, t: flattened(inner(state(y[:-1]), t, y[-1]))
 
 
 def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it does not keep
-    (for a system of matrices, those of degree two).
+    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it changes.
+
+    For a system of matrices these are the Casimirs of degree two.
     """
-    found, plain = [], system.system
-    tracked_casimirs = plain.quadratic_casimirs if isinstance(plain, MatrixSystem) else plain.casimirs
+    accounts, hamiltonian_part = [], system.system
+    tracked_casimirs = (
+        hamiltonian_part.quadratic_casimirs if isinstance(hamiltonian_part, MatrixSystem) else hamiltonian_part.casimirs
+    )
     for label, force in zip(system.labels, system.forces, strict=True):
-        followed = ["energy", *(() if force.casimirs else tracked_casimirs)]
-        found += [Account(label, name) for name in followed]
-    return tuple(found)
+        names = ["energy", *(() if force.casimirs else tracked_casimirs)]
+        accounts += [Account(label, name) for name in names]
+    return tuple(accounts)
 
 
 class _ForceTableBuilder:
@@ -105,7 +107,7 @@ class _ForceTableBuilder:
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
         matrix, vector = np.array(rate, dtype=np.float64), np.array(aim, dtype=np.float64)
         shape = codes("Shape")[("MULTIPLE", "DIAGONAL", "FULL")[matrix.ndim]]
-        function = np.array([kept.address for kept in self.keepalive], dtype=np.int64)
+        function = np.array([owner.address for owner in self.keepalive], dtype=np.int64)
         return ForceTable(
             codes("ForceKind")[kind], *self._accounts, shape, matrix.ravel(), vector.ravel(), function, **more
         )
@@ -124,19 +126,19 @@ class _ForceTableBuilder:
         if noise is None:
             return self._table("ON_ORBIT", metric, root)
         begin = np.cumsum([0, *map(len, noise.sets)], dtype=np.int64)
-        direction = np.array([a for some in noise.sets for a in some], dtype=np.int64)
-        counts = {"sets": len(noise.sets), "begin": begin, "direction": direction}
-        drawn = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
-        return self._table("ON_ORBIT", metric, root, **drawn, **counts)
+        direction = np.array([a for directions in noise.sets for a in directions], dtype=np.int64)
+        set_fields = {"sets": len(noise.sets), "begin": begin, "direction": direction}
+        noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
+        return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields)
 
     def flow(self, function: Callable[..., Any]) -> ForceTable:
         self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
         return self._table("BY_FLOW")
 
-    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layer: int) -> ForceTable:
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: NDArray[Any] | None, layer: int) -> ForceTable:
         flat = np.concatenate(rates).astype(np.complex128)
-        aim = NO_NUMBERS if still is None else still
-        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(still is not None)}
+        aim = NO_NUMBERS if target is None else target
+        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(target is not None)}
         return self._on_modes("MODE_RATES", modes, layer, numbers, np.ascontiguousarray(flat.real), aim, **more)
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
@@ -164,8 +166,8 @@ class _ForceTableBuilder:
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         need(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
-        taken = _adapted_arguments(function, arguments, self._shape)
-        self.keepalive = (CompiledFunction(taken, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+        adapted = _adapted_arguments(function, arguments, self._shape)
+        self.keepalive = (CompiledFunction(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
 
 
 def _adapted_arguments(
@@ -197,16 +199,14 @@ def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     """Return the tables for energy and quadratic Casimirs of a system of matrices; a zero for other systems."""
     if not isinstance(system, MatrixSystem):
         return [0], [], ()
-    whole, numbers, made = stream_tables(system)
+    integers, numbers, owners = stream_tables(system)
     kind = next(iter(system.algebra.parts))[2]
     signs = [system.energy_sign, -1 if kind.conjugate else 1]
-    return [*whole, int(system.complex), int(not system.algebra.skew), *signs], numbers, made
+    return [*integers, int(system.complex), int(not system.algebra.skew), *signs], numbers, owners
 
 
 def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
-    """Return a loop whose steps are those of `inner`, the Hamiltonian part for one member, between half flows of the
-    forces; it has a `Stepping` and the accounts of the forces.
-    """
+    """Return a loop of steps of `inner`, the Hamiltonian part for one member, between half flows of the forces."""
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
@@ -216,18 +216,22 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
         tables.append(force.given_to(reader, system.system))
         first += count
         keepalive += reader.keepalive
-    plain = system.system
-    every = isinstance(plain, MatrixSystem) or all(force.casimirs for force in system.forces)
-    followed = watch_tables(plain, {} if every else system.casimirs)
-    places, kept = inner_loop_integers(inner, plain, representation)
-    read = [as_structure(table) for table in tables]
-    matrices, numbers, made = _matrices(plain)
-    whole = [*places, len(tables), *map(ctypes.addressof, read), *matrices]
-    found = named_step_tables(
-        plain, "forced", followed, whole, representation, (*keepalive, *made, *read, *kept), numbers
+    hamiltonian_part = system.system
+    casimirs_conserved = isinstance(hamiltonian_part, MatrixSystem) or all(force.casimirs for force in system.forces)
+    watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
+    loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)
+    structures = [as_structure(table) for table in tables]
+    matrices, numbers, owners = _matrices(hamiltonian_part)
+    integers = [*loop_integers, len(tables), *map(ctypes.addressof, structures), *matrices]
+    step = named_step_tables(
+        hamiltonian_part,
+        "forced",
+        watched,
+        integers,
+        representation,
+        (*keepalive, *owners, *structures, *loop_keepalive),
+        numbers,
     )
-    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(tables, len(places) + 1))}
-    memory = scheme_memory(STEP_LOOP, found.tables)
-    return CompiledLoop(
-        STEP_LOOP, found.tables, found.keepalive, memory=memory, accounts=accounts, referenced=referenced
-    )
+    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(tables, len(loop_integers) + 1))}
+    memory = scheme_memory(STEP_LOOP, step.tables)
+    return CompiledLoop(STEP_LOOP, step.tables, step.keepalive, memory=memory, accounts=accounts, referenced=referenced)

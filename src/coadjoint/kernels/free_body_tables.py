@@ -1,6 +1,4 @@
-"""Tables of free rigid bodies for the compiled loops: principal axes, coordinate triples, and rotations by the plain
-angle.
-"""
+"""Tables of free rigid bodies for the compiled loops."""
 
 from __future__ import annotations
 
@@ -33,28 +31,28 @@ def body_tables(program: Program) -> BodyTables:
     """Return the free bodies of a program as arrays; its constants are float64."""
     parts, bodies = program.parts, program.parts.bodies
     # A flow table may contain parts that are not in the Hamiltonian.
-    called = np.full(int(program.share[-1]), -1, dtype=np.int64)
+    index_of_share = np.full(int(program.share[-1]), -1, dtype=np.int64)
     direct = np.zeros(len(parts), dtype=np.uint8)
-    called[list(bodies)] = np.arange(len(bodies))
+    index_of_share[list(bodies)] = np.arange(len(bodies))
     of_part = {int(np.searchsorted(parts.share, s, side="right")) - 1: share for s, share in bodies.items()}
     for p, share in of_part.items():
-        turning = all(abs(length) == 1.0 for length in share.scale)
+        unit_scale = all(abs(length) == 1.0 for length in share.scale)
         actions = (program.state,) if program.group is None else (program.state, program.group)
-        direct[p] = DIRECT * (turning and all(_turns_directly(action, p) for action in actions))
+        direct[p] = DIRECT * (unit_scale and all(_turns_directly(action, p) for action in actions))
         if all(bodies[s].other and bodies[s].scale == (1.0, 1.0, 1.0) for s in range(*parts.share[p : p + 2])):
             direct[p] |= TOGETHER
     columns = np.array(
         [(*share.coordinates, *(share.other or share.coordinates)) for share in bodies.values()], dtype=np.uint32
     ).reshape(-1)
     constants = np.array([_constants(share) for share in bodies.values()], dtype=np.float64).reshape(-1)
-    return BodyTables(called, columns, constants, direct)
+    return BodyTables(index_of_share, columns, constants, direct)
 
 
 def _turns_directly(action: Action, part: int) -> bool:
     for run in range(int(action.run[part]), int(action.run[part + 1])):
         first = int(action.constant[run])
-        own = action.constants[first : first + int(action.angles[run])]
-        if action.kind[run] != Kind.ROTATE or np.any(np.abs(own) != 1.0):
+        constants = action.constants[first : first + int(action.angles[run])]
+        if action.kind[run] != Kind.ROTATE or np.any(np.abs(constants) != 1.0):
             return False
     return True
 

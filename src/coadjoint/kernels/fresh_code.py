@@ -1,4 +1,4 @@
-"""Compilation of user functions; machine code is reused only if everything that the function read is unchanged."""
+"""Compilation of user functions; machine code is reused only if everything the function reads is unchanged."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ _FRESH: dict[str, Any] = {}
 _warned: set[str] = set()
 
 
-def compile_cached(read: Any, more: tuple[Any, ...], name: str, make: Callable[[], Any]) -> Any:
-    """Return the cached result of `make`, valid while `read` and everything its functions read is unchanged.
+def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callable[[], Any]) -> Any:
+    """Return the cached result of `make`, valid while `value` and everything its functions read are unchanged.
 
     Values that cannot be compared are compiled again on each call, with a warning.
     """
-    found = contents_of(read)
-    if found.unknown:
-        made = make()
-        if name not in _warned:
-            _warned.add(name)
+    contents = contents_of(value)
+    if contents.unknown:
+        result = make()
+        if what not in _warned:
+            _warned.add(what)
             warnings.warn(
-                f"{name} is compiled again whenever it is prepared, since what it reads cannot be compared: "
-                f"{', '.join(found.unknown[:3])}",
+                f"{what} is compiled again whenever it is prepared, since some values it reads cannot be compared: "
+                f"{', '.join(contents.unknown[:3])}",
                 UserWarning,
                 stacklevel=2,
             )
-        return made
-    key = found.digest, more
+        return result
+    key = contents.digest, options
     if key not in _COMPILED:
-        made = make()
-        _cache(_COMPILED, key, made)
+        result = make()
+        _cache(_COMPILED, key, result)
     return _COMPILED[key]
 
 
@@ -62,42 +62,42 @@ def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
     cache[key] = value
 
 
-def _with_fresh_dispatchers(value: Any, made: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
+def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
     """Return a value with fresh dispatchers; if `compiles`, plain functions are compiled too.
 
-    `made` holds each dispatcher with its fresh copy, so that ids are not reused.
+    `fresh` holds each dispatcher with its fresh copy, so that ids are not reused.
     """
-    if id(value) in made:
-        return made[id(value)][1]
+    if id(value) in fresh:
+        return fresh[id(value)][1]
     if isinstance(value, tuple) and type(value) is tuple:
-        return tuple(_with_fresh_dispatchers(one, made, compiles) for one in value)
+        return tuple(_with_fresh_dispatchers(entry, fresh, compiles) for entry in value)
     if isinstance(value, types.FunctionType) and compiles:
-        return _with_fresh_dispatchers(numba.njit(value), made, compiles)
+        return _with_fresh_dispatchers(numba.njit(value), fresh, compiles)
     if not isinstance(value, numba.core.dispatcher.Dispatcher):
         return value
-    found = contents_of(value)
-    if found.unknown or found.digest not in _FRESH:
+    contents = contents_of(value)
+    if contents.unknown or contents.digest not in _FRESH:
         new: Any = None
 
         def register_copy(copy: types.FunctionType) -> None:
             nonlocal new
             new = type(value)(copy, value.locals, value.targetoptions)
-            made[id(value)] = value, new
+            fresh[id(value)] = value, new
 
-        _copied(value.py_func, made, register_copy)
+        _copied(value.py_func, fresh, register_copy)
         if not value._can_compile:
             for signature in value.nopython_signatures:
                 new.compile(signature)
             new.disable_compile()
-        if found.unknown:
+        if contents.unknown:
             return new
-        _cache(_FRESH, found.digest, new)
-    return _FRESH[found.digest]
+        _cache(_FRESH, contents.digest, new)
+    return _FRESH[contents.digest]
 
 
 def _copied(
     function: types.FunctionType,
-    made: dict[int, tuple[Any, Any]],
+    fresh: dict[int, tuple[Any, Any]],
     register_copy: Callable[[types.FunctionType], None] | None = None,
 ) -> types.FunctionType:
     """Return a copy of a function that reads fresh dispatchers; recursive functions read what `register_copy`
@@ -111,27 +111,29 @@ def _copied(
     vars(copy).update(vars(function))
     if register_copy is not None:
         register_copy(copy)
-    own = (function.__module__ or "").startswith("coadjoint.")
+    is_own = (function.__module__ or "").startswith("coadjoint.")
     for new, old in zip(cells, function.__closure__ or (), strict=True):
         try:
-            new.cell_contents = _with_fresh_dispatchers(old.cell_contents, made, own)
+            new.cell_contents = _with_fresh_dispatchers(old.cell_contents, fresh, is_own)
         except ValueError:  # an empty cell
             pass
     attributes = _attributes(function.__code__)
     for name in attributes & names.keys():
-        names[name] = _with_fresh_dispatchers(_module(names[name], attributes, made), made, False)
+        names[name] = _with_fresh_dispatchers(_module(names[name], attributes, fresh), fresh, False)
     return copy
 
 
-def _module(value: Any, attributes: set[str], made: dict[int, tuple[Any, Any]]) -> Any:
+def _module(value: Any, attributes: set[str], fresh: dict[int, tuple[Any, Any]]) -> Any:
     """Return a copy of a module with fresh dispatchers if it has any that are read; return other values unchanged."""
     if not isinstance(value, types.ModuleType):
         return value
-    new = {name: _with_fresh_dispatchers(vars(value)[name], made, False) for name in attributes & vars(value).keys()}
-    if all(vars(value)[name] is own for name, own in new.items()):
+    replaced = {
+        name: _with_fresh_dispatchers(vars(value)[name], fresh, False) for name in attributes & vars(value).keys()
+    }
+    if all(vars(value)[name] is value_of_name for name, value_of_name in replaced.items()):
         return value
     copy = types.ModuleType(value.__name__)
-    vars(copy).update({**vars(value), **new})
+    vars(copy).update({**vars(value), **replaced})
     return copy
 
 

@@ -35,8 +35,9 @@ IGNORED_ATTRIBUTES = frozenset(
 
 
 class Contents(NamedTuple):
-    """The digest of a value, the same in every process of one minor version of Python, and the names of what could not
-    be digested: C functions, objects with hidden state, values that are too large.
+    """The digest of a value, equal in all processes of one minor version of Python.
+
+    `unknown` names parts that could not be digested: C functions, objects with hidden state, values that are too large.
     """
 
     digest: str
@@ -44,7 +45,7 @@ class Contents(NamedTuple):
 
 
 def contents_of(value: Any, written: bool = False) -> Contents:
-    """Return the digest of a value with everything that the functions in it read.
+    """Return the digest of a value and of everything that the functions in it read.
 
     With `written`, the source text of functions is digested instead of their code, for the same digest under other
     versions of Python; functions without a source that matches their code are unknown.
@@ -53,8 +54,8 @@ def contents_of(value: Any, written: bool = False) -> Contents:
     --------
     >>> def times(a):
     ...     return lambda x: a * x
-    >>> one, other, again = (contents_of(times(a)).digest for a in (1.0, 2.0, 1.0))
-    >>> one == other, one == again
+    >>> first, second, third = (contents_of(times(a)).digest for a in (1.0, 2.0, 1.0))
+    >>> first == second, first == third
     (False, True)
     """
     walk = _Digester(written)
@@ -128,7 +129,7 @@ class _Digester:
             self.add(dict(sorted(getattr(value, "__dict__", {}).items())))
 
     def _add_container(self, value: Any) -> None:
-        if any(value is one for one in self._open):
+        if any(value is open_container for open_container in self._open):
             self._update("inside of itself")
         elif len(value) > self._remaining:
             self._give_up(f"a {type(value).__name__} of {len(value)} entries")
@@ -143,9 +144,9 @@ class _Digester:
             self._open.pop()
 
     def _add_unordered(self, values: Iterable[Any]) -> None:
-        found = [contents_of(value, self._written) for value in values]
-        self._update(*sorted(one.digest for one in found))
-        self.unknown += [what for one in found for what in one.unknown]
+        contents = [contents_of(value, self._written) for value in values]
+        self._update(*sorted(content.digest for content in contents))
+        self.unknown += [what for content in contents for what in content.unknown]
 
     def _add_object(self, value: Any) -> None:
         kind = type(value)
@@ -155,15 +156,17 @@ class _Digester:
         elif numba and isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher
             self._update("compiled")
             options = getattr(value, "targetoptions", {})
-            more = _types_of_locals(value)
-            self.add([value.py_func, dict(sorted(options.items())), getattr(value, "_can_compile", True), *more])
+            locals_types = _types_of_locals(value)
+            self.add(
+                [value.py_func, dict(sorted(options.items())), getattr(value, "_can_compile", True), *locals_types]
+            )
             if not getattr(value, "_can_compile", True):
                 self._update(*map(str, value.nopython_signatures))
         elif numba and isinstance(getattr(value, "_pyfunc", None), types.FunctionType):  # a callback
             compiler = getattr(value, "_compiler", None)
             options = sorted(getattr(compiler, "targetoptions", {}).items())
-            more = [*options, *_types_of_locals(compiler)]
-            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *more])
+            locals_types = [*options, *_types_of_locals(compiler)]
+            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *locals_types])
         elif isinstance(value, functools.partial):
             self.add(["partial", value.func, value.args, value.keywords])
         elif isinstance(value, types.MethodType):
@@ -203,7 +206,7 @@ class _Digester:
         self._update("class", kind.__module__, kind.__qualname__)
         if not _is_known(kind.__module__) and not _is_own(kind.__module__):
             self.add(kind.__bases__)
-            self.add({name: own for name, own in sorted(vars(kind).items()) if name not in IGNORED_ATTRIBUTES})
+            self.add({name: member for name, member in sorted(vars(kind).items()) if name not in IGNORED_ATTRIBUTES})
 
     def _add_instance(self, value: Any) -> None:
         kind = type(value)
@@ -218,18 +221,24 @@ class _Digester:
         slots = [name for base in kind.__mro__ for name in _slots(base) if hasattr(value, name)]
         if not slots and not hasattr(value, "__dict__"):
             return None if isinstance(value, (*SCALARS, tuple, list, set, frozenset, dict)) else self._reduce(value)
-        kept = {**{name: getattr(value, name) for name in slots}, **getattr(value, "__dict__", {})}
+        attributes = {**{name: getattr(value, name) for name in slots}, **getattr(value, "__dict__", {})}
         cached = functools.cached_property
-        self.add({name: kept[name] for name in sorted(kept) if not isinstance(getattr(kind, name, None), cached)})
+        self.add(
+            {name: attributes[name] for name in sorted(attributes) if not isinstance(getattr(kind, name, None), cached)}
+        )
 
     def _reduce(self, value: Any) -> None:
         """Add an object of a C type by its pickled state."""
         try:
-            found = value.__reduce_ex__(4)
-            made = found if isinstance(found, str) else [found[0], *found[1:3], *map(list, filter(None, found[3:5]))]
+            reduced = value.__reduce_ex__(4)
+            parts = (
+                reduced
+                if isinstance(reduced, str)
+                else [reduced[0], *reduced[1:3], *map(list, filter(None, reduced[3:5]))]
+            )
         except Exception:
             return self._give_up(f"an object of {type(value).__qualname__}")
-        self.add(made)
+        self.add(parts)
 
     def _add_function(self, function: types.FunctionType) -> None:
         module = function.__module__ or ""
@@ -243,32 +252,32 @@ class _Digester:
             self._update(text)
         else:
             self._add_code(function.__code__)
-        read = _global_reads(function.__code__)
+        reads = _global_reads(function.__code__)
         self.add(function.__defaults__)
         self.add(dict(sorted((function.__kwdefaults__ or {}).items())))
-        self.add({name: own for name, own in sorted(vars(function).items()) if name != "__wrapped__"})
+        self.add({name: value for name, value in sorted(vars(function).items()) if name != "__wrapped__"})
         for name, cell in sorted(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)):
             self._update("closed over", name)
-            for own in _cell_value(cell):
-                self._add_read(own, read.attributes)
+            for value in _cell_value(cell):
+                self._add_read(value, reads.attributes)
         if _is_known(module) or _is_own(module):
             return
         builtins: dict[str, Any] = cast(Any, function).__builtins__
-        for name in read.names:
+        for name in reads.names:
             if name in function.__globals__:
                 self._update("global", name)
-                self._add_read(function.__globals__[name], read.attributes)
+                self._add_read(function.__globals__[name], reads.attributes)
             elif name in builtins:
-                own = builtins[name]
+                value = builtins[name]
                 self._update("builtin", name)
                 if name in DYNAMIC_BUILTINS:
                     self._give_up(f"what {function.__qualname__} reads by {name}()")
-                elif not _is_known(getattr(own, "__module__", None) or "builtins"):
-                    self.add(own)
-        for name in read.imports:
+                elif not _is_known(getattr(value, "__module__", None) or "builtins"):
+                    self.add(value)
+        for name in reads.imports:
             if not _is_known(name) and not _is_own(name):
                 if name in sys.modules:
-                    self._add_read(sys.modules[name], read.attributes)
+                    self._add_read(sys.modules[name], reads.attributes)
                 else:
                     self._give_up(f"the module {name}")
 
@@ -279,11 +288,11 @@ class _Digester:
         self._update("module", value.__name__)
         known = _is_known(value.__name__) or _is_own(value.__name__)
         for name in sorted(attributes & vars(value).keys()):
-            own = vars(value)[name]
-            replaced = isinstance(own, types.FunctionType) and not _is_known(own.__module__ or "")
-            if (not known or (replaced and not _is_own(own.__module__ or ""))) and self._is_new(value, name):
+            member = vars(value)[name]
+            is_replaced = isinstance(member, types.FunctionType) and not _is_known(member.__module__ or "")
+            if (not known or (is_replaced and not _is_own(member.__module__ or ""))) and self._is_new(value, name):
                 self._update("attribute", name)
-                self._add_read(own, attributes)
+                self._add_read(member, attributes)
 
     def _add_code(self, code: types.CodeType) -> None:
         counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
@@ -328,7 +337,7 @@ def _cell_value(cell: types.CellType) -> list[Any]:
 
 
 def _types_of_locals(compiler: Any) -> list[tuple[str, str]]:
-    """Return the types that were given to local variables of a function that Numba compiles."""
+    """Return the declared types of local variables of a function that Numba compiles."""
     return sorted((name, str(kind)) for name, kind in (getattr(compiler, "locals", None) or {}).items())
 
 
@@ -343,16 +352,14 @@ def _is_own(module: str) -> bool:
 
 @functools.lru_cache(maxsize=4096)
 def _is_known(module: str) -> bool:
-    """Return whether a module belongs to the standard library or to `KNOWN_PACKAGES`; files that shadow its name do
-    not.
-    """
+    """Return whether a module belongs to the standard library or to `KNOWN_PACKAGES`, and is not shadowed by a file."""
     top = module.partition(".")[0]
     if top in KNOWN_PACKAGES:
         return True
     if top not in sys.stdlib_module_names:
         return False
-    place = getattr(sys.modules.get(top), "__file__", None)
-    return place is None or place.startswith((sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib")))
+    file = getattr(sys.modules.get(top), "__file__", None)
+    return file is None or file.startswith((sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib")))
 
 
 def _source(function: types.FunctionType) -> str | None:
@@ -370,15 +377,15 @@ def _source(function: types.FunctionType) -> str | None:
 
 @functools.lru_cache(maxsize=16)
 def _codes_in(text: str, name: str) -> frozenset[types.CodeType]:
-    found, waiting = set[types.CodeType](), [compile(text, name, "exec", dont_inherit=True)]
-    while waiting:
-        code = waiting.pop()
-        found.add(code)
-        waiting += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
-    return frozenset(found)
+    codes, pending = set[types.CodeType](), [compile(text, name, "exec", dont_inherit=True)]
+    while pending:
+        code = pending.pop()
+        codes.add(code)
+        pending += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return frozenset(codes)
 
 
 def compilation_key(function: Any) -> Any:
     """Return a key that is equal for functions that compile to the same code; a unique object if that is unknown."""
-    found = contents_of(function)
-    return object() if found.unknown else found.digest
+    contents = contents_of(function)
+    return object() if contents.unknown else contents.digest

@@ -17,8 +17,8 @@ class CompiledFunction:
     """A user function compiled to a C address; the object keeps the machine code alive.
 
     The function takes ``y``, an array of `size` numbers, or one number if `scalar`, and the time if `timed`. It returns
-    a number, or if `flat` an array of `results` numbers in C order. Error messages call it `what`. Raise
-    MissingPackageError if Numba is not installed, TypeError with Numba's reason if it cannot compile the function.
+    a number, or if `flat` an array of `results` numbers in C order. `what` names it in errors. Raise
+    MissingPackageError if Numba is not installed, TypeError with the reason if it cannot compile the function.
     """
 
     def __init__(
@@ -45,9 +45,7 @@ class CompiledFunction:
 
 
 def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
-    """Warn before compilation if there are so many Python functions that compiling them takes seconds; do nothing
-    without Numba.
-    """
+    """Warn before compiling so many Python functions that it takes seconds; do nothing without Numba."""
     if installed("numba"):
         from coadjoint.kernels.callbacks import warn_many_functions
 
@@ -74,9 +72,7 @@ CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINT
 
 
 class PythonCallback:
-    """A function of (y, t), y an array of `size` numbers, that returns a number and is called in Python, at some
-    microseconds per call.
-    """
+    """A function of (y, t), y an array of `size` numbers, called in Python; it returns a number."""
 
     def __init__(self, function: Callable[..., Any], size: int) -> None:
         self._raised: BaseException | None = None
@@ -101,8 +97,8 @@ class PythonCallback:
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that the function raised, if any."""
-        found, self._raised = self._raised, None
-        return found
+        error, self._raised = self._raised, None
+        return error
 
 
 Owners = tuple[CompiledFunction | FormulaFunction | PythonCallback, ...]

@@ -57,54 +57,52 @@ def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[
 class _Table:
     """A table of a run, paired with the same table of another system.
 
-    Its address is entry `place` of the integers of table number `parent`; -1 if no table refers to it.
+    Its address is entry `index` of the integers of table number `parent`; -1 if no table refers to it.
     """
 
-    def __init__(self, one: Any, other: Any, parts: Parts | None = None, parent: int = -1, place: int = -1) -> None:
-        self.structure, self.parts, self.parent, self.place = as_structure(one), parts, parent, place
+    def __init__(self, first: Any, second: Any, parts: Parts | None = None, parent: int = -1, index: int = -1) -> None:
+        self.structure, self.parts, self.parent, self.index = as_structure(first), parts, parent, index
         self.kind = type(self.structure)
-        self.pairs = list(zip(fields_of(one, self.kind), fields_of(other, self.kind), strict=True))
+        self.pairs = list(zip(fields_of(first, self.kind), fields_of(second, self.kind), strict=True))
 
     def changed(self, skip_addresses: bool) -> Iterator[tuple[Field, NDArray[np.int64], Floats]]:
-        """Yield the fields that differ between the two tables, the positions that differ, and the values of the other
-        table.
-        """
-        for mine, theirs in self.pairs:
-            if mine.token == "addresses" or (skip_addresses and mine.name == ADDRESS_FIELD):
+        """Yield the fields that differ, the positions that differ, and the values in the other table."""
+        for field, other in self.pairs:
+            if field.token == "addresses" or (skip_addresses and field.name == ADDRESS_FIELD):
                 continue  # functions compiled twice, and tables that are compared separately
-            if mine.token in WRITABLE_TYPES and mine.value.shape == theirs.value.shape:
-                places = np.flatnonzero(mine.value.view(np.int64) != theirs.value.view(np.int64))
-                if len(places):
-                    yield mine, places, theirs.value
-            elif not np.array_equal(mine.value, theirs.value):
-                raise InputsNotLocated(f"its table has {mine.name} that depend on them")
+            if field.token in WRITABLE_TYPES and field.value.shape == other.value.shape:
+                positions = np.flatnonzero(field.value.view(np.int64) != other.value.view(np.int64))
+                if len(positions):
+                    yield field, positions, other.value
+            elif not np.array_equal(field.value, other.value):
+                raise InputsNotLocated(f"its table has {field.name} that depend on them")
 
 
-def _tables_of(one: CompiledLoop, other: CompiledLoop, watches: tuple[Any, Any]) -> list[_Table]:
+def _tables_of(first: CompiledLoop, second: CompiledLoop, watches: tuple[Any, Any]) -> list[_Table]:
     """Return the tables of a loop, of the invariants, and all tables that they refer to by address."""
-    tables = [_Table(one.tables, other.tables, one.parts), _Table(*watches)]
-    waiting = [(0, one, other)]
-    while waiting:
-        number, mine, theirs = waiting.pop()
-        for place, referenced in mine.referenced.items():
-            beside = theirs.referenced[place]
+    tables = [_Table(first.tables, second.tables, first.parts), _Table(*watches)]
+    pending = [(0, first, second)]
+    while pending:
+        number, loop, other_loop = pending.pop()
+        for index, referenced in loop.referenced.items():
+            other_referenced = other_loop.referenced[index]
             if isinstance(referenced, CompiledLoop):
-                waiting.append((len(tables), referenced, beside))
-                tables.append(_Table(referenced.tables, beside.tables, referenced.parts, number, place))
+                pending.append((len(tables), referenced, other_referenced))
+                tables.append(_Table(referenced.tables, other_referenced.tables, referenced.parts, number, index))
             else:
-                tables.append(_Table(referenced, beside, None, number, place))
+                tables.append(_Table(referenced, other_referenced, None, number, index))
     return tables
 
 
 class _Block:
     """Arrays of several tables in one allocation, and copies of the tables that point into it."""
 
-    def __init__(self, tables: Sequence[_Table], chosen: Sequence[Sequence[Field]]) -> None:
+    def __init__(self, tables: Sequence[_Table], fields_of_tables: Sequence[Sequence[Field]]) -> None:
         self.kinds = [table.kind for table in tables]
         self.word_offsets = list(accumulate((ctypes.sizeof(kind) // 8 for kind in self.kinds), initial=0))
         self.start: dict[tuple[int, str], int] = {}
         pieces, self.pointers, count = [np.zeros(1)], [], 1
-        for number, fields in enumerate(chosen):
+        for number, fields in enumerate(fields_of_tables):
             for field in fields:
                 self.start[number, field.name] = count
                 self.pointers.append((self.word_offsets[number] + field.offset // 8, 8 * count))
@@ -113,18 +111,18 @@ class _Block:
         self.template = np.concatenate(pieces)
         self.raw = np.concatenate([np.frombuffer(bytes(table.structure), dtype=np.int64) for table in tables])
         self.referenced = [
-            (number, self.start[table.parent, ADDRESS_FIELD] + table.place)
+            (number, self.start[table.parent, ADDRESS_FIELD] + table.index)
             for number, table in enumerate(tables)
             if table.parent >= 0
         ]
 
     def structures(self, block: Floats, columns: int) -> tuple[Any, Any]:
         """Return copies of the first two tables that point into a block with this number of columns per row."""
-        raw, here = self.raw.copy(), ctypes.addressof(as_c_double(block))
-        for place, start in self.pointers:
-            raw[place] = here + columns * start
-        for number, place in self.referenced:
-            block.view(np.int64)[place] = raw.ctypes.data + 8 * self.word_offsets[number]
+        raw, base_address = self.raw.copy(), ctypes.addressof(as_c_double(block))
+        for position, start in self.pointers:
+            raw[position] = base_address + columns * start
+        for number, position in self.referenced:
+            block.view(np.int64)[position] = raw.ctypes.data + 8 * self.word_offsets[number]
         scheme, watch = (
             kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds[:2], self.word_offsets, strict=False)
         )
@@ -157,37 +155,39 @@ class InputTables:
         inputs: tuple[Floats, Floats],
     ) -> None:
         tables = self._tables = _tables_of(*loops, watches)
-        holders = {table.parent for table in tables}
-        known = {pair: k for k, pair in enumerate(zip(*(own.tolist() for own in inputs), strict=True))}
-        copies: list[tuple[int, str, int, int]] = []
+        parents = {table.parent for table in tables}
+        index_of_input = {pair: k for k, pair in enumerate(zip(*(values.tolist() for values in inputs), strict=True))}
+        copied_entries: list[tuple[int, str, int, int]] = []
         sums: list[tuple[int, str, list[int], ExactSums | ReductionSteps]] = []
-        chosen: list[list[Field]] = []
+        written_fields: list[list[Field]] = []
         self.separate_tables = len(tables) > 2
         for number, table in enumerate(tables):
-            chosen.append([field for field, _ in table.pairs if number in holders and field.name == ADDRESS_FIELD])
-            for field, places, theirs in table.changed(number in holders):
-                chosen[-1].append(field)
+            written_fields.append(
+                [field for field, _ in table.pairs if number in parents and field.name == ADDRESS_FIELD]
+            )
+            for field, positions, other_values in table.changed(number in parents):
+                written_fields[-1].append(field)
                 self.separate_tables = self.separate_tables or field.token not in PER_MEMBER_TYPES
-                summed: set[int] = set()
+                handled: set[int] = set()
                 if table.parts is not None and field.name == ANGLE_OFFSET_FIELD:
                     for angles, rule in offsets_of_squares(table.parts):
-                        found = field.value[angles].tolist(), theirs[angles].tolist()
-                        if found == tuple(map(rule.at, inputs)):
+                        numbers = field.value[angles].tolist(), other_values[angles].tolist()
+                        if numbers == tuple(map(rule.at, inputs)):
                             sums.append((number, field.name, angles, rule))
-                            summed.update(angles)
-                for place in [place for place in places.tolist() if place not in summed]:
-                    pair = field.value[place].item(), theirs[place].item()
-                    if pair not in known:
+                            handled.update(angles)
+                for position in [position for position in positions.tolist() if position not in handled]:
+                    pair = field.value[position].item(), other_values[position].item()
+                    if pair not in index_of_input:
                         raise InputsNotLocated(
                             f"its table has {field.name} that are neither inputs nor exact sums of inputs"
                         )
-                    copies.append((number, field.name, place, known[pair]))
-        self._shared = _Block(tables, chosen)
-        self._in_shared = _written(self._shared, copies, sums)
+                    copied_entries.append((number, field.name, position, index_of_input[pair]))
+        self._shared = _Block(tables, written_fields)
+        self._in_shared = _written(self._shared, copied_entries, sums)
         if not self.separate_tables:
-            varied = [[field for field, _ in table.pairs if field.token in PER_MEMBER_TYPES] for table in tables]
-            self._each = _Block(tables, varied)
-            self._in_each = _written(self._each, copies, sums)
+            per_member = [[field for field, _ in table.pairs if field.token in PER_MEMBER_TYPES] for table in tables]
+            self._each = _Block(tables, per_member)
+            self._in_each = _written(self._each, copied_entries, sums)
 
     def shared(self, inputs: Floats) -> tuple[Any, Any]:
         """Return the structures of the scheme and of the invariants for inputs (m,) common to all members."""
@@ -198,19 +198,17 @@ class InputTables:
         return self._shared.structures(block, 1)
 
     def each(self, inputs: Floats) -> tuple[Any, Any, int]:
-        """Return the structures for inputs (members, m), and the number of columns of the constants; not valid if
-        `separate_tables`.
-        """
+        """Return the structures for inputs (members, m), and the number of columns; not valid if `separate_tables`."""
         members, crowd = len(inputs), limit("LARGEST_CROWD")
         columns = -(-members // crowd) * crowd
         template, written = self._each.template, self._in_each
-        check_available_memory(8 * columns * len(template), f"the tables of {members} members with inputs of their own")
+        check_available_memory(8 * columns * len(template), f"the tables of {members} members with individual inputs")
         block = np.repeat(template, columns).reshape(-1, columns)
         # Lanes may read beyond the last member: it is repeated.
         padded = inputs.take(np.minimum(np.arange(columns), members - 1), axis=0)
         block[written.rows] = padded[:, written.inputs].T
         for rows, rule in written.rules:
-            block[rows, :members] = np.transpose([rule.at(own) for own in inputs])
+            block[rows, :members] = np.transpose([rule.at(inputs_of_member) for inputs_of_member in inputs])
             block[rows, members:] = block[rows, members - 1 : members]
         return *self._each.structures(block.reshape(-1), columns), columns
 
@@ -220,7 +218,7 @@ def _written(
     copies: Sequence[tuple[int, str, int, int]],
     sums: Sequence[tuple[int, str, list[int], ExactSums | ReductionSteps]],
 ) -> _InputRows:
-    rows = np.array([block.start[number, name] + place for number, name, place, _ in copies], dtype=np.int64)
+    rows = np.array([block.start[number, name] + position for number, name, position, _ in copies], dtype=np.int64)
     inputs = np.array([source for *_, source in copies], dtype=np.int64)
-    rules = [(block.start[number, name] + np.array(places), rule) for number, name, places, rule in sums]
+    rules = [(block.start[number, name] + np.array(angles), rule) for number, name, angles, rule in sums]
     return _InputRows(rows, inputs, rules)

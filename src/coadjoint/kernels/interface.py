@@ -32,8 +32,10 @@ class Array(NamedTuple):
 
 
 class Description(NamedTuple):
-    """The interface that the library describes: `tables` by name as pairs (type, field) in order; `arrays` by "saved"
-    or "state" and name, in order; `codes` by list and name, with the limits in the list "Limit".
+    """The interface that the library describes, in its order.
+
+    `tables` are pairs (type, field) by name, `arrays` by "saved" or "state" and name, `codes` by list and name; the
+    list "Limit" has the limits.
     """
 
     tables: Mapping[str, Fields]
@@ -110,34 +112,32 @@ def parse_description(text: str) -> Description:
     >>> parsed.tables["Pair"], parsed.arrays["saved"]["x"].axes, parsed.codes["Way"]
     ((('number', 'left'), ('number', 'right')), ('points', 'size'), {'UP': 1})
     """
-    found: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
+    parsed: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
     for line in text.splitlines():
         head, _, rest = line.partition(":")
-        what, name = head.split(" ")
+        section, name = head.split(" ")
         entries = [entry.split(" ") for entry in rest.split(";") if entry]
-        if what == "table":
-            found[what][name] = tuple((kind, field) for kind, field in entries)
-        elif what == "arrays":
-            found[what][name] = {label: Array(kind, tuple(axes[::2])) for kind, label, *axes in entries}
+        if section == "table":
+            parsed[section][name] = tuple((kind, field) for kind, field in entries)
+        elif section == "arrays":
+            parsed[section][name] = {label: Array(kind, tuple(axes[::2])) for kind, label, *axes in entries}
         else:
-            found[what][name] = {label: int(value) for label, value in entries}
-    return Description(found["table"], found["arrays"], found["codes"])
+            parsed[section][name] = {label: int(value) for label, value in entries}
+    return Description(parsed["table"], parsed["arrays"], parsed["codes"])
 
 
 def check(description: Description) -> None:
-    """Raise ImportError, with the first difference and the remedy, if the kernels have other codes or arrays than this
-    package.
-    """
+    """Raise ImportError, with the first difference and the remedy, unless the kernels match this package."""
     codes, arrays = description.codes, description.arrays
-    for what, values in PYTHON_CODES.items():
+    for list_name, values in PYTHON_CODES.items():
         for name, value in values.items():
-            _check_equal(f"{what}.{name}", value, codes.get(what, {}).get(name))
-        if what != "Limit":
-            _check_equal(f"{what}: names", sorted(values), sorted(codes[what]))
-    for what, names in LOOKED_UP_CODES.items():
+            _check_equal(f"{list_name}.{name}", value, codes.get(list_name, {}).get(name))
+        if list_name != "Limit":
+            _check_equal(f"{list_name}: names", sorted(values), sorted(codes[list_name]))
+    for list_name, names in LOOKED_UP_CODES.items():
         for name in names:
-            if name not in codes.get(what, {}):
-                _check_equal(f"{what}.{name}", "a number", None)
+            if name not in codes.get(list_name, {}):
+                _check_equal(f"{list_name}.{name}", "a number", None)
     axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
     for kind, used in ARRAYS.items():
         _check_equal(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
@@ -151,23 +151,23 @@ def check(description: Description) -> None:
 
 def check_fields(name: str, fields: Iterable[str]) -> None:
     """Raise ImportError if the kernels have no table of this name, or one with other fields than in Python."""
-    there = kernel_interface().tables.get(name)
-    if there is None:
+    library_fields = kernel_interface().tables.get(name)
+    if library_fields is None:
         raise ImportError(f"the compiled kernels have no table {name}: {REBUILD_ADVICE}")
-    _check_equal(f"table {name}: fields", sorted(fields), sorted(field for _, field in there))
+    _check_equal(f"table {name}: fields", sorted(fields), sorted(field for _, field in library_fields))
 
 
-def _check_equal(name: str, own: Any, theirs: Any) -> None:
-    if own == theirs:
+def _check_equal(name: str, ours: Any, theirs: Any) -> None:
+    if ours == theirs:
         return
-    if isinstance(own, list) and isinstance(theirs, list):
-        own, theirs = (sorted(set(one) - set(other)) for one, other in ((own, theirs), (theirs, own)))
+    if isinstance(ours, list) and isinstance(theirs, list):
+        ours, theirs = (sorted(set(first) - set(second)) for first, second in ((ours, theirs), (theirs, ours)))
         raise ImportError(
-            f"{name}: {_listed(own)} only in this package, {_listed(theirs)} only in the compiled kernels: "
+            f"{name}: {_listed(ours)} only in this package, {_listed(theirs)} only in the compiled kernels: "
             f"{REBUILD_ADVICE}"
         )
-    said = "missing" if theirs is None else theirs
-    raise ImportError(f"{name} is {own} in this package and {said} in the compiled kernels: {REBUILD_ADVICE}")
+    shown = "missing" if theirs is None else theirs
+    raise ImportError(f"{name} is {ours} in this package and {shown} in the compiled kernels: {REBUILD_ADVICE}")
 
 
 def _listed(names: list[str]) -> str:
@@ -183,9 +183,7 @@ def interface_text() -> str:
 
 @cache
 def kernel_interface() -> Description:
-    """Return the description of the loaded kernels, checked once; raise ImportError if they are missing or of another
-    version.
-    """
+    """Return the description of the loaded kernels, checked once; ImportError if missing or of another version."""
     try:
         description = parse_description(interface_text())
     except AttributeError as error:

@@ -26,14 +26,14 @@ def _missing(name: str) -> ImportError:
 
 
 def _load(name: str) -> ctypes.CDLL:
-    place = FOLDER / f"{name}{SUFFIX}"
-    if not place.exists():
+    path = FOLDER / f"{name}{SUFFIX}"
+    if not path.exists():
         raise _missing(name)
     try:
-        return ctypes.CDLL(str(place))
+        return ctypes.CDLL(str(path))
     except OSError as error:
         raise ImportError(
-            f"the compiled kernels {place} cannot be loaded ({error}): build them again on this machine, for "
+            f"the compiled kernels {path} cannot be loaded ({error}): build them again on this machine, for "
             "instance by `pip install --force-reinstall --no-binary coadjoint coadjoint`"
         ) from error
 
@@ -51,44 +51,46 @@ def built_levels() -> list[int]:
 
 
 def level_in_use() -> int | None:
-    """Return the level of `kernels`: the highest that is built and supported by the processor; None if it is not
-    x86-64.
+    """Return the highest level that is built and supported by the processor; None if it is not x86-64.
 
-    Raise ImportError if there is none, or not the one requested by the environment variable ``COADJOINT_LEVEL``.
+    The environment variable ``COADJOINT_LEVEL`` requests another one. Raise ImportError if there is none.
     """
     highest = processor_level()
-    asked = os.environ.get("COADJOINT_LEVEL")
+    requested = os.environ.get("COADJOINT_LEVEL")
     if highest is None:
-        if asked is not None:
-            raise ImportError(f"COADJOINT_LEVEL is {short(asked)}, but only x86-64 processors have levels: unset it")
+        if requested is not None:
+            raise ImportError(
+                f"COADJOINT_LEVEL is {short(requested)}, but only x86-64 processors have levels: unset it"
+            )
         return None
-    known, built = [level for level in compiling.levels() if level <= highest], built_levels()
+    supported, built = [level for level in compiling.levels() if level <= highest], built_levels()
     usable = [level for level in built if level <= highest]
-    can_use = f"this processor can use {_listed(known)}"
-    if asked is not None:
+    can_use = f"this processor can use {_listed(supported)}"
+    if requested is not None:
         for level in usable:
-            if asked == f"v{level}":
+            if requested == f"v{level}":
                 return level
+        advice = _build_advice(requested) if requested in _names(supported) else ""
         raise ImportError(
-            f"COADJOINT_LEVEL is {short(asked)}, but {can_use}, and of the kernels {_listed(built)} "
-            f"{'is' if len(built) == 1 else 'are'} built{_build_advice(asked) if asked in _names(known) else ''}"
+            f"COADJOINT_LEVEL is {short(requested)}, but {can_use}, and of the kernels {_listed(built)} "
+            f"{'is' if len(built) == 1 else 'are'} built{advice}"
         )
     if not built:
         raise _missing(f"_kernels_v{highest}")
     if not usable:
         raise ImportError(
             f"the compiled kernels in {FOLDER} are built for {_listed(built)}, but {can_use}"
-            f"{_build_advice(f'v{known[0]}')}"
+            f"{_build_advice(f'v{supported[0]}')}"
         )
     return usable[0]
 
 
-def _names(some: Sequence[int]) -> list[str]:
-    return [f"v{level}" for level in some]
+def _names(levels: Sequence[int]) -> list[str]:
+    return [f"v{level}" for level in levels]
 
 
-def _listed(some: Sequence[int]) -> str:
-    return ", ".join(_names(some)) or "none"
+def _listed(levels: Sequence[int]) -> str:
+    return ", ".join(_names(levels)) or "none"
 
 
 def _build_advice(level: str) -> str:
@@ -117,6 +119,6 @@ def interruptible_kernels() -> ctypes.PyDLL:
     library = kernels()
     python = ctypes.pythonapi
     finalizing = python.Py_IsFinalizing if hasattr(python, "Py_IsFinalizing") else python._Py_IsFinalizing
-    heard = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals, finalizing
-    library.listen(*(ctypes.cast(function, ctypes.c_void_p) for function in heard))
+    callbacks = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals, finalizing
+    library.listen(*(ctypes.cast(function, ctypes.c_void_p) for function in callbacks))
     return ctypes.PyDLL(library._name, handle=library._handle)

@@ -40,19 +40,19 @@ class MatrixFunction:
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that the function raised, if any."""
-        found, self._raised = self._raised, None
-        return found
+        error, self._raised = self._raised, None
+        return error
 
     def _call_python(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool, reason: str) -> None:
-        kind, numbers = np.dtype("c16" if complex_entries else "f8"), 1 + complex_entries
+        dtype, numbers = np.dtype("c16" if complex_entries else "f8"), 1 + complex_entries
         block = ctypes.c_double * (numbers * shape[0] * shape[1])
 
         def call(W: int, t: float, P: int) -> None:
-            out = np.frombuffer(memoryview(block.from_address(P)), dtype=kind).reshape(shape)
+            out = np.frombuffer(memoryview(block.from_address(P)), dtype=dtype).reshape(shape)
             try:
                 if self._raised is not None:
                     raise self._raised
-                matrix = np.frombuffer(memoryview(block.from_address(W)), dtype=kind)
+                matrix = np.frombuffer(memoryview(block.from_address(W)), dtype=dtype)
                 out[:] = stream(matrix.reshape(shape).copy(), t)
             except BaseException as error:
                 # NaN stops the member, and the exception is raised again in the thread of the run.
@@ -65,7 +65,7 @@ class MatrixFunction:
 
 
 class _Key:
-    """A function as a key: compared with `==` if it has a hash, which a dataclass with `__call__` need not have."""
+    """A function as a dictionary key, also if it is not hashable."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
@@ -86,8 +86,8 @@ def _warn_once(key: _Key, reason: str) -> None:
     function = key.function
     name = getattr(function, "__name__", type(function).__name__)
     warnings.warn(
-        f"the stream {name} is called in Python, at some ten microseconds per call, and in one thread: Numba cannot "
-        f"compile it ({reason})",
+        f"the stream {name} is called in Python, at about ten microseconds per call and in one thread, since Numba "
+        f"cannot compile it ({reason})",
         RuntimeWarning,
         stacklevel=2,
     )
@@ -98,9 +98,9 @@ def _compiled(
 ) -> Any:
     from coadjoint.kernels.fresh_code import compile_cached
 
-    more = "stream", N, complex_entries, timed, tuple(map(tuple, traceless))
+    options = "stream", N, complex_entries, timed, tuple(map(tuple, traceless))
     name = f"the stream {getattr(function, '__name__', type(function).__name__)}"
-    return compile_cached(function, more, name, lambda: _adapted(function, N, complex_entries, timed, traceless))
+    return compile_cached(function, options, name, lambda: _adapted(function, N, complex_entries, timed, traceless))
 
 
 def _adapted(
@@ -135,10 +135,10 @@ def _adapted(
         out[:] = np.nan
         matrix = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
         centre(matrix)
-        found = inner(matrix, t) if timed else inner(matrix)
+        result = inner(matrix, t) if timed else inner(matrix)
         for i in range(N):
             for j in range(N):
-                value = complex(found[i, j])
+                value = complex(result[i, j])
                 out[2 * (i * N + j)] = value.real
                 out[2 * (i * N + j) + 1] = value.imag
 
@@ -147,10 +147,10 @@ def _adapted(
         out[:] = np.nan
         matrix = carray(W, (N * N,)).copy().reshape((N, N))
         centre(matrix)
-        found = inner(matrix, t) if timed else inner(matrix)
+        result = inner(matrix, t) if timed else inner(matrix)
         for i in range(N):
             for j in range(N):
-                out[i * N + j] = found[i, j]
+                out[i * N + j] = result[i, j]
 
     with warnings.catch_warnings():
         # Suppress Numba's warning that products of transposed matrices are slower.

@@ -1,4 +1,4 @@
-"""Construction of the tables of matrix steps from a matrix system."""
+"""Tables of matrix steps."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ def blas_address(name: str) -> int:
 
 
 def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
-    """Return the integers and numbers that the kernels read of the stream of a matrix system, and the owners of its
-    functions.
+    """Return the integers and numbers of the stream of a matrix system, and the owners of its functions.
 
     The integers are the size, the layers, the kinds of `stream` and `second_stream` (the map of the first of two
     layers, -1 without one), whether there is a constant `linear`, and the address of a function. The numbers are the
@@ -49,9 +48,9 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
     if isinstance(stream, FunctionStream):
         function = MatrixFunction(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]
-    numbers += [map_.table for map_ in (stream, second) if map_ is not None]
+    numbers += [stream_map.table for stream_map in (stream, second) if stream_map is not None]
     layers = 2 if len(system.shape) == 3 else 1
-    whole = [
+    integers = [
         system.algebra.N,
         layers,
         kinds[stream.kind],
@@ -59,16 +58,16 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
         int(linear is not None),
         function.address if function else 0,
     ]
-    return whole, np.concatenate(numbers).tolist(), (function,) if function else ()
+    return integers, np.concatenate(numbers).tolist(), (function,) if function else ()
 
 
 def matrix_tables(
     system: Any, step: str, stages: int, coefficients: Sequence[float], fractions: Sequence[float]
 ) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step of a matrix system with substeps of these fractions."""
-    whole, numbers, keepalive = stream_tables(system)
+    integers, numbers, keepalive = stream_tables(system)
     precisions = "zc" if system.complex else "ds"
-    whole += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
-    whole += [stages, int(system.complex), int(not system.algebra.skew)]
-    made = numeric_step_tables(system, step, whole, [*coefficients, *numbers], fractions)
-    return CompiledTables(made.tables, (*made.keepalive, *keepalive))
+    integers += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
+    integers += [stages, int(system.complex), int(not system.algebra.skew)]
+    step_tables = numeric_step_tables(system, step, integers, [*coefficients, *numbers], fractions)
+    return CompiledTables(step_tables.tables, (*step_tables.keepalive, *keepalive))

@@ -26,10 +26,10 @@ from coadjoint.kernels.library import kernels
 NUMBERS = types.CPointer(types.float64)
 SIGNATURE = types.int64(types.CPointer(types.int64), NUMBERS, types.float64, types.float64, NUMBERS)
 
-SystemView = namedtuple("SystemView", ("dim", "sign", "place", "hamiltonian"))
-HamiltonianView = namedtuple("HamiltonianView", ("dim", "place"))
-DifferentiableSystem = namedtuple("DifferentiableSystem", ("dim", "sign", "place", "hamiltonian"))
-DifferentiableHamiltonian = namedtuple("DifferentiableHamiltonian", ("dim", "place"))
+SystemView = namedtuple("SystemView", ("dim", "sign", "address", "hamiltonian"))
+HamiltonianView = namedtuple("HamiltonianView", ("dim", "address"))
+DifferentiableSystem = namedtuple("DifferentiableSystem", ("dim", "sign", "address", "hamiltonian"))
+DifferentiableHamiltonian = namedtuple("DifferentiableHamiltonian", ("dim", "address"))
 SYSTEMS = (SystemView, DifferentiableSystem)
 HAMILTONIANS = (HamiltonianView, DifferentiableHamiltonian)
 
@@ -48,37 +48,37 @@ STRUCTURE = _kernel("structure_at", ctypes.c_int64)
 ENERGY = _kernel("energy_at", ctypes.c_double, result=ctypes.c_double)
 
 
-def _vector(kernel: Any, read: Any) -> Callable[..., Any]:
+def _vector(kernel: Any, adapt: Any) -> Callable[..., Any]:
     def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y, out = read(x), np.empty(self.dim)
-        kernel(self.place, y.ctypes.data, t, out.ctypes.data)
+        y, out = adapt(x), np.empty(self.dim)
+        kernel(self.address, y.ctypes.data, t, out.ctypes.data)
         return out
 
     return method
 
 
-def _matrix(kernel: Any, read: Any) -> Callable[..., Any]:
+def _matrix(kernel: Any, adapt: Any) -> Callable[..., Any]:
     def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y, out = read(x), np.empty((self.dim, self.dim))
-        kernel(self.place, y.ctypes.data, t, out.ctypes.data)
+        y, out = adapt(x), np.empty((self.dim, self.dim))
+        kernel(self.address, y.ctypes.data, t, out.ctypes.data)
         return out
 
     return method
 
 
-def _structure(kernel: Any, read: Any) -> Callable[..., Any]:
+def _structure(kernel: Any, adapt: Any) -> Callable[..., Any]:
     def method(self: Any, x: Any) -> Any:
-        y, out = read(x), np.empty((self.dim, self.dim))
-        kernel(self.place, y.ctypes.data, out.ctypes.data)
+        y, out = adapt(x), np.empty((self.dim, self.dim))
+        kernel(self.address, y.ctypes.data, out.ctypes.data)
         return out
 
     return method
 
 
-def _number(kernel: Any, read: Any) -> Callable[..., Any]:
+def _number(kernel: Any, adapt: Any) -> Callable[..., Any]:
     def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y = read(x)
-        return kernel(self.place, y.ctypes.data, t)
+        y = adapt(x)
+        return kernel(self.address, y.ctypes.data, t)
 
     return method
 
@@ -97,17 +97,17 @@ def _add_method(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], ker
     """Add a method to tuples of these kinds in compiled code."""
     direct, copying = make(kernel, _identity), make(kernel, _copied)
 
-    def chosen(self: Any, x: Any) -> Any:
+    def select(self: Any, x: Any) -> Any:
         if getattr(self, "instance_class", None) not in kinds:
             return None
-        as_kernels_read = getattr(x, "layout", "") == "C" and x.ndim == 1 and x.dtype == types.float64
-        return direct if as_kernels_read else copying
+        is_plain_vector = getattr(x, "layout", "") == "C" and x.ndim == 1 and x.dtype == types.float64
+        return direct if is_plain_vector else copying
 
-    def timed(self: Any, x: Any, t: float = 0.0) -> Any:
-        return chosen(self, x)
+    def select_timed(self: Any, x: Any, t: float = 0.0) -> Any:
+        return select(self, x)
 
     for kind in (types.NamedTuple, types.NamedUniTuple):
-        overload_method(kind, name)(timed if "t" in inspect.signature(direct).parameters else chosen)
+        overload_method(kind, name)(select_timed if "t" in inspect.signature(direct).parameters else select)
 
 
 _add_method(SYSTEMS, "vector_field", _vector, FIELD)
@@ -143,17 +143,17 @@ def _compiled(function: Callable[..., Any], names: tuple[str, ...], values: tupl
     system_kind, hamiltonian_kind = SYSTEMS[derivatives], HAMILTONIANS[derivatives]
     inner = numba.njit(error_model="numpy", boundscheck=True)(fresh_dispatchers(function))
 
-    def call(seen: Any, x: Any, t: float, h: float, out: Any) -> int:
-        numbers = carray(seen, (2,))
+    def call(system_numbers: Any, x: Any, t: float, h: float, out: Any) -> int:
+        numbers = carray(system_numbers, (2,))
         n, sign = numbers[0], numbers[1:2].view(np.float64)[0]
-        place = numbers.ctypes.data
-        system = system_kind(n, sign, place, hamiltonian_kind(n, place))
+        address = numbers.ctypes.data
+        system = system_kind(n, sign, address, hamiltonian_kind(n, address))
         state = carray(x, (n,)).copy()
         try:
-            found = inner(scheme, system, state, t, h)
-            if found.size == n:
+            new_state = inner(scheme, system, state, t, h)
+            if new_state.size == n:
                 for k in range(n):
-                    out[k] = found[k]
+                    out[k] = new_state[k]
         except Exception:
             out[0] = np.nan
         return 0

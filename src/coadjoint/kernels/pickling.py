@@ -10,7 +10,7 @@ import numpy as np
 from coadjoint.kernels.functions import CompiledFunction, FormulaFunction, PythonCallback
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.matrix_tables import ROUTINES, blas_address
-from coadjoint.kernels.stepping import STEPS, step_address
+from coadjoint.kernels.step_tables import STEPS, step_address
 from coadjoint.kernels.structures import per_member_fields
 from coadjoint.kernels.tables import CompiledTables
 
@@ -42,12 +42,14 @@ class PicklableTables(NamedTuple):
 
 def is_picklable(keepalive: tuple[Any, ...]) -> bool:
     """Return whether tables can be pickled: the objects their addresses point to can be rebuilt in another process."""
-    return all(isinstance(kept, OWNERS) for kept in keepalive)
+    return all(isinstance(owner, OWNERS) for owner in keepalive)
 
 
 def picklable_tables(tables: Any, keepalive: tuple[Any, ...]) -> PicklableTables:
     """Return tables in a form that can be pickled, with the owners of their addresses."""
-    return PicklableTables(tables, (*((kept.address, kept) for kept in keepalive), *_library_addresses(tables).items()))
+    return PicklableTables(
+        tables, (*((owner.address, owner) for owner in keepalive), *_library_addresses(tables).items())
+    )
 
 
 def restored_tables(pickled: PicklableTables) -> CompiledTables:
@@ -71,16 +73,16 @@ def restored_tables(pickled: PicklableTables) -> CompiledTables:
 
 def _library_addresses(tables: Any) -> dict[int, LibraryAddress]:
     """Return the addresses in tables that exist in every process, with their objects."""
-    found: dict[int, LibraryAddress] = {}
+    addresses: dict[int, LibraryAddress] = {}
     for name in getattr(type(tables), "_fields", ()):
         value = getattr(tables, name)
         if isinstance(value, tuple):
-            found |= _library_addresses(value)
+            addresses |= _library_addresses(value)
         elif name in LIBRARY_ADDRESS_FIELDS and isinstance(value, np.ndarray):
             numbers = value.ravel().tolist()
-            found |= {number: LibraryAddress(STEPS[number], False) for number in numbers if number in STEPS}
-            found |= {number: LibraryAddress(ROUTINES[number], True) for number in numbers if number in ROUTINES}
-    return found
+            addresses |= {number: LibraryAddress(STEPS[number], False) for number in numbers if number in STEPS}
+            addresses |= {number: LibraryAddress(ROUTINES[number], True) for number in numbers if number in ROUTINES}
+    return addresses
 
 
 def _relocated(tables: Any, relocations: Mapping[int, int]) -> Any:
@@ -88,17 +90,19 @@ def _relocated(tables: Any, relocations: Mapping[int, int]) -> Any:
     kind: Any = type(tables)
     if not hasattr(kind, "_fields"):
         return tables
-    own = {name: getattr(tables, name) for name in kind._fields}
-    places = [name for name, value in own.items() if isinstance(value, np.ndarray) and value.dtype == np.int64]
-    varied = per_member_fields(kind) if places else frozenset()
-    for name, value in own.items():
+    values = {name: getattr(tables, name) for name in kind._fields}
+    integer_fields = [
+        name for name, value in values.items() if isinstance(value, np.ndarray) and value.dtype == np.int64
+    ]
+    per_member = per_member_fields(kind) if integer_fields else frozenset()
+    for name, value in values.items():
         if isinstance(value, tuple):
-            own[name] = _relocated(value, relocations)
-        elif name in places and (name in varied or name in LIBRARY_ADDRESS_FIELDS):
-            own[name] = np.array([relocations.get(old, old) for old in value.ravel().tolist()], np.int64).reshape(
-                value.shape
-            )
-    return kind(**own)
+            values[name] = _relocated(value, relocations)
+        elif name in integer_fields and (name in per_member or name in LIBRARY_ADDRESS_FIELDS):
+            values[name] = np.array(
+                [relocations.get(address, address) for address in value.ravel().tolist()], np.int64
+            ).reshape(value.shape)
+    return kind(**values)
 
 
 def picklable_loop(loop: CompiledLoop) -> dict[str, Any]:
@@ -109,15 +113,15 @@ def picklable_loop(loop: CompiledLoop) -> dict[str, Any]:
         "memory": loop.memory,
         "accounts": loop.accounts,
         "parts": loop.parts,
-        "given": picklable_tables(loop.tables, loop.keepalive),
+        "tables": picklable_tables(loop.tables, loop.keepalive),
     }
 
 
 def restored_loop(pickled: Mapping[str, Any]) -> CompiledLoop:
     """Return the compiled loop from the result of `picklable_loop`."""
-    tables, keepalive = restored_tables(pickled["given"])
+    tables, keepalive = restored_tables(pickled["tables"])
     return CompiledLoop(
-        tables=tables, keepalive=keepalive, **{name: pickled[name] for name in pickled if name != "given"}
+        tables=tables, keepalive=keepalive, **{name: pickled[name] for name in pickled if name != "tables"}
     )
 
 

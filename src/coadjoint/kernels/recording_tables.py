@@ -75,8 +75,8 @@ def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float
 
     The run does not end with this step, so that no energy is computed. The arrays must live as long.
     """
-    places = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
-    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *places, 0)
+    addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
+    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

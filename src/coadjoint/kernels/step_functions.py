@@ -30,23 +30,23 @@ class StepFunction:
 
     def __init__(self, method: Any, system: Any) -> None:
         self._raised: BaseException | None = None
-        found, reason = _compiled(method, system) if method.compiles else (None, "")
-        self.compiled = found is not None
-        if found is None:
+        callback, reason = _compiled(method, system) if method.compiles else (None, "")
+        self.compiled = callback is not None
+        if callback is None:
             if method.compiles:
                 _warn_once(type(method), reason)
-            self._callback = CALLBACK(self._called(method, system))
+            self._callback = CALLBACK(self._python_step(method, system))
             self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
         else:
-            self._callback = found
-            self.address = found.address
+            self._callback = callback
+            self.address = callback.address
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that the step raised, if any."""
-        found, self._raised = self._raised, None
-        return found
+        error, self._raised = self._raised, None
+        return error
 
-    def _called(self, method: Any, system: Any) -> Callable[..., int]:
+    def _python_step(self, method: Any, system: Any) -> Callable[..., int]:
         n, number = system.dim, ctypes.c_double
 
         def call(_: int, x: int, t: float, h: float, out: int) -> int:
@@ -61,9 +61,9 @@ class StepFunction:
         return call
 
 
-def checked_step(found: Any, n: int, method: Any) -> Any:
+def checked_step(result: Any, n: int, method: Any) -> Any:
     """Return the result of a step as float64; raise TypeError if it is not `n` real numbers."""
-    state = np.asarray(found)
+    state = np.asarray(result)
     if state.shape != (n,) or state.dtype.kind not in "fiu":
         kind = "complex numbers" if state.dtype.kind == "c" else f"an array of {state.dtype} and shape {state.shape}"
         raise TypeError(f"the step of {type(method).__name__} returned {kind}; it must return {n} real numbers")
@@ -78,7 +78,7 @@ def _warn_once(scheme: type, reason: str) -> None:
         return
     _warned_types.add(scheme)
     warnings.warn(
-        f"the steps of {scheme.__name__} are Python calls, some hundred times slower than compiled ones: {reason}",
+        f"the steps of {scheme.__name__} are Python calls, about a hundred times slower than compiled ones: {reason}",
         RuntimeWarning,
         stacklevel=2,
     )
@@ -104,15 +104,15 @@ def _compiled(method: Any, system: Any) -> tuple[Any, str]:
 
 def _parameters(method: Any) -> tuple[tuple[str, ...], tuple[Any, ...]]:
     """Return names and values that a step may read of its scheme: dataclass fields and plain class attributes."""
-    found: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     for kind in reversed(type(method).__mro__[:-1]):
         plain = {key: value for key, value in vars(kind).items() if isinstance(value, int | float | str | tuple)}
-        found |= {key: value for key, value in plain.items() if not key.startswith("_")}
+        parameters |= {key: value for key, value in plain.items() if not key.startswith("_")}
     if dataclasses.is_dataclass(method):
-        found |= {field.name: getattr(method, field.name) for field in dataclasses.fields(method)}
-    return tuple(found), tuple(found.values())
+        parameters |= {field.name: getattr(method, field.name) for field in dataclasses.fields(method)}
+    return tuple(parameters), tuple(parameters.values())
 
 
 def with_derivatives(system: Any) -> bool:
-    """Return whether the compiled kernels have exact derivatives of a field: it has no functions of the user."""
+    """Return whether the kernels have exact derivatives of a field, which then has no user functions."""
     return system.algebra is not None and not any(term.called for term in system.hamiltonian.terms())

@@ -1,17 +1,17 @@
-"""Tables as C structures for the kernels, with the layout that the library describes."""
+"""Tables as C structures with the layout that the library describes, and shared tables of members that differ."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from coadjoint.kernels.interface import check_fields, kernel_interface
+from coadjoint.kernels.interface import check_fields, kernel_interface, limit
 
 # Types of fields in `source/boundary/tables.hpp`: numbers, or elements of arrays.
 SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
@@ -30,13 +30,14 @@ PER_MEMBER_TYPES = frozenset(("addresses", "constants"))
 @functools.cache
 def structures() -> dict[str, Any]:
     """Return the C structures of the tables by name."""
-    found: dict[str, Any] = {}
+    by_name: dict[str, Any] = {}
     for name, fields in kernel_interface().tables.items():
         members = [
-            (label, SCALARS.get(kind) or (ctypes.c_void_p if kind in ARRAYS else found[kind])) for kind, label in fields
+            (label, SCALARS.get(kind) or (ctypes.c_void_p if kind in ARRAYS else by_name[kind]))
+            for kind, label in fields
         ]
-        found[name] = type(name, (ctypes.Structure,), {"_fields_": members, "kinds": [kind for kind, _ in fields]})
-    return found
+        by_name[name] = type(name, (ctypes.Structure,), {"_fields_": members, "kinds": [kind for kind, _ in fields]})
+    return by_name
 
 
 @functools.cache
@@ -52,7 +53,7 @@ def per_member_fields(kind: Any) -> frozenset[str]:
 
     Examples
     --------
-    >>> from coadjoint.kernels.field import GroupField
+    >>> from coadjoint.kernels.field_tables import GroupField
     >>> sorted(per_member_fields(GroupField))
     ['value']
     """
@@ -70,8 +71,8 @@ def as_structure(table: Any) -> Any:
     """
     if isinstance(table, ctypes.Structure):
         return table
-    own: Any = type(table)
-    kind = structure_of_table(own)
+    table_class: Any = type(table)
+    kind = structure_of_table(table_class)
     filled = kind()
     for field, token in zip((field for field, _ in kind._fields_), kind.kinds, strict=True):
         value = getattr(table, field)
@@ -89,10 +90,9 @@ def as_structure(table: Any) -> Any:
 
 @functools.cache
 def packer(kind: Any) -> Callable[..., bytes]:
-    """Return a function from the fields of a table, in the order of the class, to its bytes; ten times faster than
-    `as_structure`.
+    """Return a function from the fields of a table of numbers and addresses, in the order of the class, to its bytes.
 
-    The table has plain numbers and addresses only; arrays are given by address.
+    It is ten times faster than `as_structure`.
     """
     structure = structure_of_table(kind)
     names = tuple(name for name, _ in structure._fields_)
@@ -106,3 +106,61 @@ def packer(kind: Any) -> Callable[..., bytes]:
 def address(array: Any) -> ctypes.c_void_p:
     """Return the address of the first element of a contiguous array."""
     return ctypes.c_void_p(array.ctypes.data)
+
+
+Tables = TypeVar("Tables", bound=tuple[Any, ...])
+
+
+def _varies(tables: Any, name: str) -> bool:
+    kind: Any = type(tables)
+    return hasattr(kind, "_fields") and name in per_member_fields(kind)
+
+
+def _fields(tables: Any) -> Sequence[str]:
+    return getattr(tables, "_fields", ("",) * len(tables))
+
+
+def structure_of(tables: Any) -> Hashable:
+    """Return everything in tables except their constants: members of equal structure can share one set of tables.
+
+    Constants are the arrays that the kernels call `constants`, and the `addresses` of functions; only the shape of
+    constants, and which addresses are zero, belong to the structure.
+    """
+    if isinstance(tables, np.ndarray):
+        return tables.dtype.char, tables.shape, tables.tobytes()
+    if isinstance(tables, tuple):
+        items = zip(_fields(tables), tables, strict=True)
+        return type(tables), *(_shape_of(item) if _varies(tables, name) else structure_of(item) for name, item in items)
+    hashable: Hashable = tables
+    return hashable
+
+
+def _shape_of(item: Any) -> Hashable:
+    return item.shape if item.dtype == np.float64 else (item.shape, (item == 0).tobytes())
+
+
+def stacked(members: Sequence[Tables]) -> Tables:
+    """Return one set of tables for a nonempty sequence of members of equal `structure_of`.
+
+    Integers and functions are those of the first member. Each array of constants (count,) becomes (count, columns),
+    C-contiguous, one column per member; the last column is repeated up to a multiple of the limit LARGEST_CROWD, since
+    lanes may read beyond the last member.
+    """
+    first = members[0]
+    columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
+    return _rebuilt(first, [_stacked_column(first, name, item, column) for name, item, column in columns])
+
+
+def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) -> Any:
+    if isinstance(item, tuple):
+        return stacked(column)
+    if _varies(tables, name):
+        padding = -len(column) % limit("LARGEST_CROWD")
+        return np.ascontiguousarray(np.pad(np.array(column), ((0, padding), (0, 0)), mode="edge").T)
+    return item
+
+
+def _rebuilt(tables: Tables, items: list[Any]) -> Tables:
+    kind: Any = type(tables)
+    rebuilt: Tables = kind._make(items) if hasattr(kind, "_make") else kind(items)
+    return rebuilt

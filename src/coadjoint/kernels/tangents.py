@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction, Owners
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-from coadjoint.kernels.runge_kutta import RungeKuttaTables
-from coadjoint.kernels.tables import addresses_of
+from coadjoint.kernels.runge_kutta_tables import RungeKuttaTables
+from coadjoint.kernels.tables import FlowTables, addresses_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.system_checks import System
 
@@ -64,8 +63,7 @@ TANGENT_LOOPS: Mapping[type, tuple[str, Any]] = {
 def with_tangents(
     loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
 ) -> CompiledLoop:
-    """Return a loop that takes the same steps, to the bit, and carries tangent vectors; the group element is not
-    computed.
+    """Return a loop that takes the same steps, bitwise, with tangent vectors and without the group element.
 
     `functions` are the functions of the user by term number. The memory of a member ends with the data of
     `stretch_logarithms`. Raise TypeError if a second derivative is unknown or cannot be compiled.
@@ -74,18 +72,20 @@ def with_tangents(
     check_differentiable(system)
     terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms
     hessians, keepalive = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
-    derivative, kept = _derivative_of_structure(system)
+    derivative, structure_owners = _derivative_of_structure(system)
     carried, size = frame.vectors.shape
     vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
     tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
-    return CompiledLoop(name, tables, (*loop.keepalive, *keepalive, *kept), memory=scheme_memory(name, tables))
+    return CompiledLoop(
+        name, tables, (*loop.keepalive, *keepalive, *structure_owners), memory=scheme_memory(name, tables)
+    )
 
 
 def check_differentiable(system: System) -> None:
     """Raise TypeError if the Hamiltonian has no second derivatives, or J(x) no derivative."""
     if not all(term.differentiable for term in system.hamiltonian.terms()):
         raise TypeError(
-            f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} was given without; "
+            f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} does not have; "
             "give hessian="
         )
     if system.algebra is None and getattr(system, "derivative_function", None) is None:
@@ -112,12 +112,12 @@ def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]
 
 def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
     """Return the tangent vectors (members, count, size) stored in the memory of members between calls of the loop."""
-    own = memory[:, memory.shape[1] - count * (size + 2 * STRETCH_ENTRIES) :]
-    return own[:, : count * size].reshape(-1, count, size)
+    entries = memory[:, memory.shape[1] - count * (size + 2 * STRETCH_ENTRIES) :]
+    return entries[:, : count * size].reshape(-1, count, size)
 
 
 def stretch_logarithms(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Return the logarithms (members, count) of the accumulated growth of each vector up to the last step."""
-    own = memory[:, memory.shape[1] - count * STRETCH_ENTRIES :].reshape(-1, count, STRETCH_ENTRIES)
-    high, low, exponent = np.moveaxis(own, 2, 0)
+    entries = memory[:, memory.shape[1] - count * STRETCH_ENTRIES :].reshape(-1, count, STRETCH_ENTRIES)
+    high, low, exponent = np.moveaxis(entries, 2, 0)
     return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))

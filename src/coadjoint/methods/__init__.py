@@ -56,9 +56,9 @@ if not TYPE_CHECKING:  # type checkers see the names above and report any other
             from coadjoint.errors import unknown_attribute
 
             raise unknown_attribute("co.methods", name, __all__)
-        found = getattr(importlib.import_module(_HOME[name]), name)
-        globals()[name] = found
-        return found
+        value = getattr(importlib.import_module(_HOME[name]), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -41,10 +41,10 @@ class Exponentials(NamedTuple):
     @property
     def nodes(self) -> list[Fraction]:
         """Time of each stage, in units of the step."""
-        found = [Fraction(0)]
+        nodes = [Fraction(0)]
         for start, combination in self.stages:
-            found.append(found[start] + sum(combination))
-        return found
+            nodes.append(nodes[start] + sum(combination))
+        return nodes
 
 
 def _as_fractions(denominator: int, *numerators: int) -> list[Fraction]:
@@ -141,8 +141,8 @@ class CommutatorFree(CompiledStepMethod):
         """Return the number of stages; and the number of final exponentials, the nodes, and all combinations."""
         scheme = SCHEMES[self.order]
         stages = len(scheme.stages) + 1
-        moves = [*scheme.stages, *((0, combination) for combination in scheme.out)]
-        rows = [[start, *map(float, row), *[0.0] * (stages - len(row))] for start, row in moves]
+        combinations = [*scheme.stages, *((0, combination) for combination in scheme.out)]
+        rows = [[start, *map(float, row), *[0.0] * (stages - len(row))] for start, row in combinations]
         return [stages], [len(scheme.out), *map(float, scheme.nodes), *(a for row in rows for a in row)]
 
     def loop_of_substeps(
@@ -153,11 +153,11 @@ class CommutatorFree(CompiledStepMethod):
             return super().loop_of_substeps(system, h, representation, fractions)
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.matrix_tables import matrix_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import STEP_LOOP
 
-        whole, coefficients = self.constants()
-        found = matrix_tables(system, "commutator_free_matrices", whole[0], coefficients, fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive)
+        integers, coefficients = self.constants()
+        tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""
@@ -226,7 +226,7 @@ class CommutatorFree(CompiledStepMethod):
 
 
 def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:
-    """Return h times a combination of gradients, and of their derivatives if they are known."""
+    """Return h times a combination of gradients, and of their derivatives if there are any."""
     parts = [(h * a.numerator / a.denominator, k) for a, k in zip(combination, gradients, strict=False) if a]
     k = sum(factor * gradient for factor, (gradient, _) in parts)
     return k, None if gradients[0][1] is None else sum(
@@ -247,20 +247,18 @@ def apply_exponential(
     if degree is None:
         substeps, degree = substeps_and_degree(D.norm(), roundoff(number))
     for _ in range(substeps):
-        total, spread = y, dy
+        total, derivative = y, dy
         for power in range(degree, 0, -1):
             # Horner's scheme: y + (1/power) D total, and its derivative
             if dy is not None:
-                spread = dy + D.change(total, spread) / (power * substeps)
+                derivative = dy + D.change(total, derivative) / (power * substeps)
             total = y + D.image(total) / (power * substeps)
-        y, dy = total, spread
+        y, dy = total, derivative
     return y, dy
 
 
 def substeps_and_degree(norm: float, unit: Any) -> tuple[int, int]:
-    """Return the number of substeps of an exponential, each of norm at most 1, and the degree with a remainder below
-    rounding.
-    """
+    """Return the number of substeps of an exponential, each of norm at most 1, and the degree that suffices."""
     from coadjoint.kernels.interface import limit
 
     if unit == 0:
@@ -268,8 +266,8 @@ def substeps_and_degree(norm: float, unit: Any) -> tuple[int, int]:
             "the step needs exponentials, which exact fractions cannot represent; take floats or mpmath.mpf"
         )
     if not norm <= limit("MOST_SUBSTEPS"):
-        said = CommutatorFree.failures["UNDEFINED"]
-        raise IntegrationError(said, step=1, time=float("nan"), residual=float("nan"))
+        message = CommutatorFree.failures["UNDEFINED"]
+        raise IntegrationError(message, step=1, time=float("nan"), residual=float("nan"))
     substeps = max(1, int(np.ceil(norm)))
     theta, degree, term = norm / substeps, 1, norm / substeps / 2
     while term > float(unit) / 8:

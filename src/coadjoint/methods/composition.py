@@ -80,7 +80,7 @@ class Composition(Composed):
             raise ValueError(f"the coefficients of a Composition add up to 1, not to {total!r}")
 
     @cached_property
-    def whole(self) -> Method:
+    def expanded(self) -> Method:
         """The composition in the form of the family of the base: one table of flows, or substeps."""
         return self.base.composed(self.coefficients)
 
@@ -91,43 +91,43 @@ class Composition(Composed):
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the composition of this composition."""
-        return self.whole.composed(coefficients)
+        return self.expanded.composed(coefficients)
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
-        return self.whole.program(system, group=group, number=number)
+        return self.expanded.program(system, group=group, number=number)
 
     def swept(self) -> Swept:
-        return self.whole.swept()
+        return self.expanded.swept()
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
-        return self.whole.compiled(system, h, representation)
+        return self.expanded.compiled(system, h, representation)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        return self.whole.tangent_loop(system, h, frame)
+        return self.expanded.tangent_loop(system, h, frame)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
-        return self.whole.step(system, x, t, h)
+        return self.expanded.step(system, x, t, h)
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        return self.whole.formal_step(system, x, h)
+        return self.expanded.formal_step(system, x, h)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        return self.whole.tangent(system, x, t, h)
+        return self.expanded.tangent(system, x, t, h)
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        return self.whole.tangent_on(system, x, t, h, vectors)
+        return self.expanded.tangent_on(system, x, t, h, vectors)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return the way of the base."""
         return self.base.tangent_by(system, x, t, h)
 
     def work(self, system: System, group: Representation = None) -> Work:
-        return self.whole.work(system, group)
+        return self.expanded.work(system, group)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
         """Return whether the base needed Newton's method."""
-        return self.whole.took_newton(memory)
+        return self.expanded.took_newton(memory)
 
     def look_ahead(self, systems: Sequence[System]) -> None:
         """Prepare the base for many systems."""
@@ -145,11 +145,10 @@ class Composition(Composed):
 
 
 def _validated_fractions(coefficients: Any, base: Method) -> tuple[float, ...]:
-    found = read_finite(coefficients, "coefficients")
-    if found.ndim != 1:
-        raise ValueError(f"coefficients has shape {found.shape}; give a sequence of numbers")
-    if found.size * len(base.fractions) > MOST_SUBSTEPS:
-        raise ValueError(
-            f"a step of the Composition has {found.size * len(base.fractions)} substeps; the limit is {MOST_SUBSTEPS}"
-        )
-    return tuple(found.tolist())
+    fractions = read_finite(coefficients, "coefficients")
+    if fractions.ndim != 1:
+        raise ValueError(f"coefficients has shape {fractions.shape}; give a sequence of numbers")
+    substeps = fractions.size * len(base.fractions)
+    if substeps > MOST_SUBSTEPS:
+        raise ValueError(f"a step of the Composition has {substeps} substeps; the limit is {MOST_SUBSTEPS}")
+    return tuple(fractions.tolist())

@@ -23,14 +23,14 @@ TANGENT_METHODS = ("formula", "complex step", "differences")
 
 
 def effective_scheme(system: Any, method: Method) -> Method:
-    """Return the scheme with which a run integrates a system: `Forced` around the given one if it has forces.
+    """Return the scheme of a run: `Forced` around the given scheme if the system has forces.
 
-    Raise TypeError if the given scheme is already `Forced`.
+    TypeError: the given scheme is already `Forced`.
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
-    one = system[0] if isinstance(system, Batch) else system
-    return Forced(method) if isinstance(one, ForcedSystem) else method
+    first = system[0] if isinstance(system, Batch) else system
+    return Forced(method) if isinstance(first, ForcedSystem) else method
 
 
 def check_supports(system: Any, method: Method) -> None:
@@ -46,10 +46,12 @@ def check_direction(system: Any, h: float) -> None:
     >>> import coadjoint as co
     >>> check_direction(co.systems.rigid_body(), -0.1)
     """
-    one = system[0] if isinstance(system, Batch) else system
-    if h < 0.0 and isinstance(one, ForcedSystem) and not one.reversible:
-        one_way = next(label for label, force in zip(one.labels, one.forces, strict=True) if not force.reversible)
-        raise ValueError(f"{one_way} does not run backward, and t_span ends before it starts")
+    first = system[0] if isinstance(system, Batch) else system
+    if h < 0.0 and isinstance(first, ForcedSystem) and not first.reversible:
+        irreversible = next(
+            label for label, force in zip(first.labels, first.forces, strict=True) if not force.reversible
+        )
+        raise ValueError(f"{irreversible} does not run backward, and t_span ends before it starts")
 
 
 @dataclass(frozen=True)
@@ -118,11 +120,11 @@ class Forced(Method):
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
-        said = tuple(f"{what}: {', '.join(by)}" for what, had, by in broken if had and by)
-        return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, said)
+        broken_by = tuple(f"{name}: {', '.join(labels)}" for name, kept, labels in broken if kept and labels)
+        return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by)
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop whose steps contain one step of the loop of the base each."""
+        """Return a loop with a step of the loop of the base in each step."""
         from coadjoint.kernels.forces import forced_loop
 
         check_direction(system, h)
@@ -153,22 +155,22 @@ class Forced(Method):
         from coadjoint.methods.protocol.step_derivatives import derivative_of
 
         self.properties(system)
-        plain, half, y, P, ways = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
+        plain, half, y, P, by = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
 
-        def chain_tangent(force: Force, at: float) -> None:
+        def chain_tangent(force: Force, time: float) -> None:
             nonlocal y, P
-            found = derivative_of(lambda z: force.flow(plain, z, at, half), y)
-            y, P = found.value, found.derivative @ P
-            ways.append(found.by)
+            result = derivative_of(lambda z: force.flow(plain, z, time, half), y)
+            y, P = result.value, result.derivative @ P
+            by.append(result.by)
 
         for force in system.forces:
             chain_tangent(force, t)
-        ways.append(self.base.tangent_by(plain, y, t, h))
-        y, own = self.base.tangent(plain, y, t, h)
-        P = own @ P
+        by.append(self.base.tangent_by(plain, y, t, h))
+        y, derivative = self.base.tangent(plain, y, t, h)
+        P = derivative @ P
         for force in reversed(system.forces):
             chain_tangent(force, t + half)
-        return y, P, ways
+        return y, P, by
 
     def work(self, system: Any, group: Representation = None) -> Work:
         """Return the work of the base; forces are not counted."""

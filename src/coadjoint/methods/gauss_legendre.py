@@ -20,7 +20,7 @@ from coadjoint.validation import read_integer
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
-    """Return the Gauss-Legendre coefficients as L_j = h b_j f(X_j), X_i = x + sum_j mu_ij L_j, x_new = x + sum_j L_j.
+    """Return the tableau: L_j = h b_j f(X_j), X_i = x + sum_j mu_ij L_j, x_new = x + sum_j L_j.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def validated_stages(value: Any, what: str) -> int:
     >>> validated_stages(2, "stages")
     2
     """
-    return read_integer(value, what, 1, MAX_STAGES, why="no step is worth more")
+    return read_integer(value, what, 1, MAX_STAGES, why="more would not be more accurate")
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,9 @@ class GaussLegendre(RungeKuttaMethod):
 
 
 def _has_constant_bracket(system: System) -> bool:
-    """Return whether J(x) depends only on coordinates whose elements are central, and is therefore constant.
+    """Return whether J(x) is constant, since it depends on coordinates of central elements only.
 
-    These schemes are then symplectic: J. Sanz-Serna, BIT 28 (1988) 877.
+    The schemes are then symplectic: J. Sanz-Serna, BIT 28 (1988) 877.
     """
     triples = getattr(system.algebra, "triples", None)
     return triples is not None and not np.intersect1d(triples.k, np.concatenate([triples.i, triples.j])).size

@@ -10,8 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
-from coadjoint.methods.numerics.isospectral_stages import derivative_of, increment_of, stages_of
-from coadjoint.methods.numerics.two_layer_step import two_layer_increment
+from coadjoint.methods.numerics.isospectral_stages import (
+    derivative_of,
+    increment_of,
+    stages_of,
+    two_layer_increment,
+)
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
@@ -104,11 +108,11 @@ class IsospectralGauss(SteppedMethod):
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
         from coadjoint.kernels.matrix_tables import matrix_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import STEP_LOOP
 
         a, b = _coefficients(self.stages)
-        found = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive, memory=scheme_memory(STEP_LOOP, found.tables))
+        tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=scheme_memory(STEP_LOOP, tables.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""
@@ -129,10 +133,10 @@ class IsospectralGauss(SteppedMethod):
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
         if isinstance(matrices, TwoLayerSystem):
-            found = W + two_layer_increment(matrices, W, t, h, a, b)
+            end = W + two_layer_increment(matrices, W, t, h, a, b)
         else:
-            found = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
-        return np.asarray(matrices.to_vector(found) if matrices.is_in_numbers(x) else found)
+            end = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
+        return np.asarray(matrices.to_vector(end) if matrices.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative in coordinates, for the projection on the algebra.
@@ -151,8 +155,8 @@ class IsospectralGauss(SteppedMethod):
             return super().tangent(matrices, matrices.to_vector(matrices.matrices(x)), t, h)  # type: ignore[arg-type]
         W = matrices.matrices(x)
         stages = stages_of(matrices, W, t, h, a, str(self))
-        found = W + increment_of(stages, h, b)
-        return matrices.to_vector(found), derivative_of(matrices, W, stages, t, h, a, b)
+        end = W + increment_of(stages, h, b)
+        return matrices.to_vector(end), derivative_of(matrices, W, stages, t, h, a, b)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         matrices = matrices_of(system)
@@ -163,8 +167,8 @@ def matrices_of(system: Any) -> MatrixSystem:
     """Return a `MatrixSystem` unchanged; raise ValueError for any other system."""
     if not isinstance(system, MatrixSystem):
         raise ValueError(
-            f"IsospectralGauss moves matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; take "
-            "Splitting or GaussLegendre"
+            f"IsospectralGauss integrates matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; "
+            "take Splitting or GaussLegendre"
         )
     return system
 

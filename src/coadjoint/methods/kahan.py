@@ -91,9 +91,9 @@ class Kahan(CompiledStepMethod):
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative, ``(1 - h/2 f'(x))^-1 (1 + h/2 f'(x_new))``: f' is linear in x."""
         start = np.asarray(x, dtype=np.float64)
-        end, one = self.step(system, start, t, h), np.eye(len(start))
+        end, identity = self.step(system, start, t, h), np.eye(len(start))
         before, after = (h / 2 * derivative(system, point, t) for point in (start, end))
-        return end, linear_solve(one - before, one + after)
+        return end, linear_solve(identity - before, identity + after)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the field, of its derivative, and of the linear system."""
@@ -107,8 +107,8 @@ def derivative(system: System, x: NDArray[Any], t: Any) -> NDArray[Any]:
     if system.algebra is not None:
         return np.asarray(system.jacobian(x, t))
     size = max(abs(x)) or 1
-    moves = size * np.eye(len(x), dtype=np.int64)
-    pairs = [system.vector_field(x + move, t) - system.vector_field(x - move, t) for move in moves]
+    offsets = size * np.eye(len(x), dtype=np.int64)
+    pairs = [system.vector_field(x + offset, t) - system.vector_field(x - offset, t) for offset in offsets]
     return np.stack(pairs, axis=1) / (2 * size)
 
 
@@ -121,10 +121,11 @@ def _has_linear_structure(system: System) -> bool:
         a, b = size * random.standard_normal((2, system.dim))
         with np.errstate(all="ignore"):
             try:
-                parts = [np.asarray(J(point), dtype=np.float64) for point in (a + b, 0 * a, a, b)]
+                matrices = [np.asarray(J(point), dtype=np.float64) for point in (a + b, 0 * a, a, b)]
             except (ArithmeticError, ValueError):  # a linear function is defined everywhere
                 return False
-        off = np.abs(parts[0] + parts[1] - parts[2] - parts[3])
-        if not np.all(off <= 64 * system.dim * UNIT_ROUNDOFF * max(np.max(np.abs(part)) for part in parts)):
+        deviation = np.abs(matrices[0] + matrices[1] - matrices[2] - matrices[3])
+        largest = max(np.max(np.abs(matrix)) for matrix in matrices)
+        if not np.all(deviation <= 64 * system.dim * UNIT_ROUNDOFF * largest):
             return False
     return True

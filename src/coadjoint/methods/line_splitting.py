@@ -122,16 +122,15 @@ class LineSplitting(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.step_tables import numeric_step_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import STEP_LOOP, numeric_step_tables
 
         torus = torus_of(system)
         factor, constant = stream_of_modes(torus)
-        whole = [torus.algebra.N, int(constant is not None), *np.ravel(lines(torus.algebra.N)).tolist()]
+        integers = [torus.algebra.N, int(constant is not None), *np.ravel(lines(torus.algebra.N)).tolist()]
         numbers = [factor.ravel()] + ([] if constant is None else [constant.ravel().view(np.float64)])
         lengths = [outer * inner for outer in fractions for inner in self.fractions]
-        found = numeric_step_tables(torus, "line_splitting", whole, np.concatenate(numbers).tolist(), lengths)  # type: ignore[arg-type]
-        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive)
+        tables = numeric_step_tables(torus, "line_splitting", integers, np.concatenate(numbers).tolist(), lengths)  # type: ignore[arg-type]
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""
@@ -144,16 +143,16 @@ class LineSplitting(SteppedMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
-        found = matrix_of(self._advanced(torus, modes_of(torus.matrices(x)), h, None)[0])
-        return np.asarray(torus.to_vector(found) if torus.is_in_numbers(x) else found)
+        end = matrix_of(self._advanced(torus, modes_of(torus.matrices(x)), h, None)[0])
+        return np.asarray(torus.to_vector(end) if torus.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative in coordinates, for the projection on the algebra."""
         torus = torus_of(system)
         check_available_memory(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
         units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
-        moved, changes = self._advanced(torus, modes_of(torus.matrices(x)), h, modes_of(units))
-        return torus.to_vector(matrix_of(moved)), torus.to_vector(matrix_of(changes)).T
+        end, changes = self._advanced(torus, modes_of(torus.matrices(x)), h, modes_of(units))
+        return torus.to_vector(matrix_of(end)), torus.to_vector(matrix_of(changes)).T
 
     def _advanced(
         self, torus: MatrixSystem, v: Complexes, h: float, changes: Complexes | None
@@ -187,26 +186,27 @@ def lines(N: int) -> tuple[Line, ...]:
 def flow(
     v: Complexes, dv: Complexes, factor: NDArray[np.float64], constant: Complexes | None, line: Line, h: float
 ) -> tuple[Complexes, Complexes]:
-    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of one line over a time h; `factor`
-    and `constant` come from `stream_of_modes`.
+    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of a line over a time h.
+
+    `factor` and `constant` are those of `stream_of_modes`.
     """
     N = len(v)
-    number = np.arange(N)
-    j, d, s = number[None, :], number[:, None], number[None, :]
-    place = (j * line.k[0] + d * line.l[0]) % N, (j * line.k[1] + d * line.l[1]) % N
-    p = (factor * v if constant is None else factor * v + constant)[place[0][0], place[1][0]]
-    dp = (factor * dv)[:, place[0][0], place[1][0]]
+    indices = np.arange(N)
+    j, d, s = indices[None, :], indices[:, None], indices[None, :]
+    index = (j * line.k[0] + d * line.l[0]) % N, (j * line.k[1] + d * line.l[1]) % N
+    p = (factor * v if constant is None else factor * v + constant)[index[0][0], index[1][0]]
+    dp = (factor * dv)[:, index[0][0], index[1][0]]
     # The diagonal of the stream is i theta, also for complex changes.
     theta, dtheta = -1j * np.fft.fft(p), -1j * np.fft.fft(dp)
-    turn = np.exp(1j * h * (theta[(s + d) % N] - theta[(s - d) % N]))
-    bend = 1j * h * (dtheta[:, (s + d) % N] - dtheta[:, (s - d) % N])
-    seen = turn * np.fft.fft(v[place], axis=-1)
-    moved, changed = np.empty_like(v), np.empty_like(dv)
-    moved[place] = np.fft.ifft(seen, axis=-1)
-    changed[:, place[0], place[1]] = np.fft.ifft(
-        turn * np.fft.fft(dv[:, place[0], place[1]], axis=-1) + bend * seen, axis=-1
+    phase = np.exp(1j * h * (theta[(s + d) % N] - theta[(s - d) % N]))
+    phase_change = 1j * h * (dtheta[:, (s + d) % N] - dtheta[:, (s - d) % N])
+    spectrum = phase * np.fft.fft(v[index], axis=-1)
+    result, result_changes = np.empty_like(v), np.empty_like(dv)
+    result[index] = np.fft.ifft(spectrum, axis=-1)
+    result_changes[:, index[0], index[1]] = np.fft.ifft(
+        phase * np.fft.fft(dv[:, index[0], index[1]], axis=-1) + phase_change * spectrum, axis=-1
     )
-    return moved, changed
+    return result, result_changes
 
 
 def stream_of_modes(torus: MatrixSystem) -> tuple[NDArray[np.float64], Complexes | None]:
@@ -232,8 +232,8 @@ def matrix_of(v: Complexes) -> Complexes:
 def torus_of(system: Any) -> MatrixSystem:
     """Return a fluid on the torus with a prime N unchanged; raise ValueError for any other system."""
     name = getattr(system, "name", short(system))
-    served = isinstance(system, MatrixSystem) and isinstance(system.stream, Circulants)
-    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
+    supported = isinstance(system, MatrixSystem) and isinstance(system.stream, Circulants)
+    if not supported or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
         raise ValueError(
             f"LineSplitting integrates fluids on the torus, but {name} is not one: its stream is not a factor for each "
             "mode of su(N); take IsospectralGauss for matrices, Splitting for vectors"

@@ -108,8 +108,8 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         if self.freeze == "structure":
             if not has_quadratic_energy(system):
                 raise ValueError(
-                    'ModifiedGaussLegendre with freeze="structure" needs a quadratic Hamiltonian, which that of '
-                    f'{system.name} is not; take freeze="gradient" or GaussLegendre'
+                    'ModifiedGaussLegendre with freeze="structure" needs a quadratic Hamiltonian, but that of '
+                    f'{system.name} is not quadratic; take freeze="gradient" or GaussLegendre'
                 )
             return Properties(poisson=False, energy=True, casimirs="none", attitude="none")
         if system.algebra is None:

@@ -107,16 +107,15 @@ class Projected(WithBase):
         return polynomial_casimirs(system)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop whose steps contain one step of the loop of the base each."""
+        """Return a loop with a step of the loop of the base in each step."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, wrapped_step_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
 
         inner = self.base.loop(system, h)
-        found = wrapped_step_tables(system, "projected", inner, self.restored(system))
-        memory = scheme_memory(STEP_LOOP, found.tables)
+        tables = wrapped_step_tables(system, "projected", inner, self.restored(system))
+        memory = scheme_memory(STEP_LOOP, tables.tables)
         return CompiledLoop(
-            STEP_LOOP, found.tables, found.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
+            STEP_LOOP, tables.tables, tables.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

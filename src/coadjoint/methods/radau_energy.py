@@ -104,7 +104,7 @@ class RadauEnergy(CompiledStepMethod):
         IntegrationError
             The iteration does not converge, or x . grad H vanishes.
         """
-        step, slopes, _ = self._solved(system, x, t, h)
+        step, slopes, _ = self._solve(system, x, t, h)
         return np.asarray(step.x + step.coefficients.out @ slopes)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -118,7 +118,7 @@ class RadauEnergy(CompiledStepMethod):
         IntegrationError
             The iteration does not converge, or x . grad H vanishes.
         """
-        step, slopes, multipliers = self._solved(system, np.asarray(x, dtype=np.float64), t, h)
+        step, slopes, multipliers = self._solve(system, np.asarray(x, dtype=np.float64), t, h)
         s, n, mu = self.stages, step.x.size, step.coefficients.mix
         points = step.points(slopes)
         blocks = step.jacobians(points) + multipliers[:, None, None] * np.eye(n)
@@ -133,21 +133,21 @@ class RadauEnergy(CompiledStepMethod):
                 matrix[rows, s * n + j] = -mu[i, j] * points[j]
             matrix[constraint, rows] = gradients[i]
             right[constraint] = system.hamiltonian.gradient(step.x, t)
-        spread = np.linalg.solve(matrix, right)
-        return step.x + step.coefficients.out @ slopes, spread[(s - 1) * n : s * n]
+        derivatives = np.linalg.solve(matrix, right)
+        return step.x + step.coefficients.out @ slopes, derivatives[(s - 1) * n : s * n]
 
-    def _solved(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any], NDArray[Any]]:
+    def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any], NDArray[Any]]:
         """Return the step, its slopes L_j = h b_j f(X_j) + nu_j X_j, shape (s, n), and the multipliers nu_j."""
         self.properties(system)
         step = begin(self._tableau, system, x, t, h)
         mu = step.coefficients.mix
-        wanted = system.energy(step.x, t)
+        initial_energy = system.energy(step.x, t)
         undefined = IntegrationError(NO_MULTIPLIER, step=1, time=float(t), residual=float("nan"))
         multipliers = step.x[:1].repeat(self.stages) * 0
 
         def slopes_at(points: NDArray[Any]) -> NDArray[Any]:
             slopes = step.fields(points) + multipliers[:, None] * points
-            excess = np.array([[wanted - system.energy(X, t)] for X in step.points(slopes)])
+            excess = np.array([[initial_energy - system.energy(X, t)] for X in step.points(slopes)])
             # One Newton iteration for the multipliers: dX_i/dnu_j = mu_ij X_j.
             matrix = mu * (step.gradients(points) @ points.T)
             if any(matrix[i, i] == 0 for i in range(self.stages)):

@@ -26,7 +26,7 @@ ENTRY_POINTS = "coadjoint.methods"
 
 _registered: dict[str, type[Method]] = {}
 _loaded: dict[str, type[Method]] = {}
-"""Schemes of the entry points that have been loaded."""
+"""Schemes loaded from entry points."""
 
 
 def register(scheme: Scheme) -> Scheme:
@@ -98,12 +98,12 @@ def forget(name: str) -> None:
 
 
 def _schemes() -> dict[str, type[Method]]:
-    """Return all schemes by name: those of this folder, of entry points, and registered ones."""
-    return dict(sorted((_built_in() | _of_entry_points() | _registered).items()))
+    """Return all schemes by name: built-in ones, those of entry points, and registered ones."""
+    return dict(sorted((_built_in() | _entry_point_schemes() | _registered).items()))
 
 
 @cache
-def _of_entry_points() -> dict[str, type[Method]]:
+def _entry_point_schemes() -> dict[str, type[Method]]:
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
         try:
             scheme = point.load()
@@ -117,16 +117,16 @@ def _of_entry_points() -> dict[str, type[Method]]:
 
 @cache
 def _built_in() -> dict[str, type[Method]]:
-    """Return every concrete scheme that a file of this folder defines; there is no list to update for a new scheme."""
+    """Return the concrete schemes defined in the files of this folder, by name."""
     package = importlib.import_module("coadjoint.methods")
-    found: dict[str, type[Method]] = {}
+    schemes: dict[str, type[Method]] = {}
     for module_info in pkgutil.iter_modules(package.__path__):
         module = importlib.import_module(f"{package.__name__}.{module_info.name}")
         for name, value in vars(module).items():
             defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
             if defined and issubclass(value, Method) and not inspect.isabstract(value) and value.offered:
-                found[name] = value
-    return found
+                schemes[name] = value
+    return schemes
 
 
 def names() -> tuple[str, ...]:
@@ -191,7 +191,7 @@ def get(name: str, /, **parameters: Any) -> Method:
     known = parameters_of(name)
     required = [key for key, default in known.items() if default is inspect.Parameter.empty]
     check_parameters(name, parameters, known, required)
-    return schemes[name](**{key: _read(value) for key, value in parameters.items()})
+    return schemes[name](**{key: _read_value(value) for key, value in parameters.items()})
 
 
 def from_description(description: Mapping[str, Any]) -> Method:
@@ -222,23 +222,23 @@ def from_description(description: Mapping[str, Any]) -> Method:
         raise TypeError(
             f"a scheme is described by a mapping, not by {short(description)}; give its name and parameters"
         )
-    beside = dict(description)
-    name, inside = beside.pop("name", None), beside.pop("parameters", {})
-    if not isinstance(name, str) or not isinstance(inside, Mapping):
+    parameters = dict(description)
+    name, nested = parameters.pop("name", None), parameters.pop("parameters", {})
+    if not isinstance(name, str) or not isinstance(nested, Mapping):
         raise ValueError(
             f"{short(dict(description))} is not a scheme; "
             "give its name and parameters, such as name = 'Splitting', order = 2"
         )
-    twice = sorted(beside.keys() & inside.keys())
-    if twice:
-        raise ValueError(f"the parameter {short(twice[0])} of {name} is given twice; give it once")
-    return get(name, **{**beside, **inside})
+    repeated = sorted(parameters.keys() & nested.keys())
+    if repeated:
+        raise ValueError(f"the parameter {short(repeated[0])} of {name} is given twice; give it once")
+    return get(name, **{**parameters, **nested})
 
 
-def read_method(given: Any) -> Method:
-    """Return the scheme given as an instance, a name or a mapping, in the forms that `integrate` accepts.
+def read_method(value: Any) -> Method:
+    """Return the scheme for an instance, a name or a mapping, as `integrate` accepts.
 
-    Raise TypeError or ValueError for anything else, with the nearest name for an unknown one.
+    Anything else raises TypeError or ValueError; the message has the nearest name.
 
     Examples
     --------
@@ -248,33 +248,33 @@ def read_method(given: Any) -> Method:
     Traceback (most recent call last):
     ValueError: RK45 chooses each step by an estimate of the error, ...
     """
-    if isinstance(given, Method):
-        return given
-    if isinstance(given, Mapping):
-        return from_description(given)
-    if isinstance(given, str):
-        if given.lower() in ADAPTIVE_NAMES:
+    if isinstance(value, Method):
+        return value
+    if isinstance(value, Mapping):
+        return from_description(value)
+    if isinstance(value, str):
+        if value.lower() in ADAPTIVE_NAMES:
             raise ValueError(
-                f"{given} chooses each step by an estimate of the error, and loses what a scheme keeps; give "
+                f"{value} chooses each step by an estimate of the error, and so loses invariants; give "
                 "Splitting(order=4), GaussLegendre(stages=3), or accuracy= in place of method="
             )
-        if given.lower() in TABLEAUS:
-            return get("ExplicitRungeKutta", name=TABLEAUS[given.lower()])
-        return get(given)
-    if isinstance(given, type) and issubclass(given, Method):
-        raise TypeError(f"method is the class {given.__name__}; give a scheme, such as {given.__name__}()")
-    raise TypeError(f"method is {short(given)}; it must be a scheme such as Splitting(order=2)")
+        if value.lower() in TABLEAU_NAMES:
+            return get("ExplicitRungeKutta", name=value.lower())
+        return get(value)
+    if isinstance(value, type) and issubclass(value, Method):
+        raise TypeError(f"method is the class {value.__name__}; give a scheme, such as {value.__name__}()")
+    raise TypeError(f"method is {short(value)}; it must be a scheme such as Splitting(order=2)")
 
 
 ADAPTIVE_NAMES = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "dopri5", "vode", "tsit5", "odeint"))
-TABLEAUS = {"rk4": "rk4", "runge2": "runge2"}
+TABLEAU_NAMES = frozenset(("rk4", "runge2"))
 
 
-def _read(value: Any) -> Any:
+def _read_value(value: Any) -> Any:
     if isinstance(value, Mapping):
         # Mappings without a name are chosen parts.
-        return from_description(value) if "name" in value else {key: _read(entry) for key, entry in value.items()}
-    return tuple(_read(entry) for entry in value) if isinstance(value, list) else value
+        return from_description(value) if "name" in value else {key: _read_value(entry) for key, entry in value.items()}
+    return tuple(_read_value(entry) for entry in value) if isinstance(value, list) else value
 
 
 def parameters_of(name: str) -> dict[str, Any]:
@@ -341,10 +341,10 @@ def description_of(method: Method) -> dict[str, Any]:
     if not dataclasses.is_dataclass(method):
         raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be stored; make it one")
     fields = [field.name for field in dataclasses.fields(method) if field.init]
-    return {"name": type(method).__name__, "parameters": {key: _plain(getattr(method, key)) for key in fields}}
+    return {"name": type(method).__name__, "parameters": {key: _plain_value(getattr(method, key)) for key in fields}}
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     if isinstance(value, ChosenParts):
         return value.to_mapping()
     if isinstance(value, Method):
@@ -353,4 +353,4 @@ def _plain(value: Any) -> Any:
         value = value.to_polynomial()
     if isinstance(value, Polynomial):
         return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]
-    return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value
+    return [_plain_value(entry) for entry in value] if isinstance(value, tuple | list) else value

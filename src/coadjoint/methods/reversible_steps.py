@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.numerics.motion_speed import Speed, speed_of
-from coadjoint.methods.numerics.step_length import TOO_MANY_STEPS_MESSAGE
+from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
 from coadjoint.methods.protocol.composed import with_settled_base
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation, check_base
 from coadjoint.methods.protocol.properties import Properties
@@ -153,14 +153,14 @@ class ReversibleSteps(Method):
             The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not defined for it.
         """
         check_vector_states(system)
-        kept = self.base.properties(system)
+        declared = self.base.properties(system)
         if system.hamiltonian.timed:
             raise ValueError(
                 "ReversibleSteps follows a speed that depends on the state alone, but the Hamiltonian of "
                 f"{system.name} depends on time; take {self.base} at a constant step"
             )
         self._speed(system)
-        return replace(kept, poisson=False, reversible=True)
+        return replace(declared, poisson=False, reversible=True)
 
     def _speed(self, system: System) -> Speed:
         return speed_of(system, self.speed)
@@ -168,19 +168,18 @@ class ReversibleSteps(Method):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop with variable steps around the loop of the base."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, inner_loop_integers, named_step_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
         from coadjoint.kernels.tables import invariants_table
 
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
-        places, keepalive = inner_loop_integers(inner, system, representation)
-        followed = invariants_table([("the speed", speed.given)], system.dim)
+        integers, keepalive = inner_loop_integers(inner, system, representation)
+        speed_table = invariants_table([("the speed", speed.given)], system.dim)
         step = f"reversible_{speed.kind}"
-        found = named_step_tables(system, step, followed, places, representation, keepalive, [self.stride])
-        memory = scheme_memory(STEP_LOOP, found.tables)
+        tables = named_step_tables(system, step, speed_table, integers, representation, keepalive, [self.stride])
+        memory = scheme_memory(STEP_LOOP, tables.tables)
         return CompiledLoop(
-            STEP_LOOP, found.tables, found.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
+            STEP_LOOP, tables.tables, tables.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
@@ -192,7 +191,7 @@ class ReversibleSteps(Method):
             A step is undefined, or steps become too short.
         """
         self.properties(system)
-        speed, y, since = self._speed(system), np.asarray(x), 0 * h
+        speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
         rho = None
         for _ in range(MOST_STEPS):
             Q, rate = speed.at(y)
@@ -201,12 +200,12 @@ class ReversibleSteps(Method):
             if not (rho.real > 0 and Q.real > 0):
                 raise IntegrationError(NO_STEP_MESSAGE, step=1, time=float(t), residual=float(rho.real))
             length = self.stride / rho if h.real > 0 else -(self.stride / rho)
-            ahead = h - since
-            if abs(ahead.real) <= abs(length.real):
-                return np.asarray(self.base.step(system, y, t + since, ahead)) if ahead != 0 else y
-            y = np.asarray(self.base.step(system, y, t + since, length))
-            since = since + length
-            if not abs(length.real) > UNIT_ROUNDOFF * abs(since.real):
+            remaining = h - elapsed
+            if abs(remaining.real) <= abs(length.real):
+                return np.asarray(self.base.step(system, y, t + elapsed, remaining)) if remaining != 0 else y
+            y = np.asarray(self.base.step(system, y, t + elapsed, length))
+            elapsed = elapsed + length
+            if not abs(length.real) > UNIT_ROUNDOFF * abs(elapsed.real):
                 break
         raise IntegrationError(
             "its steps became so short that they no longer change the time",
@@ -219,8 +218,8 @@ class ReversibleSteps(Method):
         """Return the motion over h and its derivative, by complex steps or differences."""
         from coadjoint.methods.protocol.step_derivatives import derivative_of
 
-        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
-        return found.value, found.derivative
+        result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return result.value, result.derivative
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how the derivative is computed."""
@@ -254,3 +253,76 @@ def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:
             f"speed of ReversibleSteps is {short(terms)}: {error}; give a Quadratic, a Polynomial, or terms such as "
             "[[0.5, [0, 0, 0]], [1.0, [2, 0, 0]]]"
         ) from None
+
+
+@dataclass(frozen=True)
+class Speed:
+    """A speed of the motion of a system: the square root of a quadratic form of grad H, or a given polynomial."""
+
+    system: System
+    kind: str
+    given: Any
+
+    def at(self, x: Any) -> tuple[Any, Any]:
+        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion.
+
+        Examples
+        --------
+        The speed of a rigid body is its angular velocity times the square root of 2/3:
+
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
+        >>> Q, rate = speed_of(body, None).at(np.array([0.0, 0.0, 3.0]))
+        >>> bool(abs(Q - 0.75 * (2 / 3) ** 0.5) < 1e-15), float(rate)
+        (True, 0.0)
+        """
+        system = self.system
+        f = system.vector_field(x)
+        if self.kind == "given":
+            Q = self.given.value(x) if isinstance(self.given, Quadratic) else self.given(x)
+            return Q, np.dot(self.given.gradient(x), f) / Q
+        slope, change = system.hamiltonian.gradient(x, 0.0), np.dot(system.hamiltonian.hessian(x, 0.0), f)
+        square = self.given.value(slope)
+        return square**0.5, np.dot(self.given.gradient(slope), change) / (2 * square)
+
+
+def speed_of(system: System, speed: Any) -> Speed:
+    """Return the speed for `ReversibleSteps`: a polynomial, or by default the root mean square size of D, x' = D x.
+
+    ValueError: the default needs a Lie algebra with a nonzero bracket; or the polynomial has another dimension.
+    """
+    if isinstance(speed, Quadratic):
+        return Speed(system, "given", speed.bind(system.dim))
+    if isinstance(speed, Polynomial):
+        if speed.dim != system.dim:
+            raise ValueError(f"speed is a polynomial in {speed.dim} coordinates, and {system.name} has {system.dim}")
+        return Speed(system, "given", speed)
+    algebra = system.algebra
+    if algebra is None:
+        raise ValueError(
+            f"ReversibleSteps finds the speed from a Lie algebra, which {system.name} does not have; give speed=, a "
+            "Polynomial that is positive"
+        )
+    square = _square_of_generators(algebra)
+    if square is None:
+        raise ValueError(f"all brackets of {algebra} are zero, so that every state is at rest; take any scheme")
+    return Speed(system, "generator", square)
+
+
+@lru_cache(maxsize=64)
+def _square_of_generators(algebra: Any) -> Quadratic | None:
+    """Return u -> |D_u|^2 / n, the mean square row norm of D_u, as a quadratic form; None if all brackets are zero.
+
+    D_u x = J(x) u, so that its entries are sums of structure constants times u.
+    """
+    from scipy import sparse
+
+    i, j, k, c = algebra.triples
+    n = algebra.dim
+    if not len(c):
+        return None
+    # J_ij(x) = c x_k: entry (i, k) of D_u has c u_j, and entry (j, k) has -c u_i.
+    rows, columns = np.concatenate([i * n + k, j * n + k]), np.concatenate([j, i])
+    positions, entry = np.unique(rows, return_inverse=True)
+    C = sparse.csr_array((np.concatenate([c, -c]), (entry, columns)), shape=(len(positions), n))
+    return Quadratic(sparse.csr_array(C.T @ C) * (2.0 / n))

@@ -90,7 +90,7 @@ class SphericalMidpoint(CompiledStepMethod):
         IntegrationError
             The iteration does not converge.
         """
-        step, slope = self._solved(system, x, t, h)
+        step, slope = self._solve(system, x, t, h)
         return np.asarray(step.x + slope)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -105,7 +105,7 @@ class SphericalMidpoint(CompiledStepMethod):
         IntegrationError
             The iteration does not converge.
         """
-        step, slope = self._solved(system, np.asarray(x, dtype=np.float64), t, h)
+        step, slope = self._solve(system, np.asarray(x, dtype=np.float64), t, h)
         n, middle = len(step.x), step.x + slope / 2
         by_middle, by_start = np.eye(n), np.zeros((n, n))
         for spin in spins_of(system):
@@ -122,7 +122,7 @@ class SphericalMidpoint(CompiledStepMethod):
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         raise TypeError("a step of SphericalMidpoint has square roots, and is no series in exact numbers")
 
-    def _solved(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any]]:
+    def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any]]:
         """Return the step and its slope L = h f(y)."""
         self.properties(system)
         spins = spins_of(system)
@@ -172,13 +172,13 @@ def on_spheres(spins: NDArray[np.int64], x: NDArray[Any], m: NDArray[Any]) -> ND
 def spins_of(system: System) -> NDArray[np.int64]:
     """Return the coordinates of each spin, shape (spins, 3), ordered by their first; ValueError for other algebras."""
     algebra = system.algebra
-    found = None if getattr(algebra, "triples", None) is None else _spins(algebra)
-    if found is None:
+    spins = None if getattr(algebra, "triples", None) is None else _spins(algebra)
+    if spins is None:
         raise ValueError(
-            f"SphericalMidpoint moves spins, but {system.name} does not live on copies of so(3) whose coordinates are "
-            "those of the spins; take Splitting or GaussLegendre"
+            f"SphericalMidpoint integrates spins, but {system.name} does not live on copies of so(3) in the "
+            "coordinates of the spins; take Splitting or GaussLegendre"
         )
-    return found
+    return spins
 
 
 @lru_cache(maxsize=16)
@@ -188,9 +188,9 @@ def _spins(algebra: Any) -> NDArray[np.int64] | None:
     rows = np.sort(np.stack([i, j, k], axis=1), axis=1)
     # The constant c of [e_a, e_b] = c e_d, made invariant under cyclic permutations.
     cyclic = c * np.sign((j - i) * (k - j) * (k - i))
-    spins, place, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-    place = place.ravel()
-    first = cyclic[np.unique(place, return_index=True)[1]][place]
-    alike = np.abs(cyclic - first) <= 8 * UNIT_ROUNDOFF * np.abs(first)
-    apart = len(np.unique(spins)) == spins.size and np.all(cyclic != 0)
-    return spins if len(spins) and apart and np.all(count == 3) and np.all(alike) else None
+    spins, triple, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    triple = triple.ravel()
+    first = cyclic[np.unique(triple, return_index=True)[1]][triple]
+    equal = np.abs(cyclic - first) <= 8 * UNIT_ROUNDOFF * np.abs(first)
+    disjoint = len(np.unique(spins)) == spins.size and np.all(cyclic != 0)
+    return spins if len(spins) and disjoint and np.all(count == 3) and np.all(equal) else None

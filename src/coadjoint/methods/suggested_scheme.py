@@ -13,17 +13,17 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, check_one_system, unforced
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
-"""The first scheme that supports the system is suggested."""
+"""Tried in this order."""
 
 
 def default_scheme(system: Any) -> Method:
-    """Return the scheme of a run that names none, with or without forces."""
-    moved = unforced(system)
-    return suggested_scheme(cast(System, moved)) if isinstance(moved, MatrixSystem) else Splitting()
+    """Return the scheme of a run for which none is given, for systems with or without forces."""
+    plain = unforced(system)
+    return suggested_scheme(cast(System, plain)) if isinstance(plain, MatrixSystem) else Splitting()
 
 
 def suggested_scheme(system: System) -> Method:
-    """Return the scheme to begin with.
+    """Return the suggested scheme for a system, if no accuracy is given.
 
     It is the splitting of order 4 if it supports the system: it keeps the Poisson bracket, every Casimir, and the
     attitude in every representation, and its energy does not drift. Otherwise, if H has no exact flows or J(x) is not

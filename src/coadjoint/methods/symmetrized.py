@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from coadjoint.methods.composition import Composition
-from coadjoint.methods.formal.order_conditions import HIGHEST_ORDER
 from coadjoint.methods.numerics.stages import Coefficients
-from coadjoint.methods.protocol.composed import FlowsOfBase, WithBase
+from coadjoint.methods.protocol.composed import HIGHEST_ORDER, FlowsOfBase, WithBase
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
@@ -69,15 +68,15 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     """
     if not isinstance(base, Method):
         raise TypeError(f"base is {short(base)}; give a scheme such as Splitting(order=1)")
-    wanted = read_integer(order, "order", 2, HIGHEST_ORDER)
+    target = read_integer(order, "order", 2, HIGHEST_ORDER)
     read_choice(jump, "jump", SIDE_STEPS)
     method = base if base.symmetric else base.symmetrized()
-    if wanted % 2 or wanted < method.order:
-        raise ValueError(f"order is {wanted}; from {base} it is even, and {method.order} or more")
-    for reached in range(method.order, wanted, 2):
+    if target % 2 or target < method.order:
+        raise ValueError(f"order is {target}; from {base} it is even, and {method.order} or more")
+    for current in range(method.order, target, 2):
         sides = SIDE_STEPS[jump]
         # In decimals, since ** calls pow of the C library, whose bits differ by machine.
-        root = float(Context(prec=40).power(Decimal(2 * sides), Decimal(1.0 / (reached + 1))))
+        root = float(Context(prec=40).power(Decimal(2 * sides), Decimal(1.0 / (current + 1))))
         outer = 1.0 / (2 * sides - root)
         method = Composition(method, (*[outer] * sides, 1.0 - 2 * sides * outer, *[outer] * sides))
     return method
@@ -113,15 +112,15 @@ class PairOfFlows(FlowsOfBase):
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base and their mirror images; times are mirrored too."""
-        there = list(self.base.sweeps(number))
-        forth = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in there]
+        sweeps = list(self.base.sweeps(number))
+        first_half = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in sweeps]
         # `turn` marks the second sweep of a pair, which is the first in the mirror image.
-        turns = [there[-1].forward, *(sweep.turn for sweep in reversed(there[1:]))]
-        back = [
+        turns = [sweeps[-1].forward, *(sweep.turn for sweep in reversed(sweeps[1:]))]
+        second_half = [
             Sweep(not forward, c / 2, 1 - moment / 2, turn)
-            for (forward, c, moment, _), turn in zip(reversed(there), turns, strict=True)
+            for (forward, c, moment, _), turn in zip(reversed(sweeps), turns, strict=True)
         ]
-        return [*forth, *back]
+        return [*first_half, *second_half]
 
 
 @dataclass(frozen=True)
@@ -149,8 +148,8 @@ class PairOfTableaux(WithBase, RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return the properties of the base, without a group element."""
-        kept = self.base.properties(system)
-        return Properties(poisson=kept.poisson, energy=kept.energy, casimirs=kept.casimirs, attitude="none")
+        declared = self.base.properties(system)
+        return Properties(poisson=declared.poisson, energy=declared.energy, casimirs=declared.casimirs, attitude="none")
 
     def coefficients(self, number: Number = float) -> Coefficients:
         """Return the combined tableau."""

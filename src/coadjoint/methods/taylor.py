@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.formal.power_series import Dual, expand
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
     polynomial_casimirs,
@@ -21,7 +20,7 @@ from coadjoint.methods.numerics.projection import (
     restored_invariants,
 )
 from coadjoint.methods.numerics.series_cost import LANES, series_operations
-from coadjoint.methods.numerics.step_length import TOO_SHORT_MESSAGE, advance_by_own_steps
+from coadjoint.methods.numerics.taylor_series import TOO_SHORT_MESSAGE, Dual, advance_by_own_steps, expand
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANE_SERIES_FACTOR,
@@ -206,13 +205,13 @@ class Taylor(CompiledStepMethod):
         """Return the work of the products of series, including the group element; for own steps, by the number of
         evaluations.
         """
-        found = self.operations(system)
+        operations = self.operations(system)
         if group is not None:
-            found = found._replace(vectors=found.vectors + self._vectors_of_group(system, group))
+            operations = operations._replace(vectors=operations.vectors + self._vectors_of_group(system, group))
         if self.tolerance is not None:
-            return work_of_own_steps(found, self.order)
-        together = group is None and system.dim <= MAX_LANE_DIMENSION
-        return work_of_operations(found, substeps, LANE_SERIES_FACTOR if together else 1.0)
+            return work_of_own_steps(operations, self.order)
+        in_lanes = group is None and system.dim <= MAX_LANE_DIMENSION
+        return work_of_operations(operations, substeps, LANE_SERIES_FACTOR if in_lanes else 1.0)
 
     def _vectors_of_group(self, system: System, group: Representation) -> float:
         """Return the number of vectors of rows of a group element that are multiplied in a step."""
@@ -227,24 +226,24 @@ class Taylor(CompiledStepMethod):
 
     def reaching(self, system: System, tolerance: float) -> Taylor:
         """Return the series with another tolerance, and the order of least work for it."""
-        given = min(max(tolerance, LEAST_TOLERANCE), LARGEST_TOLERANCE)
-        known = self.operations(system)
+        bounded = min(max(tolerance, LEAST_TOLERANCE), LARGEST_TOLERANCE)
+        operations = self.operations(system)
 
         def cost(order: int) -> float:
-            part = order / self.order
-            vectors, waiting = known.vectors * part**2, known.waiting * part
-            step = work_of_own_steps(known._replace(vectors=vectors, waiting=waiting), order).cost(1.0, float(order))
-            return step / min(given ** (1.0 / order), 0.5)
+            ratio = order / self.order
+            vectors, waiting = operations.vectors * ratio**2, operations.waiting * ratio
+            work = work_of_own_steps(operations._replace(vectors=vectors, waiting=waiting), order)
+            return work.cost(1.0, float(order)) / min(bounded ** (1.0 / order), 0.5)
 
-        return replace(self, order=min(ORDERS, key=cost), tolerance=given)
+        return replace(self, order=min(ORDERS, key=cost), tolerance=bounded)
 
     def finer(self, steps: int, times: float) -> FinerRun:
         """Return the same series with a much smaller tolerance, if it has one."""
         if self.tolerance is None:
             return super().finer(steps, times)
         tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), LEAST_TOLERANCE)
-        more = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
-        return FinerRun(more, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))
+        finer = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
+        return FinerRun(finer, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the scheme whose step consists of these substeps; raise TypeError with a tolerance."""
@@ -254,11 +253,11 @@ class Taylor(CompiledStepMethod):
 
     def operations(self, system: System) -> Operations:
         """Return the operations of a step: products of series, sparse sums for each coefficient, and the projection."""
-        known = _OPERATIONS.setdefault(system, {})
-        if self.projected not in known:
-            known[self.projected] = series_operations(system, 1, restored_invariants(system) if self.projected else ())
-        one = known[self.projected]
-        return one._replace(vectors=one.vectors * self.order**2, waiting=one.waiting * self.order)
+        cached = _OPERATIONS.setdefault(system, {})
+        if self.projected not in cached:
+            cached[self.projected] = series_operations(system, 1, restored_invariants(system) if self.projected else ())
+        unit = cached[self.projected]
+        return unit._replace(vectors=unit.vectors * self.order**2, waiting=unit.waiting * self.order)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, computed in NumPy for any number type; the invariants keep their values at x.
@@ -272,13 +271,13 @@ class Taylor(CompiledStepMethod):
         """
         self.properties(system)
         start = np.asarray(x)
-        given = start.astype(np.float64) if start.dtype != object else start
-        number: Number = float if given.dtype != object else type(given[0])
+        point = start.astype(np.float64) if start.dtype != object else start
+        number: Number = float if point.dtype != object else type(point[0])
         if self.tolerance is not None:
-            return self._advanced(system, given, number, t, h)
-        terms = expand(system.vector_field, given.astype(object), number(h), self.order)
-        end = np.asarray(given + np.add.reduce(terms[::-1]), dtype=given.dtype)
-        return project(restored_invariants(system), given, end, number, float(t)).y if self.projected else end
+            return self._advanced(system, point, number, t, h)
+        terms = expand(system.vector_field, point.astype(object), number(h), self.order)
+        end = np.asarray(point + np.add.reduce(terms[::-1]), dtype=point.dtype)
+        return project(restored_invariants(system), point, end, number, float(t)).y if self.projected else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative.
@@ -303,11 +302,11 @@ class Taylor(CompiledStepMethod):
 
     def _advanced(self, system: System, x: NDArray[Any], number: Number, t: Any, h: Any) -> NDArray[Any]:
         """Return the motion over h in own steps."""
-        kept = restored_invariants(system)
+        invariants = restored_invariants(system)
 
         def to_level_set(z: NDArray[Any]) -> NDArray[Any]:
             end = np.asarray(z, dtype=x.dtype)
-            return project(kept, x, end, number, float(t)).y.astype(object) if self.projected else z
+            return project(invariants, x, end, number, float(t)).y.astype(object) if self.projected else z
 
         assert self.tolerance is not None
         start = x.astype(object)
@@ -316,9 +315,9 @@ class Taylor(CompiledStepMethod):
 
 
 def _duals(values: NDArray[Any], derivatives: NDArray[Any]) -> NDArray[Any]:
-    found = np.empty(len(values), dtype=object)
-    found[:] = [Dual(value, row) for value, row in zip(values, derivatives, strict=True)]
-    return found
+    duals = np.empty(len(values), dtype=object)
+    duals[:] = [Dual(value, row) for value, row in zip(values, derivatives, strict=True)]
+    return duals
 
 
 def _split_duals(duals: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -326,8 +325,8 @@ def _split_duals(duals: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     return np.array(values, dtype=np.float64), np.array(derivatives, dtype=np.float64)
 
 
-def _read_tolerance(given: Any) -> float:
-    tolerance = read_number(given, "tolerance of Taylor")
+def _read_tolerance(value: Any) -> float:
+    tolerance = read_number(value, "tolerance of Taylor")
     if not LEAST_TOLERANCE <= tolerance <= LARGEST_TOLERANCE:
         raise ValueError(
             f"tolerance of Taylor is {tolerance:g}; it must lie between {LEAST_TOLERANCE:g} and {LARGEST_TOLERANCE:g}, "

@@ -49,10 +49,10 @@ def draw_certificate(certificate: Any) -> Figure:
     _draw_invariants(figure.add_subplot(grid[1, 0]), certificate.rows)
     _draw_verdicts(figure.add_subplot(grid[1, 1]), certificate.rows)
     subject = certificate.subject
-    said = "passed" if certificate.passed else "not passed"
+    result = "passed" if certificate.passed else "not passed"
     if not certificate.declares:
-        said = "nothing declared"
-    text = f"{subject['system']['name']},  {subject['scheme']['shown']},  step {subject['step']:g}:  {said}"
+        result = "nothing declared"
+    text = f"{subject['system']['name']},  {subject['scheme']['shown']},  step {subject['step']:g}:  {result}"
     figure.suptitle("\n".join(textwrap.wrap(text.replace("$", r"\$"), 110)), fontsize=10.5)
     return figure
 
@@ -68,9 +68,9 @@ def _draw_errors(axes: Any, row: Any, step: float) -> None:
     axes.plot(steps, rounding, ":", color=UNDECIDED_COLOUR, linewidth=0.9, label="round-off, at most")
     if "fitted steps" in row.evidence and row.value is not None:
         h, e = np.asarray(row.evidence["fitted steps"]), np.asarray(row.evidence["fitted errors"])
-        alone = row.evidence["fitted of"] == "of single steps"
-        power = row.value + (1.0 if alone else 0.0)
-        if alone:
+        single_steps = row.evidence["fitted of"] == "of single steps"
+        power = row.value + (1.0 if single_steps else 0.0)
+        if single_steps:
             axes.plot(h, e, "s", color=colour(3), markersize=4, label="error of a step")
         axes.plot(h, e[-1] * (h / h[-1]) ** power, "--", color=INK, linewidth=0.9, label=f"$h^{{{power:.2f}}}$")
     axes.axvline(abs(step), color=UNDECIDED_COLOUR, linewidth=0.6)
@@ -86,9 +86,9 @@ def _draw_defects(axes: Any, rows: dict[str, Any]) -> None:
         if "steps" not in evidence:
             continue
         drawn += 1
-        shown = f"{label}, $h^{{{evidence['slope']:.1f}}}$"
-        line = {"color": colour(number), "markersize": 4, "linewidth": 0.9, "label": shown}
-        axes.plot(evidence["steps"], evidence["defects"], "o-", **line)
+        style = {"color": colour(number), "markersize": 4, "linewidth": 0.9}
+        label = f"{label}, $h^{{{evidence['slope']:.1f}}}$"
+        axes.plot(evidence["steps"], evidence["defects"], "o-", label=label, **style)
     if not drawn:
         return _write_note(axes, "no defect above round-off")
     axes.set(xscale="log", yscale="log")
@@ -114,17 +114,17 @@ def _draw_invariants(axes: Any, rows: Any) -> None:
 def _draw_verdicts(axes: Any, rows: Any) -> None:
     axes.axis("off")
     axes.set_title("asked, declared, and found", fontsize=9.5)
-    below = 1.0 / max(1, len(rows))
+    line_height = 1.0 / max(1, len(rows))
     for number, row in enumerate(rows):
-        height = 1.0 - (number + 0.6) * below
-        paint = {"holds": PASS_COLOUR, "fails": FAIL_COLOUR}.get(
+        height = 1.0 - (number + 0.6) * line_height
+        verdict_colour = {"holds": PASS_COLOUR, "fails": FAIL_COLOUR}.get(
             row.verdict, FAIL_COLOUR if row.claimed and "not dec" in row.verdict else UNDECIDED_COLOUR
         )
         name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
         axes.text(-0.04, height, name.replace("$", r"\$"), fontsize=8, color=INK, transform=axes.transAxes)
         declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
         axes.text(0.40, height, declared, fontsize=7.5, color=UNDECIDED_COLOUR, transform=axes.transAxes)
-        axes.text(0.68, height, row.verdict, fontsize=8, color=paint, weight="bold", transform=axes.transAxes)
+        axes.text(0.68, height, row.verdict, fontsize=8, color=verdict_colour, weight="bold", transform=axes.transAxes)
 
 
 def _write_note(axes: Any, text: str) -> None:

@@ -17,6 +17,6 @@ class ShownFigure(Figure):
     """
 
     def _repr_png_(self) -> bytes:
-        written = io.BytesIO()
-        self.savefig(written, format="png", dpi=self.dpi)
-        return written.getvalue()
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=self.dpi)
+        return buffer.getvalue()

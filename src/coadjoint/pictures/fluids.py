@@ -12,8 +12,7 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
 from coadjoint.systems.fluids.sphere_euler import SphereEuler, sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
-from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.scale_separation import large_scales
+from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,13 +20,13 @@ SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "to
 
 
 def fluid_of(drawn: PlottedRun) -> FluidSystem:
-    """Return the fluid of a run, of two fields the one without the second; raise CannotShow for other systems."""
+    """Return the fluid system of a run (of two fields, that of the vorticity); raise CannotShow for other systems."""
     family = drawn.family
     if isinstance(family, FluidSystem):
         return family
-    given = getattr(family, "parameters", None) or {}
-    if len(getattr(family, "shape", ())) == 3 and given.get("surface") in SURFACES:
-        return SURFACES[given["surface"]](family.algebra.N)
+    parameters = getattr(family, "parameters", None) or {}
+    if len(getattr(family, "shape", ())) == 3 and parameters.get("surface") in SURFACES:
+        return SURFACES[parameters["surface"]](family.algebra.N)
     raise CannotShow(f"{family.name} has no vorticity to show; sphere_euler and torus_euler have")
 
 
@@ -49,7 +48,7 @@ def vorticity_of(state: Any) -> npt.NDArray[Any]:
 
 
 def carried_by(state: Any) -> npt.NDArray[Any]:
-    """Return the matrix with constant spectrum: the state, or the first of two fields, which is carried."""
+    """Return the matrix of constant spectrum: the state, or the first of two fields, which the fluid carries."""
     W = np.asarray(state)
     return W[0] if W.ndim == 3 else W
 

@@ -1,4 +1,4 @@
-"""Gallery: one picture for each system, and an HTML page of them."""
+"""Gallery: a picture of each system, long example runs, and an HTML page of the pictures."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from coadjoint.optional_packages import need
-from coadjoint.pictures.scenes import SCENES
 from coadjoint.runs.example_run import run_example
 from coadjoint.runs.solution import Solution
 from coadjoint.short_repr import short
+from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 PAGE = "index.html"
-DOTS_PER_INCH = 110  # per inch
+DOTS_PER_INCH = 110
 
 _STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff}"
@@ -29,8 +29,52 @@ _STYLE = (
 
 
 @dataclass(frozen=True)
+class Scene:
+    """A long example run, as a function that returns its solution, with its pictures, summary and caption."""
+
+    run: Callable[[], Solution]
+    pictures: tuple[Picture, ...]
+    summary: str
+    caption: str
+
+
+def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> Solution:
+    """Integrate random vorticity of the degrees 3 to 8 on the sphere, until few vortices are left.
+
+    The root mean square of the vorticity is 1. One state per unit of time is saved.
+    """
+    from coadjoint.runs.integrate import integrate
+    from coadjoint.systems.fluids.sphere_euler import sphere_euler
+
+    fluid = sphere_euler(N)
+    return integrate(
+        fluid,  # type: ignore[arg-type]
+        fluid.random(seed, degrees=(3, 8)),
+        (0.0, end),
+        step,
+        save_every=max(1, round(1.0 / step)),
+    )
+
+
+SCENES = {
+    "decaying_turbulence": Scene(
+        run=decaying_turbulence,
+        pictures=tuple(
+            Picture("vorticity", at=at, part=part, limit=3.0) for at in (0.0, 0.2, 1.0) for part in ("all", "large")
+        ),
+        summary="Decaying turbulence of an ideal fluid on the sphere, from random vorticity of the degrees 3 to 8, "
+        "seed 1: one to three minutes.",
+        caption="Vortices of like sign merge, and two of each sign are left, which keep moving. Above, the vorticity, "
+        "which is stretched into filaments and fine structure. Below, its large-scale part, which is constant along "
+        "streamlines.",
+    )
+}
+"""Scenes by name."""
+
+
+@dataclass(frozen=True)
 class Piece:
-    """One picture of a gallery: its system's name and summary, the figure, its caption `says`, and the run drawn."""
+    """One picture of a gallery: name and summary of the system, figure, caption, and a description of the run."""
 
     name: str
     figure: Any
@@ -45,7 +89,7 @@ def piece(name: str) -> Piece:
     Parameters
     ----------
     name : str
-        One of `coadjoint.systems.registry.gallery_systems`, or of `coadjoint.pictures.scenes.SCENES`.
+        One of `coadjoint.systems.registry.gallery_systems`, or of `SCENES`.
 
     Returns
     -------
@@ -60,26 +104,26 @@ def piece(name: str) -> Piece:
     if name in SCENES:
         scene = SCENES[name]
         run = scene.run()
-        told = f"{_caption(run)}; {run.stats.seconds:.0f} s"
-        return Piece(name, run.plot(scene.pictures), scene.summary, scene.caption, told)
+        description = f"{_describe(run)}; {run.stats.seconds:.0f} s"
+        return Piece(name, run.plot(scene.pictures), scene.summary, scene.caption, description)
     solution = run_example(name)
     gallery_entry = gallery_entry_of(name)
     assert gallery_entry is not None
-    first = (ready_made_systems()[name].__doc__ or "").partition("\n\n")[0]
-    words = " ".join(first.split()).removeprefix("Return ").replace("``", "")
-    summary = words[:1].upper() + words[1:]
-    return Piece(name, solution.plot(), summary, gallery_entry.caption, _caption(solution))
+    paragraph = (ready_made_systems()[name].__doc__ or "").partition("\n\n")[0]
+    summary = " ".join(paragraph.split()).removeprefix("Return ").replace("``", "")
+    summary = summary[:1].upper() + summary[1:]
+    return Piece(name, solution.plot(), summary, gallery_entry.caption, _describe(solution))
 
 
 def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callable[[str], None] = print) -> str:
-    """Draw systems one after the other, and return an HTML page of them.
+    """Draw systems one by one, and return an HTML page of their pictures.
 
     Parameters
     ----------
     names : sequence of str
         As for `piece`.
     draw : callable
-        Takes a figure and the name of its file.
+        Receives a figure and the name of its file.
     echo : callable
         Receives a line of text for each system as it begins.
 
@@ -91,9 +135,9 @@ def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callab
     pieces = []
     for number, name in enumerate(names, start=1):
         echo(f"{number} of {len(names)}: {name}")
-        made = piece(name)
-        draw(made.figure, file_of(name))
-        pieces.append(made)
+        drawn = piece(name)
+        draw(drawn.figure, file_of(name))
+        pieces.append(drawn)
     return _page(pieces)
 
 
@@ -108,13 +152,13 @@ def file_of(name: str) -> str:
     return f"{Path(name).name}.png"
 
 
-def _caption(solution: Solution) -> str:
+def _describe(solution: Solution) -> str:
     system = solution.system
-    given = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
+    values = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
     start, end = solution.t_span
     drift, energy = solution.drift()["energy"], np.abs(solution.energy).max()
     return (
-        f"{system.name}({given}), {solution.method}, step {solution.step:g}, t from {start:g} to {end:g}; "
+        f"{system.name}({values}), {solution.method}, step {solution.step:g}, t from {start:g} to {end:g}; "
         f"the energy, up to {energy:.1e}, stays within {drift:.1e}"
     )
 

@@ -1,4 +1,4 @@
-"""Paths on a sphere seen from outside; the far side is drawn fainter."""
+"""Drawing of paths on a sphere seen from outside, fainter on the far side."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ VIEW_OFFSET = 25.0
 
 
 def view_of(points: Floats) -> tuple[float, float]:
-    """Return the view, as `VIEW`, for a path (k, 3) on a sphere: from its side, if it lies on one. Nonfinite points are
-    ignored.
-    """
+    """Return a view, as `VIEW`, of a path (k, 3) on a sphere: from the side of its finite points, if they have one."""
     x, y, _ = np.mean(points[np.isfinite(points).all(axis=1)], axis=0)
     return (float(np.degrees(np.arctan2(y, x))) + VIEW_OFFSET, VIEW[1]) if np.hypot(x, y) > 0.15 else VIEW
 
@@ -69,11 +67,11 @@ class Globe:
                 arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
                 zorder=order,
             )
-            place = ends[1] + 0.1 * self.radius * _view_axes(ends[1])
+            position = ends[1] + 0.1 * self.radius * _outward(ends[1])
             near = depth[0] > 0.0
-            paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8} if near else None
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8} if near else None
             text = {"color": INK, "fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6 if near else -1}
-            self.axes.text(*place, name, bbox=paper, **text)
+            self.axes.text(*position, name, bbox=box, **text)
 
     def path(self, points: Floats, colour: str, joined: bool, linewidth: float = 1.1, alpha: float = 1.0) -> None:
         """Draw a path (k, 3) on the sphere, as lines if `joined`, else as dots.
@@ -85,8 +83,8 @@ class Globe:
             self._path(points, near=near, far={**near, "alpha": 0.28 * alpha}, zorder=3)
             return
         flat, depth = self.project(points)
-        for side, strength in ((depth >= 0.0, alpha), (depth < 0.0, 0.28 * alpha)):
-            self.axes.plot(*flat[side].T, color=colour, alpha=strength, **dots(len(points)))
+        for side, side_alpha in ((depth >= 0.0, alpha), (depth < 0.0, 0.28 * alpha)):
+            self.axes.plot(*flat[side].T, color=colour, alpha=side_alpha, **dots(len(points)))
 
     def _path(self, points: Floats, near: dict[str, Any], far: dict[str, Any] | None, zorder: int) -> None:
         flat, depth = self.project(points)
@@ -113,6 +111,6 @@ class Globe:
         )
 
 
-def _view_axes(flat: Floats) -> Floats:
+def _outward(flat: Floats) -> Floats:
     size = float(np.linalg.norm(flat))
     return flat / size if size > 1e-3 else np.array([0.0, 1.0])

@@ -32,9 +32,9 @@ def level_surface(
     Parameters
     ----------
     function : Polynomial, Invariant or callable
-        Function of x, shape (3,).
+        A function of x, shape (3,).
     level : float
-        Its value on the surface.
+        The value of the function on the surface.
     box : array_like, shape (3, 2)
         Smallest and largest value of each coordinate.
     cells : int
@@ -73,9 +73,9 @@ def level_surface(
     for tetrahedron in _TETRAHEDRA:
         where = tuple(np.moveaxis(corner + tetrahedron, -1, 0))
         triangles += _cut(points[where], _unwrap(values[where], period))
-    found = np.concatenate(triangles)
+    surface = np.concatenate(triangles)
     # Drop triangles that degenerate to points, at grid corners on the surface.
-    return found[np.any(found != found[:, :1], axis=(1, 2))]
+    return surface[np.any(surface != surface[:, :1], axis=(1, 2))]
 
 
 def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -86,14 +86,14 @@ def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -
             total = total + float(coefficient) * np.prod(points ** np.array(exponents), axis=-1)
         return total
 
-    def one(x: npt.NDArray[np.float64]) -> float:
+    def value(x: npt.NDArray[np.float64]) -> float:
         try:
             return float(function(x))
-        except (ArithmeticError, ValueError):  # a logarithm of zero, a division by it
+        except (ArithmeticError, ValueError):  # such as a logarithm of zero or a division by zero
             return float("nan")
 
     with np.errstate(all="ignore"):
-        return np.apply_along_axis(one, -1, points)
+        return np.apply_along_axis(value, -1, points)
 
 
 def _unwrap(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.float64]:
@@ -104,13 +104,13 @@ def _unwrap(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.fl
         first = values[:, :1] - period * np.rint(values[:, :1] / period)
         step = values - values[:, :1]
         step = step - period * np.rint(step / period)
-        # Near its axis a multivalued function varies so fast within a cell that branches cannot be separated.
+        # Near the axis of a multivalued function a cell is too large to separate the branches.
         return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
 
 
 def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
     """Return the triangles in which tetrahedra (m, 4, 3) intersect the zero level of values (m, 4)."""
-    good = np.all(np.isfinite(values), axis=1)
+    finite = np.all(np.isfinite(values), axis=1)
     above = np.sum(values > 0.0, axis=1)
     order = np.argsort(values, axis=1)
     corners, values = np.take_along_axis(corners, order[..., None], axis=1), np.take_along_axis(values, order, axis=1)
@@ -126,7 +126,7 @@ def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> l
         (3, [(0, 1, 0, 2, 0, 3)]),
         (2, [(0, 2, 0, 3, 1, 2), (1, 2, 0, 3, 1, 3)]),
     ):
-        chosen = good & (above == count)
+        chosen = finite & (above == count)
         for a, b, c, d, e, f in sets:
             triangles.append(np.stack([crossing(chosen, a, b), crossing(chosen, c, d), crossing(chosen, e, f)], axis=1))
     return triangles

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
 
 MAX_POINTS = 5000
-"""More points than a printed line resolves."""
+"""Largest number of points drawn; a printed line does not resolve more."""
 
 
 def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
     r"""Return a figure of the deviations of the energy and of modified energies from their initial values.
 
-    Each order should lie below the previous one, by a factor of about the square of the step, until round-off is
-    reached, and none should grow. Then the run is the motion of a nearby Hamiltonian system.
+    If the run is the motion of a nearby Hamiltonian system, the deviation of each order is below that of the previous
+    one by a factor of about the square of the step, down to round-off, and none grows.
 
     Parameters
     ----------
@@ -50,26 +50,26 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     need("drawing modified energies", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
 
-    given = read_list(orders, "orders", "give whole numbers such as (4, 6)")
-    wanted = [read_integer(order, "an order") for order in given]
+    listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
+    checked = [read_integer(order, "an order") for order in listed]
     figure = ShownFigure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
-    draw_deviations(axes, solution, wanted)
+    draw_deviations(axes, solution, checked)
     axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
     key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
 def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> None:
-    """Draw the deviations of the energy and of modified energies of the first member from the start into axes."""
+    """Draw the deviations of energy and modified energies of the first member from their initial values into axes."""
     series = {"energy $H$": solution.energy}
     series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
     every = max(1, -(-len(solution.t) // MAX_POINTS))
-    for place, (label, values) in enumerate(series.items()):
-        own = values.reshape(len(values), -1)[:, 0]
-        deviation = np.abs(own - own[0])[::every]
+    for line, (label, values) in enumerate(series.items()):
+        energy = values.reshape(len(values), -1)[:, 0]
+        deviation = np.abs(energy - energy[0])[::every]
         # Zero deviations have no logarithm, and leave gaps.
         visible = np.where(deviation > 0.0, deviation, np.nan)
-        axes.plot(solution.t[::every], visible, color=colour(place), linewidth=0.9, label=label)
+        axes.plot(solution.t[::every], visible, color=colour(line), linewidth=0.9, label=label)
     axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
     plain_axes(axes)

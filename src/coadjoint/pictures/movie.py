@@ -22,30 +22,28 @@ MIN_WIDTH, MIN_HEIGHT = 8.0, 4.5
 
 
 class SavedFrames:
-    """Iterator over `count` frames of a run: one picture at the saved points `places`, `size` (width, height) in
-    pixels.
-    """
+    """Iterator over `count` frames of a run: a picture at saved points, `size` (width, height) in pixels."""
 
     def __init__(
-        self, drawn: PlottedRun, kind: Kind, picture: Picture, places: Sequence[int], size: tuple[int, int]
+        self, drawn: PlottedRun, kind: Kind, picture: Picture, indices: Sequence[int], size: tuple[int, int]
     ) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        self.count, self.size, self._places = len(places), size, places
+        self.count, self.size, self._indices = len(indices), size, indices
         width, height = size
-        dots = min(width / MIN_WIDTH, height / MIN_HEIGHT)
-        figure = Figure(figsize=(width / dots, height / dots), dpi=dots, layout="compressed", facecolor="white")
+        dpi = min(width / MIN_WIDTH, height / MIN_HEIGHT)
+        figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout="compressed", facecolor="white")
         self._canvas = FigureCanvasAgg(figure)
         figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=9, color=INK)
         update = kind.prepare(drawn, **picture.options)(figure.add_subplot(projection=kind.projection))
-        assert update is not None, f"the picture {kind.name!r} is said to move"
+        assert update is not None, f"the kind {kind.name!r} is registered with moves=True, but returns no update"
         self._update = update
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # keeps the layout constant between frames
 
     def __iter__(self) -> Iterator[memoryview]:
-        for k in self._places:
+        for k in self._indices:
             self._update(k)
             self._canvas.draw()  # type: ignore[no-untyped-call]
             yield self._canvas.buffer_rgba()  # type: ignore[no-untyped-call]
@@ -56,20 +54,19 @@ def frames_of(
 ) -> SavedFrames:
     """Return the frames of a movie of the first member of a run, drawn lazily.
 
-    `picture` is a kind that shows one time, by name or with options, such as ``Picture("vorticity", part="large")``; by
-    default the first such kind that the system declares. Colour scales are constant in time. At most `frames` (2 to
-    5000) saved times, evenly spread, are shown, without interpolation; `size` (width, height) is in pixels, even.
-    Raises TypeError or ValueError for wrong values, or if nothing can be shown.
+    `picture` is a kind with `Kind.moves`, by name or with options; by default the first one that the system declares.
+    At most `frames` (2 to 5000) saved times, evenly spread, are shown, without interpolation, with colour scales that
+    are constant in time. `size` is in pixels, even. Raises TypeError or ValueError for invalid values.
     """
     check_solution(solution)
     need("a movie", "matplotlib")
-    count, sides = read_integer(frames, "frames", 2, MAX_FRAMES), _read_size(size)
+    count, pixels = read_integer(frames, "frames", 2, MAX_FRAMES), _read_size(size)
     drawn = PlottedRun(solution)
-    kind, read = _moving(drawn, picture)
-    places = spread(len(drawn.t), count).tolist()
-    if len(places) < 2:
+    kind, initial = _read_moving(drawn, picture)
+    indices = spread(len(drawn.t), count).tolist()
+    if len(indices) < 2:
         raise ValueError("the run has only one saved state, and a movie needs two; integrate with a smaller save_every")
-    return SavedFrames(drawn, kind, read, places, sides)
+    return SavedFrames(drawn, kind, initial, indices, pixels)
 
 
 def _read_size(size: Any) -> tuple[int, int]:
@@ -80,7 +77,7 @@ def _read_size(size: Any) -> tuple[int, int]:
 
 
 def declared_picture(name: str) -> Picture:
-    """Return the first picture of a single time that a system declares; raise CannotShow if there is none.
+    """Return the first declared picture of a system that shows a single time; raise CannotShow if there is none.
 
     Examples
     --------
@@ -89,23 +86,23 @@ def declared_picture(name: str) -> Picture:
     """
     gallery_entry = gallery_entry_of(name)
     moving = _moving_kinds()
-    found = next((p for p in (gallery_entry.pictures if gallery_entry else ()) if p.kind in moving), None)
-    if found is None:
+    picture = next((p for p in (gallery_entry.pictures if gallery_entry else ()) if p.kind in moving), None)
+    if picture is None:
         raise CannotShow(f"{name} declares no picture that a movie can show; give one: {', '.join(moving)}")
-    return found
+    return picture
 
 
 def _moving_kinds() -> list[str]:
     return [name for name, kind in kinds().items() if kind.moves]
 
 
-def _moving(drawn: PlottedRun, wanted: Any) -> tuple[Kind, Picture]:
-    """Return the picture of a movie and its kind, at the start."""
-    if wanted is None:
-        wanted = declared_picture(drawn.family.name)
-    elif isinstance(wanted, str) and drawn.gallery_entry is not None:
-        wanted = next((p for p in drawn.gallery_entry.pictures if p.kind == wanted), wanted)
-    kind, read = read_picture(wanted)
+def _read_moving(drawn: PlottedRun, picture: Any) -> tuple[Kind, Picture]:
+    """Parse the picture of a movie; return its kind and the picture at the start."""
+    if picture is None:
+        picture = declared_picture(drawn.family.name)
+    elif isinstance(picture, str) and drawn.gallery_entry is not None:
+        picture = next((p for p in drawn.gallery_entry.pictures if p.kind == picture), picture)
+    kind, read = read_picture(picture)
     if not kind.moves:
         moving = ", ".join(_moving_kinds())
         raise CannotShow(f"the picture {kind.name!r} shows no single time; a movie shows one of: {moving}")

@@ -45,8 +45,10 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     label = f"slope {with_error(drift.slope, drift.uncertainty)}"
     lead.plot(drift.t, line, color=colour(1), linewidth=1.1, linestyle="--", label=label)
     if predicted is not None:
-        own = line.mean() + predicted * (drift.t - drift.t.mean())
-        lead.plot(drift.t, own, color=colour(2), linewidth=1.4, linestyle=":", label=f"predicted {predicted:.6g}")
+        predicted_line = line.mean() + predicted * (drift.t - drift.t.mean())
+        lead.plot(
+            drift.t, predicted_line, color=colour(2), linewidth=1.4, linestyle=":", label=f"predicted {predicted:.6g}"
+        )
     unit = "rad" if drift.unit == "radians" else "unit of time"
     lead.set(ylabel=f"lead [{unit}]")
     lead.set_title(f"phase error: {drift.growth}")

@@ -1,4 +1,4 @@
-"""Plot data of a run: members, names, and whether saved points are dense enough for lines."""
+"""Plot data of a run: selected members, names, refinement between saved points, and tests of their density."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.summary import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.description import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import GalleryEntry
 from coadjoint.systems.registry import gallery_entry_of
@@ -28,13 +28,13 @@ from coadjoint.validation import read_choice, read_integer, read_list, read_numb
 Floats = npt.NDArray[np.float64]
 
 MAX_MEMBERS = 20
-MAX_CURVE_POINTS = 20_000  # of a curve; more than printed lines resolve
+MAX_CURVE_POINTS = 20_000  # more than printed lines resolve
 SAMPLED = 64  # intervals examined
-NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least FEWEST_SAMPLED intervals
+NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least MIN_SAMPLED intervals
 MIN_SAMPLED = 4
-REFINEMENTS = 4  # of refinement, while the motion turns out to be faster
-# Largest distance of a motion from the chord, relative to its range: FLAT for curves over time (11 points per circle),
-# NARROW for closed curves, whose repeated chords would form a ribbon (24 points per circle).
+REFINEMENTS = 4  # passes, while the refined motion is faster than estimated before
+# Largest distance of a motion from the chord, relative to its range: for curves over time (11 points per circle), and
+# for closed curves, whose repeated chords would form a ribbon (24 points per circle).
 CHORD_TOLERANCE = 0.015
 SPACE_CHORD_TOLERANCE = 0.003
 MAX_AXIS_TURN = 0.26  # radians between points of the path of an axis: 24 points per circle
@@ -44,16 +44,16 @@ class PlottedRun:
     """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
 
     `members` selects members by number. `family` is the system without its forces, `gallery_entry` its gallery metadata
-    or None, `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
+    or None, and `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
     """
 
     def __init__(self, solution: Solution, members: Any = None) -> None:
         self.solution = solution
-        chosen = None if members is None else _members(solution, members)
+        chosen = None if members is None else _read_members(solution, members)
         self.system: Any = solution.system
         if isinstance(solution.system, Batch):
             self.system = solution.system[0 if chosen is None else int(chosen[0])]
-        # A system with forces wraps the one that has a name and parameters.
+        # A forced system wraps the system with the name and the parameters.
         self.family: Any = getattr(self.system, "system", self.system)
         self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.family.name)
         self.single = solution.failed is None
@@ -63,57 +63,56 @@ class PlottedRun:
         states = states.view(np.float64) if np.iscomplexobj(states) else states
         self.n = int(np.prod(shape_of(self.system))) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
-        self.of_members = states.shape[1]
-        self._chosen = spread(self.of_members, MAX_MEMBERS) if chosen is None else chosen
+        self.member_count = states.shape[1]  # of the run
+        self._chosen = spread(self.member_count, MAX_MEMBERS) if chosen is None else chosen
         self.t = solution.t
         self.x = self._select_members(states)
 
     def _select_members(self, states: Floats) -> Floats:
         # A view if all members are drawn, since states may be large.
-        every = np.array_equal(self._chosen, np.arange(self.of_members))
-        return np.swapaxes(states if every else states[:, self._chosen], 0, 1)
+        all_drawn = np.array_equal(self._chosen, np.arange(self.member_count))
+        return np.swapaxes(states if all_drawn else states[:, self._chosen], 0, 1)
 
     @cached_property
-    def between(self) -> PlottedRun:
-        """The run refined by the states between saved points that smooth curves need, if available.
+    def refined(self) -> PlottedRun:
+        """The run with states between the saved points, as smooth curves need them (`Solution.at`).
 
-        The states are those of `Solution.at`: partial steps of the same scheme. The run itself is returned for noise,
-        failed members, or too many states.
+        The run itself is returned for noise, failed members, or too many states.
         """
         if not isinstance(self.solution, Solution) or self.random or len(self.t) < 2 or not np.isfinite(self.x).all():
             return self
         try:
-            few = coarse_times(self)
-            refined_run, found = self if few is None else self._at(few), self
+            coarse = coarse_times(self)
+            refined_run, result = self if coarse is None else self._with_times(coarse), self
             for _ in range(REFINEMENTS):
                 times = times_between(self, refined_run)
-                if times is None or len(times) <= len(found.t):
+                if times is None or len(times) <= len(result.t):
                     break
-                refined_run = found = self._at(times)
+                refined_run = result = self._with_times(times)
         except (TypeError, ValueError, IntegrationError):
             return self
-        return found
+        return result
 
     @cached_property
     def random(self) -> bool:
-        """Whether a force is noise: then there is neither a field, nor a state between two steps."""
+        """Whether a force is noise, so that neither a field nor states between two steps exist."""
         return any(force.random for force in getattr(self.system, "forces", ()))
 
-    def _at(self, times: Floats) -> PlottedRun:
+    def _with_times(self, times: Floats) -> PlottedRun:
         """Return the same run at other times, which include the saved ones."""
-        found = self.solution.at(times)
-        filled = copy.copy(self)
-        for name in ("attitude", "rotation", "kept", "joined", "axis_joined", "close", "between"):
-            filled.__dict__.pop(name, None)
-        states = np.ascontiguousarray(found.x)
+        interpolated = self.solution.at(times)
+        copied = copy.copy(self)
+        for name in ("attitude", "rotation", "curve_indices", "joined", "axis_joined", "dense", "refined"):
+            copied.__dict__.pop(name, None)
+        states = np.ascontiguousarray(interpolated.x)
         states = states.view(np.float64) if np.iscomplexobj(states) else states
-        filled.t, filled.x = times, self._select_members(states.reshape(len(times), -1, self.n))
-        carried = self.solution.carried == "representation" and found.attitude is not None
-        filled.__dict__["attitude"] = self.of_each(found.attitude) if carried else None
-        filled.__dict__["between"] = filled
-        return filled
+        copied.t, copied.x = times, self._select_members(states.reshape(len(times), -1, self.n))
+        has_attitude = self.solution.carried == "representation" and interpolated.attitude is not None
+        copied.__dict__["attitude"] = self.select(interpolated.attitude) if has_attitude else None
+        copied.__dict__["refined"] = copied
+        return copied
 
-    def of_each(self, series: npt.ArrayLike) -> Floats:
+    def select(self, series: npt.ArrayLike) -> Floats:
         """Select the drawn members of a series (k, ...) or (k, members, ...); returns (members, k, ...)."""
         values = np.asarray(series)
         values = values[:, None] if self.single else values
@@ -122,27 +121,26 @@ class PlottedRun:
     @cached_property
     def attitude(self) -> Floats | None:
         """Group elements in the representation of the system, (members, k, d, d)."""
-        carried = self.solution.carried == "representation"
-        return self.of_each(self.solution.attitude) if carried and self.solution.attitude is not None else None
+        if self.solution.carried != "representation" or self.solution.attitude is None:
+            return None
+        return self.select(self.solution.attitude)
 
     @cached_property
     def rotation(self) -> Floats | None:
-        """Attitude as rotation matrices (members, k, 3, 3): the group element, or its first block; None if not a
-        rotation.
-        """
+        """Attitude as rotation matrices (members, k, 3, 3): the group element or its first block, or None."""
         g = self.attitude
         if g is None or g.shape[-1] not in (3, 4):
             return None
         A = g[..., :3, :3]
-        products = A[:, :1] @ np.swapaxes(A[:, :1], -1, -2)
-        turned = A[:, -1:] @ np.swapaxes(A[:, -1:], -1, -2)
-        return A if max(np.abs(products - np.eye(3)).max(), np.abs(turned - np.eye(3)).max()) < 1e-6 else None
+        first = A[:, :1] @ np.swapaxes(A[:, :1], -1, -2)
+        last = A[:, -1:] @ np.swapaxes(A[:, -1:], -1, -2)
+        return A if max(np.abs(first - np.eye(3)).max(), np.abs(last - np.eye(3)).max()) < 1e-6 else None
 
     @cached_property
     def invariants(self) -> Mapping[str, Floats]:
         """The energy and the Casimirs, {name: (members, k)}."""
         series = {"energy": self.solution.energy, **self.solution.casimirs}
-        return {name: self.of_each(values) for name, values in series.items()}
+        return {name: self.select(values) for name, values in series.items()}
 
     @property
     def driven(self) -> bool:
@@ -155,11 +153,11 @@ class PlottedRun:
         work = getattr(self.solution, "work", None)
         if not work:
             return None
-        found = {}
+        changes = {}
         for name, values in self.invariants.items():
-            done = [self.of_each(by[name]) for by in work.values() if name in by]
-            found[name] = values - values[:, :1] - sum(done)
-        return found
+            done = [self.select(by[name]) for by in work.values() if name in by]
+            changes[name] = values - values[:, :1] - sum(done)
+        return changes
 
     @property
     def quantity(self) -> str:
@@ -175,8 +173,8 @@ class PlottedRun:
         """Return the name of a coordinate as mathematical text."""
         return coordinate(self.names[i])
 
-    def place(self, chosen: Any) -> int:
-        """Return the index of a coordinate given by number or name; raise CannotShow, with the nearest name."""
+    def index_of(self, chosen: Any) -> int:
+        """Return the index of a coordinate given by number or name; raise CannotShow if there is none."""
         try:
             if isinstance(chosen, str):
                 return self.names.index(read_choice(chosen, "coordinate", self.names))
@@ -185,92 +183,92 @@ class PlottedRun:
             raise CannotShow(str(reason)) from None
 
     @cached_property
-    def kept(self) -> npt.NDArray[np.int64]:
-        """Indices of the points of curves in space: all, or about 20 000 evenly spread, and the last."""
+    def curve_indices(self) -> npt.NDArray[np.int64]:
+        """Indices of the points of curves in space: all, or about 20 000 evenly spread with the last one."""
         every = max(1, -(-len(self.t) // MAX_CURVE_POINTS))
         return np.unique(np.append(np.arange(0, len(self.t), every), len(self.t) - 1))
 
     @cached_property
     def joined(self) -> bool:
         """Whether lines between the points of a curve represent the motion; otherwise points are drawn as dots."""
-        return self._flat(self.kept, SPACE_CHORD_TOLERANCE)
+        return self._flat(self.curve_indices, SPACE_CHORD_TOLERANCE)
 
     @cached_property
     def axis_joined(self) -> bool:
         """Whether lines between the points of the path of an axis represent the rotation of the attitude."""
-        steps = np.abs(np.diff(self.t[self.kept]))
+        steps = np.abs(np.diff(self.t[self.curve_indices]))
         return self.joined and (not steps.size or float(np.quantile(steps, 0.9)) * fastest_turn(self) <= MAX_AXIS_TURN)
 
     @cached_property
-    def close(self) -> bool:
+    def dense(self) -> bool:
         """Whether lines between all saved points represent the motion over time."""
         return self._flat(np.arange(len(self.t)), CHORD_TOLERANCE)
 
     @ignore_overflow
-    def _flat(self, kept: npt.NDArray[np.int64], part: float) -> bool:
-        """Test whether nine of ten intervals between points are nearly straight, for the first finite member.
-
-        The distance of the motion from the chord is about ``|f(x1) - f(x0)| dt / 8``, with its field f.
-        """
-        if self.random or len(kept) < 3:
+    def _flat(self, indices: npt.NDArray[np.int64], tolerance: float) -> bool:
+        """Test whether nine of ten intervals between points are nearly straight, for the first finite member."""
+        if self.random or len(indices) < 3:
             return not self.random
-        finite = np.isfinite(self.x[:, kept]).all(axis=(1, 2))
+        finite = np.isfinite(self.x[:, indices]).all(axis=(1, 2))
         m = int(np.argmax(finite))
-        x = self.x[m][kept]
+        x = self.x[m][indices]
         size = float(np.linalg.norm(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0)))
         if not size > 0.0:
             return True
-        places = spread(len(kept) - 1, min(SAMPLED, max(MIN_SAMPLED, NUMBERS_SAMPLED // self.n)))
-        leaves = [self._chord_distance(x, self.t[kept], int(p), m) for p in places]
-        return bool(np.quantile(leaves, 0.9) <= part * size)
+        intervals = spread(len(indices) - 1, min(SAMPLED, max(MIN_SAMPLED, NUMBERS_SAMPLED // self.n)))
+        distances = [self._chord_distance(x, self.t[indices], int(p), m) for p in intervals]
+        return bool(np.quantile(distances, 0.9) <= tolerance * size)
 
     def _chord_distance(self, x: Floats, t: Floats, p: int, m: int) -> float:
+        """Estimate the distance of the motion from a chord, ``|f(x1) - f(x0)| dt / 8`` with its field f."""
         dt = float(t[p + 1] - t[p])
         before, after = (self.slope(x[q], float(t[q]), m) for q in (p, p + 1))
         bend = float(np.linalg.norm(after - before)) * abs(dt) / 8.0
-        missed = float(np.linalg.norm(0.5 * dt * (before + after) - (x[p + 1] - x[p])))
-        found = max(bend, missed)
-        return found if np.isfinite(found) else 0.0
+        # Large if the motion turns by about a period within the interval.
+        mismatch = float(np.linalg.norm(0.5 * dt * (before + after) - (x[p + 1] - x[p])))
+        distance = max(bend, mismatch)
+        return distance if np.isfinite(distance) else 0.0
 
-    def at(self, part: Any) -> int:
+    def index_at(self, fraction: Any) -> int:
         """Return the index of the saved point nearest to a fraction of the span: 0 is the start, 1 the end."""
-        wanted = self.t[0] + min(max(read_number(part, "at"), 0.0), 1.0) * (self.t[-1] - self.t[0])
-        return int(np.argmin(np.abs(self.t - wanted)))
+        time = self.t[0] + min(max(read_number(fraction, "at"), 0.0), 1.0) * (self.t[-1] - self.t[0])
+        return int(np.argmin(np.abs(self.t - time)))
 
     def state(self, k: int) -> npt.NDArray[Any]:
         """Return a saved state of the first member, in its own shape."""
         return self._shaped(self.x[0, k])
 
-    def of_state(self, function: Any, k: int) -> tuple[Floats, float]:
-        """Evaluate function(system, state) at saved point k; also return the largest value at start, end and k.
+    def evaluate(self, function: Any, k: int) -> tuple[Floats, float]:
+        """Evaluate function(system, state) at saved point k, with the system without forces.
 
-        The latter is a common scale of pictures; `system` is without forces.
+        Also return the largest absolute value at start, end and k, a common scale of pictures.
         """
-        found = {j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}}
-        return found[k], max(float(np.nanmax(np.abs(values), initial=0.0)) for values in found.values()) or 1.0
+        fields = {
+            j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}
+        }
+        return fields[k], max(float(np.nanmax(np.abs(values), initial=0.0)) for values in fields.values()) or 1.0
 
     def _shaped(self, x: Floats) -> npt.NDArray[Any]:
         return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
 
     def system_of(self, m: int) -> Any:
         """Return the system of a drawn member; those of a batch differ."""
-        given = self.solution.system
-        return given[int(self._chosen[m])] if isinstance(given, Batch) else self.system
+        system = self.solution.system
+        return system[int(self._chosen[m])] if isinstance(system, Batch) else self.system
 
     def slope(self, x: Floats, t: float, m: int = 0) -> Floats:
         """Return the field of a member at a state, as real numbers."""
         state = self._shaped(x)
-        found = np.ascontiguousarray(self.system_of(m).vector_field(state, t), dtype=self._type)
-        return found.view(np.float64).ravel()
+        field = np.ascontiguousarray(self.system_of(m).vector_field(state, t), dtype=self._type)
+        return field.view(np.float64).ravel()
 
 
-def _members(solution: Solution, given: Any) -> npt.NDArray[np.int64]:
-    """Validate the members selected."""
+def _read_members(solution: Solution, members: Any) -> npt.NDArray[np.int64]:
     count = 1 if solution.failed is None else len(solution.failed)
-    listed = read_list(given, "members", "give numbers of members, such as [0, 3]")
+    listed = read_list(members, "members", "give numbers of members, such as [0, 3]")
     chosen = [read_integer(m, "a member", 0, count - 1) for m in listed]
     if not chosen or len(chosen) > MAX_MEMBERS or len(set(chosen)) < len(chosen):
-        raise ValueError(f"members are {short(given)}; give from 1 to {MAX_MEMBERS} different numbers of members")
+        raise ValueError(f"members are {short(members)}; give from 1 to {MAX_MEMBERS} different numbers of members")
     return np.array(chosen, dtype=np.int64)
 
 

@@ -35,22 +35,22 @@ class Projection:
         x = self.half_width * ((2 * np.arange(columns) + 1) / columns - 1)
         x, y = np.meshgrid(x, (2 * np.arange(rows) + 1) / rows - 1)
         inside = (x / self.half_width) ** 2 + y**2 <= 1.0
-        found = np.full((*x.shape, 3), np.nan)
-        found[inside] = unit_vectors(*self.unproject(x[inside], y[inside])) @ turned(centre)
-        return found
+        vectors = np.full((*x.shape, 3), np.nan)
+        vectors[inside] = unit_vectors(*self.unproject(x[inside], y[inside])) @ turned(centre)
+        return vectors
 
     def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> ArrayPair:
-        """Project a line on the sphere, with NaN where it leaves over an edge of the map."""
-        seen = unit_vectors(longitude, latitude) @ turned(centre).T
-        across = np.arctan2(seen[:, 1], seen[:, 0])
-        x, y = self.project(across, np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
+        """Project a line on the sphere, with NaN where it crosses an edge of the map."""
+        vectors = unit_vectors(longitude, latitude) @ turned(centre).T
+        across = np.arctan2(vectors[:, 1], vectors[:, 0])
+        x, y = self.project(across, np.arcsin(np.clip(vectors[:, 2], -1.0, 1.0)))
         # Tested by the angle, since near the poles the edges of a map are close to each other.
-        over = np.append(np.abs(np.diff(across)) > np.pi, False)
-        return np.where(over, np.nan, x), y
+        crosses = np.append(np.abs(np.diff(across)) > np.pi, False)
+        return np.where(crosses, np.nan, x), y
 
 
 def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
-    """Return directions (..., 3)."""
+    """Return the unit vectors (..., 3) at longitudes and latitudes in radians."""
     return np.stack(
         [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
     )

@@ -1,4 +1,4 @@
-"""Times between the saved points at which states are needed so that straight chords look smooth."""
+"""Times between the saved points at which smooth curves need states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_NUMBERS = 2**22
 """Largest number of state entries examined: 32 MB."""
 MAX_SECONDS = 1.5
 """Largest estimated time (s) for computing states between the saved ones."""
-COST_SECONDS = {"stretch": 4e-4, "point": 2e-5, "state": 4e-6}
+COST_SECONDS = {"interval": 4e-4, "point": 2e-5, "state": 4e-6}
 """Cost model of intermediate states (s), besides the steps: per saved interval, time, and state of a member."""
 SAMPLED = 64
 SUFFICIENT_POINTS = 16
@@ -35,67 +35,66 @@ DIFFERENCE_STEP = 1e-5
 
 
 def times_between(drawn: PlottedRun, refined_run: PlottedRun) -> Floats | None:
-    """Return the times, with the saved ones, at which a smooth curve needs states.
+    """Return the times at which a smooth curve needs states, including the saved ones.
 
     The motion is measured on `refined_run`, the same run or a refinement of it. None if the saved points suffice, or if
-    the states between them would be too many or too expensive.
+    the states would be too many or too expensive.
     """
     run = drawn.solution
-    length = min(_length_of_path(refined_run), REFINED_TURN / fastest_turn(refined_run))
-    stretches = np.abs(np.diff(drawn.t))
-    total = float(np.sum(np.maximum(1.0, stretches / length)))
+    length = min(_chord_duration(refined_run), REFINED_TURN / fastest_turn(refined_run))
+    intervals = np.abs(np.diff(drawn.t))
+    total = float(np.sum(np.maximum(1.0, intervals / length)))
     if total > MAX_REFINED_POINTS or total * run.x[0].size > MAX_NUMBERS:
         return None
-    parts = np.maximum(1, np.ceil(stretches / length)).astype(np.int64)
+    parts = np.maximum(1, np.ceil(intervals / length)).astype(np.int64)
     points = int(parts.sum())
-    if points == len(stretches) or _seconds(run, int(np.count_nonzero(parts > 1)), points) > MAX_SECONDS:
+    if points == len(intervals) or _seconds(run, int(np.count_nonzero(parts > 1)), points) > MAX_SECONDS:
         return None
     return _divided(drawn.t, parts)
 
 
 def coarse_times(drawn: PlottedRun) -> Floats | None:
-    """Return a coarse set of times between the saved points, enough to resolve a motion of a few periods.
+    """Return about 64 times that resolve a motion of a few periods.
 
-    None if the saved points suffice to measure the motion, or if the times are too expensive.
+    None if the saved points suffice to measure the motion, or if the states are too expensive.
     """
-    stretches = len(drawn.t) - 1
-    if stretches >= SUFFICIENT_POINTS or _seconds(drawn.solution, stretches, SAMPLED) > MAX_SECONDS:
+    intervals = len(drawn.t) - 1
+    if intervals >= SUFFICIENT_POINTS or _seconds(drawn.solution, intervals, SAMPLED) > MAX_SECONDS:
         return None
-    return _divided(drawn.t, np.full(stretches, -(-SAMPLED // stretches)))
+    return _divided(drawn.t, np.full(intervals, -(-SAMPLED // intervals)))
 
 
 def _divided(t: Floats, parts: npt.NDArray[np.int64]) -> Floats:
-    """Divide each interval into the given number of parts; the given times are unchanged bitwise."""
+    """Divide each interval into a number of parts; the times t have the same bits in the result."""
     inside = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     return np.append(np.repeat(t[:-1], parts) + np.repeat(np.diff(t) / parts, parts) * inside, t[-1])
 
 
-def _seconds(run: Solution, stretches: int, points: int) -> float:
+def _seconds(run: Solution, intervals: int, points: int) -> float:
+    """Estimate the time for computing states at `points` times within `intervals` saved intervals."""
     members = 1 if run.failed is None else len(run.failed)
-    work = run.stats
     # The steps are repeated, with a partial step for each state.
-    again = work.seconds * (1.0 + points / max(1, work.steps))
-    return (
-        again + COST_SECONDS["stretch"] * stretches + (COST_SECONDS["point"] + COST_SECONDS["state"] * members) * points
-    )
+    steps = run.stats.seconds * (1.0 + points / max(1, run.stats.steps))
+    point = COST_SECONDS["point"] + COST_SECONDS["state"] * members
+    return steps + COST_SECONDS["interval"] * intervals + point * points
 
 
-def _length_of_path(drawn: PlottedRun) -> float:
-    """Return the longest time interval whose chord is close to the motion: the distance is about a dt^2 / 8."""
+def _chord_duration(drawn: PlottedRun) -> float:
+    """Return the longest time interval with a chord close to the motion: the distance is about |x''| dt^2 / 8."""
     shortest = np.inf
     sizes = [float(np.linalg.norm(np.ptp(path, axis=0))) for path in drawn.x]
-    each = max(2, SAMPLED // len(sizes))
+    count = max(2, SAMPLED // len(sizes))
     for m, (path, size) in enumerate(zip(drawn.x, sizes, strict=True)):
         if not size > 0.0:
             continue
-        for k in np.linspace(0, len(drawn.t) - 1, min(each, len(drawn.t))).astype(np.int64).tolist():
-            turning = _curvature(drawn, m, path[k], float(drawn.t[k]), size)
-            if turning > 0.0 and np.isfinite(turning):
-                shortest = min(shortest, (8.0 * REFINED_TOLERANCE * size / turning) ** 0.5)
+        for k in np.linspace(0, len(drawn.t) - 1, min(count, len(drawn.t))).astype(np.int64).tolist():
+            acceleration = _acceleration(drawn, m, path[k], float(drawn.t[k]), size)
+            if acceleration > 0.0 and np.isfinite(acceleration):
+                shortest = min(shortest, (8.0 * REFINED_TOLERANCE * size / acceleration) ** 0.5)
     return shortest
 
 
-def _curvature(drawn: PlottedRun, m: int, x: Floats, t: float, size: float) -> float:
+def _acceleration(drawn: PlottedRun, m: int, x: Floats, t: float, size: float) -> float:
     """Return the size of the second derivative of the motion, by a finite difference of the field."""
     field = drawn.slope(x, t, m)
     speed = float(np.linalg.norm(field))
@@ -107,16 +106,16 @@ def _curvature(drawn: PlottedRun, m: int, x: Floats, t: float, size: float) -> f
 
 @ignore_overflow
 def fastest_turn(drawn: PlottedRun) -> float:
-    """Return the largest angular speed of the attitude (radians per unit of time); positive also without attitude."""
+    """Return the largest angular speed of the attitude, in radians per unit of time; tiny without an attitude."""
     rho: Any = getattr(drawn.family, "representation", None)
     fastest = float(np.finfo(np.float64).tiny)
     if drawn.solution.carried != "representation" or rho is None:
         return fastest
-    each = max(2, SAMPLED // len(drawn.x))
+    count = max(2, SAMPLED // len(drawn.x))
     for m, path in enumerate(drawn.x):
         hamiltonian = drawn.system_of(m).hamiltonian
-        for k in np.linspace(0, len(drawn.t) - 1, min(each, len(drawn.t))).astype(np.int64).tolist():
+        for k in np.linspace(0, len(drawn.t) - 1, min(count, len(drawn.t))).astype(np.int64).tolist():
             rate = np.tensordot(hamiltonian.gradient(path[k], float(drawn.t[k])), rho, axes=1)
-            # The rate of a rotation about one axis has two entries of equal size.
+            # The matrix of an angular velocity has each component twice.
             fastest = max(fastest, float(np.linalg.norm(rate[:3, :3] if rate.shape[-1] == 4 else rate)) / 2.0**0.5)
     return fastest

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Update = Callable[[int], None]
-"""Changes a drawn picture to another saved point."""
+"""Updates a drawn picture to another saved point."""
 Paint = Callable[["Axes"], Update | None]
 """Draws a picture into axes; kinds with `Kind.moves` return an `Update`."""
 Prepare = Callable[..., Paint]
@@ -47,7 +47,7 @@ class Kind:
     moves: bool = False
 
     def check(self, picture: Picture) -> None:
-        """Raise ValueError, with the nearest option, if a picture has options that this kind does not have."""
+        """Raise ValueError, with the nearest option, for options that this kind does not have."""
         known = list(inspect.signature(self.prepare).parameters)[1:]
         for option in picture.options:
             if option not in known:
@@ -56,7 +56,7 @@ class Kind:
                 raise unknown_name(f"option of the picture {self.name!r}", option, known)
 
 
-_FOUND: dict[str, Kind] = {}
+_KINDS: dict[str, Kind] = {}
 
 
 def kind(
@@ -69,7 +69,7 @@ def kind(
     name : str
         The name by which systems and `Solution.plot` refer to it.
     over_time, projection, low, moves
-        As for `Kind`.
+        The fields of `Kind`.
 
     Returns
     -------
@@ -78,14 +78,14 @@ def kind(
     """
 
     def register(prepare: Prepare) -> Prepare:
-        _FOUND[name] = Kind(name, prepare, over_time, projection, low, moves)
+        _KINDS[name] = Kind(name, prepare, over_time, projection, low, moves)
         return prepare
 
     return register
 
 
 def kinds() -> Mapping[str, Kind]:
-    """Return all kinds by name, after importing every file of the folder `kinds`.
+    """Return all kinds by name, after importing the files of the folder `kinds`.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def kinds() -> Mapping[str, Kind]:
     package = importlib.import_module("coadjoint.pictures.kinds")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
-    return MappingProxyType(dict(sorted(_FOUND.items())))
+    return MappingProxyType(dict(sorted(_KINDS.items())))
 
 
 def read_picture(given: Any) -> tuple[Kind, Picture]:
@@ -118,7 +118,7 @@ def read_picture(given: Any) -> tuple[Kind, Picture]:
     Raises
     ------
     TypeError, ValueError
-        Not a picture, an unknown kind, or an option that it does not have; the message has the nearest name.
+        Not a picture, an unknown kind, or an unknown option of the kind; the message suggests the nearest name.
 
     Examples
     --------
@@ -130,6 +130,6 @@ def read_picture(given: Any) -> tuple[Kind, Picture]:
         raise TypeError(f"a panel is {short(given)}; give the name of a kind of picture, or a Picture")
     picture = Picture(given) if isinstance(given, str) else given
     known = kinds()
-    found = known[read_choice(picture.kind, "kind of picture", known)]
-    found.check(picture)
-    return found, picture
+    kind = known[read_choice(picture.kind, "kind of picture", known)]
+    kind.check(picture)
+    return kind, picture

@@ -1,4 +1,4 @@
-"""Plots of series over time: as a line, as an envelope if too dense, as dots if too sparse."""
+"""Plots of series over time: lines, envelopes of dense series, or dots of sparse ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Floats = npt.NDArray[np.float64]
 
 COLUMNS = 600
 """Number of time intervals that a printed line resolves."""
-MAX_VALUE = 1e280  # larger values with margins of the scale overflow float64
+MAX_VALUE = 1e280  # the limits of a scale with margins for larger values overflow
 MAX_TURNING_POINTS = COLUMNS // 2
 """Number of turning points above which an envelope is drawn: two columns per half oscillation."""
 
@@ -26,9 +26,9 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     turns = turning_points(values)
     if turns > MAX_TURNING_POINTS or (len(t) > 8 * COLUMNS and not joined):
         middle, low, high = envelope(t, values, COLUMNS)
-        strength = style.get("alpha", 1.0)
+        alpha = style.get("alpha", 1.0)
         # The edge keeps envelopes visible that are narrower than a line.
-        face, edge = ((style.get("color", "C0"), part * strength) for part in (0.35, 1.0))
+        face, edge = ((style.get("color", "C0"), part * alpha) for part in (0.35, 1.0))
         width = style.get("linewidth", 0.9)
         axes.fill_between(middle, low, high, facecolor=face, edgecolor=edge, linewidth=width, label=label)
         return
@@ -41,21 +41,20 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
 
 def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: str, label: str | None) -> None:
     """Draw a series (members, k), thin and light if there are several; `joined` as for `draw_series`."""
-    width, strength = (0.5, 0.5) if len(members) > 1 else (0.9, 1.0)
+    width, alpha = (0.5, 0.5) if len(members) > 1 else (0.9, 1.0)
     for m, values in enumerate(members):
-        shown = label if m == 0 else None
-        draw_series(axes, t, values, joined, label=shown, color=colour, linewidth=width, alpha=strength)
+        draw_series(axes, t, values, joined, label=None if m else label, color=colour, linewidth=width, alpha=alpha)
 
 
 def _mostly_isolated(values: Floats) -> bool:
-    """Test whether more than a tenth of the points are isolated by gaps, where lines do not show them."""
-    known = np.isfinite(values)
-    beside = np.append(known[1:], False) | np.insert(known[:-1], 0, False)
-    return int(np.count_nonzero(known & ~beside)) > 0.1 * int(np.count_nonzero(known))
+    """Test whether more than a tenth of the points are isolated by gaps, so that lines do not show them."""
+    finite = np.isfinite(values)
+    has_neighbour = np.append(finite[1:], False) | np.insert(finite[:-1], 0, False)
+    return int(np.count_nonzero(finite & ~has_neighbour)) > 0.1 * int(np.count_nonzero(finite))
 
 
 def turning_points(values: Floats) -> int:
-    """Count the changes between rising and falling in a series, without its nonfinite values."""
+    """Count the changes between rising and falling of the finite values of a series."""
     slopes = np.sign(np.diff(values[np.isfinite(values)]))
     slopes = slopes[slopes != 0.0]
     return int(np.count_nonzero(slopes[1:] != slopes[:-1]))
@@ -64,14 +63,15 @@ def turning_points(values: Floats) -> int:
 def envelope(t: Floats, values: Floats, columns: int) -> tuple[Floats, Floats, Floats]:
     """Return the smallest and largest finite value in each of at most `columns` groups of successive points.
 
-    The times `middle` begin and end with those of the series; values are NaN in groups without finite ones.
+    The result is (middle times, smallest, largest). The times begin and end with those of the series; values are NaN in
+    groups without finite ones.
     """
     starts = np.unique(np.linspace(0, len(t), min(columns, len(t)) + 1).astype(np.int64))[:-1]
     ends = np.append(starts[1:], len(t)) - 1
     middle = 0.5 * (t[starts] + t[ends])
     middle[0], middle[-1] = t[0], t[-1]
-    known = np.isfinite(values)
-    low = np.minimum.reduceat(np.where(known, values, np.inf), starts)
-    high = np.maximum.reduceat(np.where(known, values, -np.inf), starts)
-    nothing = ~np.isfinite(low)
-    return middle, np.where(nothing, np.nan, low), np.where(nothing, np.nan, high)
+    finite = np.isfinite(values)
+    low = np.minimum.reduceat(np.where(finite, values, np.inf), starts)
+    high = np.maximum.reduceat(np.where(finite, values, -np.inf), starts)
+    empty = ~np.isfinite(low)
+    return middle, np.where(empty, np.nan, low), np.where(empty, np.nan, high)

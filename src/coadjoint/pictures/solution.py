@@ -32,12 +32,12 @@ def draw_solution(
     Parameters
     ----------
     solution : Solution
-        One run or an ensemble. At most 20 members and 8 coordinates are drawn, evenly spread; the figure states the
+        One run or an ensemble. At most 20 members and 8 coordinates are drawn, evenly spread; the figure states their
         numbers.
     panels : sequence of str or Picture, optional
         Kinds of pictures, by name or with options; `coadjoint.pictures.register.kinds` lists them. By default the
-        drift, the components, the observed quantities, and the pictures that the system declares; if this run can show
-        none of these, for three coordinates the orbit on its coadjoint orbit.
+        drift, the components, the observed quantities, and the pictures that the system declares. If this run can show
+        none of these pictures, the orbit on its coadjoint orbit for three coordinates.
     components : sequence of int or str, optional
         The coordinates that are drawn over time, by number from 0 or by name.
     axes : Axes or sequence of Axes, optional
@@ -53,7 +53,7 @@ def draw_solution(
     Raises
     ------
     TypeError, ValueError
-        An unknown kind or option, with the nearest name; a picture that this run cannot show, with the reason; or
+        An unknown kind or option (the message suggests the nearest name), a picture that this run cannot show, or
         different numbers of axes and panels.
 
     Examples
@@ -66,15 +66,15 @@ def draw_solution(
     check_solution(solution)
     need("drawing a solution", "matplotlib")
     drawn = PlottedRun(solution, members)
-    plain = _components(drawn, components)
-    prepared = _declared(drawn, plain) if panels is None else _requested(drawn, panels, plain)
+    series = _components_picture(drawn, components)
+    prepared = _declared(drawn, series) if panels is None else _requested(drawn, panels, series)
     if axes is not None:
-        return _drawn_into(axes, prepared)
+        return _draw_into(axes, prepared)
     return _figure(solution, drawn, prepared)
 
 
-def _components(drawn: PlottedRun, chosen: Any) -> Picture:
-    """Return the picture of components: those requested, else those that the system declares."""
+def _components_picture(drawn: PlottedRun, chosen: Any) -> Picture:
+    """Return the picture of the components requested, else of those that the system declares."""
     if chosen is not None:
         rule = "give numbers or names of coordinates"
         listed = read_list(chosen, "components", rule)
@@ -84,58 +84,59 @@ def _components(drawn: PlottedRun, chosen: Any) -> Picture:
     return Picture("components") if drawn.gallery_entry is None else drawn.gallery_entry.components
 
 
-def _declared(drawn: PlottedRun, plain: Picture) -> list[tuple[Kind, Paint]]:
-    """Return drift, components and observed quantities, and the declared pictures that this run can show."""
-    wanted = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
-    own = drawn.gallery_entry is not None and plain is drawn.gallery_entry.components
+def _declared(drawn: PlottedRun, series: Picture) -> list[tuple[Kind, Paint]]:
+    """Prepare drift, components and observed quantities, and the declared pictures that this run can show."""
+    declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
+    is_declared = drawn.gallery_entry is not None and series is drawn.gallery_entry.components
     # The declared coordinates may not exist for these parameters of the system.
-    series = (_shown(drawn, (plain,)) if own else []) or [_prepared(drawn, Picture("components") if own else plain)]
-    first = _shown(drawn, (Picture("drift"),)) + series + _shown(drawn, (Picture("observed"),))
-    unnamed = (Picture("coadjoint orbit"), Picture("eigenvalues"))
-    return first + (_shown(drawn, wanted) or _shown(drawn, unnamed))
+    components = _prepare_possible(drawn, (series,)) if is_declared else []
+    components = components or [_prepare(drawn, Picture("components") if is_declared else series)]
+    drift, observed = (_prepare_possible(drawn, (Picture(name),)) for name in ("drift", "observed"))
+    default = (Picture("coadjoint orbit"), Picture("eigenvalues"))
+    return drift + components + observed + (_prepare_possible(drawn, declared) or _prepare_possible(drawn, default))
 
 
-def _shown(drawn: PlottedRun, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
-    found = []
+def _prepare_possible(drawn: PlottedRun, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
+    prepared = []
     for picture in pictures:
         with suppress(CannotShow):
-            found.append(_prepared(drawn, picture))
-    return found
+            prepared.append(_prepare(drawn, picture))
+    return prepared
 
 
-def _prepared(drawn: PlottedRun, picture: str | Picture) -> tuple[Kind, Paint]:
+def _prepare(drawn: PlottedRun, picture: str | Picture) -> tuple[Kind, Paint]:
     kind, read = read_picture(picture)
     return kind, kind.prepare(drawn, **read.options)
 
 
-def _requested(drawn: PlottedRun, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]]:
+def _requested(drawn: PlottedRun, panels: Any, series: Picture) -> list[tuple[Kind, Paint]]:
     rule = "give kinds of pictures, such as ['drift', 'coadjoint orbit']"
-    given = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
-    if not given:
+    listed = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
+    if not listed:
         raise ValueError(f"panels is empty; {rule}")
-    return [_prepared(drawn, _as_declared(drawn, plain, panel)) for panel in given]
+    return [_prepare(drawn, _as_declared(drawn, series, panel)) for panel in listed]
 
 
-def _as_declared(drawn: PlottedRun, plain: Picture, panel: Any) -> Any:
-    """Replace a kind given by name by the picture that the system declares of it, if any."""
-    told = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
-    return next((p for p in (plain, *told) if isinstance(panel, str) and p.kind == panel), panel)
+def _as_declared(drawn: PlottedRun, series: Picture, panel: Any) -> Any:
+    """Replace the name of a kind by the picture of this kind that the system declares, if any."""
+    declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
+    return next((p for p in (series, *declared) if isinstance(panel, str) and p.kind == panel), panel)
 
 
-def _drawn_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
-    given = (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
-    if len(given) != len(prepared):
+def _draw_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
+    listed = (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
+    if len(listed) != len(prepared):
         names = ", ".join(kind.name for kind, _ in prepared)
-        raise ValueError(f"axes has {len(given)} entries, and there are {len(prepared)} panels to draw: {names}")
-    for into, (kind, paint) in zip(given, prepared, strict=True):
-        if not hasattr(into, "plot"):
-            raise TypeError(f"axes holds {short(into)}; give axes of Matplotlib")
-        if (getattr(into, "name", "") == "3d") != (kind.projection == "3d"):
-            wanted = 'axes with projection="3d"' if kind.projection else "flat axes"
-            raise ValueError(f"the picture {kind.name!r} needs {wanted}")
-        paint(into)
-    found: Figure = given[0].figure
-    return found
+        raise ValueError(f"axes has {len(listed)} entries, and there are {len(prepared)} panels to draw: {names}")
+    for panel_axes, (kind, paint) in zip(listed, prepared, strict=True):
+        if not hasattr(panel_axes, "plot"):
+            raise TypeError(f"axes holds {short(panel_axes)}; give axes of Matplotlib")
+        if (getattr(panel_axes, "name", "") == "3d") != (kind.projection == "3d"):
+            needed = 'axes with projection="3d"' if kind.projection else "flat axes"
+            raise ValueError(f"the picture {kind.name!r} needs {needed}")
+        paint(panel_axes)
+    figure: Figure = listed[0].figure
+    return figure
 
 
 def _figure(solution: Solution, drawn: PlottedRun, prepared: list[tuple[Kind, Paint]]) -> Figure:
@@ -146,19 +147,19 @@ def _figure(solution: Solution, drawn: PlottedRun, prepared: list[tuple[Kind, Pa
     widths = [COLUMN_WIDTHS[True]] * bool(rows) + [COLUMN_WIDTHS[False]] * len(columns)
     figure = ShownFigure(figsize=(max(7.2, sum(widths)), max(FIGURE_HEIGHT, 2.4 * len(rows))), layout="constrained")
     grid = figure.add_gridspec(1, len(widths), width_ratios=widths)
-    over = grid[0].subgridspec(max(1, len(rows)), 1)
+    row_grid = grid[0].subgridspec(max(1, len(rows)), 1)
     first: Any = None
-    for place, (_, paint) in enumerate(rows):
-        axes = figure.add_subplot(over[place], sharex=first)
+    for row, (_, paint) in enumerate(rows):
+        axes = figure.add_subplot(row_grid[row], sharex=first)
         first = first or axes
         paint(axes)
-        if place < len(rows) - 1:
+        if row < len(rows) - 1:
             axes.tick_params(labelbottom=False)
             axes.set_xlabel("")
-    for place, column in enumerate(columns, start=int(bool(rows))):
-        below = grid[place].subgridspec(len(column), 1)
+    for index, column in enumerate(columns, start=int(bool(rows))):
+        column_grid = grid[index].subgridspec(len(column), 1)
         for k, (kind, paint) in enumerate(column):
-            paint(figure.add_subplot(below[k], projection=kind.projection))
+            paint(figure.add_subplot(column_grid[k], projection=kind.projection))
     figure.suptitle(_headline(solution, drawn, int(16 * sum(widths)) - 60), fontsize=10.5)
     return figure
 
@@ -176,9 +177,9 @@ def _columns(pictures: list[tuple[Kind, Paint]]) -> list[list[tuple[Kind, Paint]
 
 def _headline(solution: Solution, drawn: PlottedRun, letters: int) -> str:
     parts = [solution.system.name, str(solution.method), f"step {solution.step:g}"]
-    if len(drawn.x) < drawn.of_members:
-        parts.append(f"{len(drawn.x)} of {drawn.of_members} members")
-    elif drawn.of_members > 1:
-        parts.append(f"{drawn.of_members} members")
+    if len(drawn.x) < drawn.member_count:
+        parts.append(f"{len(drawn.x)} of {drawn.member_count} members")
+    elif drawn.member_count > 1:
+        parts.append(f"{drawn.member_count} members")
     text = ",  ".join(parts).replace("$", r"\$")
     return "\n".join(textwrap.wrap(text, max(letters, 75)))

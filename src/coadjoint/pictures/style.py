@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's colours, distinct for colour-blind readers and in grey print; without yellow, too light for lines.
+# Okabe and Ito's colours, distinct for colour-blind readers and in grey print; yellow is omitted as too light.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
 INK = "#333333"
 GRID = "#DDDDDD"
@@ -45,8 +45,8 @@ def plain_axes(axes: Axes) -> None:
 
 def key(axes: Axes, **options: Any) -> None:
     """Add a legend, small and without a frame; `options` are those of `Axes.legend`."""
-    drawn = axes.legend(**{"fontsize": 8, "frameon": False, "loc": "best", "handlelength": 2.2, **options})
-    for line in drawn.get_lines():
+    legend = axes.legend(**{"fontsize": 8, "frameon": False, "loc": "best", "handlelength": 2.2, **options})
+    for line in legend.get_lines():
         line.set(linewidth=max(1.0, line.get_linewidth()), alpha=1.0)
 
 
@@ -69,8 +69,8 @@ def symbol(name: str) -> str:
     copy = re.fullmatch(r"(.+) (\[\d+\])", name)
     if copy is not None:
         return f"{symbol(copy[1])} {copy[2]}"
-    words = re.search(r"[A-Za-z]{3}", name) is not None
-    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name) and not words:
+    has_words = re.search(r"[A-Za-z]{3}", name) is not None
+    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name) and not has_words:
         return "$" + re.sub(r"([a-z])(\d+)", r"\1_{\2}", name).replace("*", r"\,") + "$"
     return name.replace("$", r"\$")
 
@@ -86,10 +86,10 @@ def coordinate(name: str) -> str:
     >>> print(coordinate("x12"), coordinate("gamma3"), coordinate("S1[7]"), coordinate("E"), coordinate("zonal wind"))
     $x_{12}$ $\gamma_{3}$ $S_{1}^{[7]}$ $E$ zonal wind
     """
-    found = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)(\[\d+\])?", name)
-    if found is None or (len(found[1]) > 2 and found[1] not in GREEK):
+    match = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)(\[\d+\])?", name)
+    if match is None or (len(match[1]) > 2 and match[1] not in GREEK):
         return name.replace("$", r"\$")
-    letters = rf"\{found[1]}" if found[1] in GREEK else found[1]
-    below = f"_{{{found[2]}}}" if found[2] else ""
-    above = f"^{{{found[3]}}}" if found[3] else ""
-    return f"${letters}{below}{above}$"
+    letters = rf"\{match[1]}" if match[1] in GREEK else match[1]
+    subscript = f"_{{{match[2]}}}" if match[2] else ""
+    superscript = f"^{{{match[3]}}}" if match[3] else ""
+    return f"${letters}{subscript}{superscript}$"

@@ -1,4 +1,4 @@
-"""Action of each part in one representation, as runs of equal blocks."""
+"""Action of each part in one representation, as runs of equal blocks, and its blocks as matrices."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.block_table import BlockTable, block_table, joined_tables
-from coadjoint.program.blocks import Kind
-from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.graph_layers import layers
+from coadjoint.program.blocks import CUBIC_HEADER, Kind
+from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.program.parts.generator_cost import check_products
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.sparse_rows import order_by, run_starts, starts_of
+from coadjoint.program.sparse_rows import layers, order_by, run_starts, starts_of
 
 
 class Action(NamedTuple):
@@ -46,17 +44,17 @@ class Action(NamedTuple):
 def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) -> Action:
     """Classify the generators of each part and arrange their blocks in runs.
 
-    The angles have the order of `parts.forms`. Raises TooWide if the generators are sums of too many products.
+    The angles have the order of `parts.forms`. Raises SplittingTooExpensive for generators of too many products.
     """
     check_products(matrices.products(parts.forms), "the Hamiltonian")
-    tables = [block_table(some, roundoff(number)) for some in matrices.combinations(parts.forms, number)]
+    tables = [block_table(generators, roundoff(number)) for generators in matrices.combinations(parts.forms, number)]
     if not tables:
-        return _empty(matrices.size, len(parts), number)
+        return _empty_action(matrices.size, len(parts), number)
     blocks = joined_tables(tables)
     part_of_angle = parts.part_of_angle
-    level = _levels(blocks, part_of_angle)
-    groups, blocks = _groups(blocks, part_of_angle, level)
-    return _arrange(matrices.size, blocks, groups, parts)
+    level = _angle_levels(blocks, part_of_angle)
+    groups, blocks = _group_blocks(blocks, part_of_angle, level)
+    return _arrange_runs(matrices.size, blocks, groups, parts)
 
 
 class _Groups(NamedTuple):
@@ -71,78 +69,80 @@ class _Groups(NamedTuple):
     begins: NDArray[np.bool_]
 
 
-def _levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
+def _angle_levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
     """Assign a level to each angle, so that generators of one level have no coordinate in common.
 
     The generators of a part commute, but single overlapping blocks of two of them need not.
     """
     angle = np.repeat(blocks.angle, blocks.width)
-    _, place = expand(blocks.begin[:-1], blocks.begin[:-1] + blocks.width)
-    coordinate, part = blocks.indices[place], part_of_angle[angle]
+    _, index = expand(blocks.begin[:-1], blocks.begin[:-1] + blocks.width)
+    coordinate, part = blocks.indices[index], part_of_angle[angle]
     order = order_by(part, coordinate)
     angle, first = angle[order], run_starts(part[order], coordinate[order])
-    again = np.flatnonzero(~first[1:] & (angle[1:] != angle[:-1]))
-    if not len(again):
+    overlaps = np.flatnonzero(~first[1:] & (angle[1:] != angle[:-1]))
+    if not len(overlaps):
         return np.zeros(len(part_of_angle), dtype=np.int64)
-    return layers(len(part_of_angle), angle[again], angle[again + 1])
+    return layers(len(part_of_angle), angle[overlaps], angle[overlaps + 1])
 
 
 def _sharing_labels(blocks: BlockTable) -> Integers:
     """Label the blocks that may share a group: shears, and blocks of one kind with equal constants."""
-    shared = np.zeros(len(blocks.kind), dtype=np.int64)
-    apart = blocks.entries > 0
-    shared[apart] = np.flatnonzero(apart)
+    label = np.zeros(len(blocks.kind), dtype=np.int64)
+    with_entries = blocks.entries > 0
+    label[with_entries] = np.flatnonzero(with_entries)
     for kind, count in ((Kind.SCALE, 1), (Kind.ROTATE, 1), (Kind.PLANE, 4)):
-        own = np.flatnonzero(blocks.kind == kind)
+        members = np.flatnonzero(blocks.kind == kind)
         for column in range(count):
-            values, number = np.unique(blocks.constants[blocks.constant_begin[own] + column], return_inverse=True)
-            _, shared[own] = np.unique(shared[own] * len(values) + number, return_inverse=True)
-    return shared
+            values, inverse = np.unique(blocks.constants[blocks.constant_begin[members] + column], return_inverse=True)
+            _, label[members] = np.unique(label[members] * len(values) + inverse, return_inverse=True)
+    return label
 
 
-def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
+def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
     """Group the blocks, and order the groups so that equal shapes with consecutive angles form one run.
 
     Blocks of one level have no coordinate in common, so their order is free.
     """
-    shared = _sharing_labels(blocks)
-    order = order_by(blocks.angle, blocks.kind, shared)
+    label = _sharing_labels(blocks)
+    order = order_by(blocks.angle, blocks.kind, label)
     member = np.arange(len(blocks.angle))[order]
-    begins = np.flatnonzero(run_starts(blocks.angle[member], blocks.kind[member], shared[member]))
+    begins = np.flatnonzero(run_starts(blocks.angle[member], blocks.kind[member], label[member]))
     leader = member[begins]
     count, kind, angle = np.diff(np.append(begins, len(member))), blocks.kind[leader], blocks.angle[leader]
-    rank = _ranks(angle, kind, count, leader)
-    part, height = part_of_angle[angle], level[angle]
-    order = np.arange(len(leader))[order_by(part, height, kind, count, rank, angle)]
-    part, height, angle, begins = part[order], height[order], angle[order], begins[order]
+    rank = _group_ranks(angle, kind, count, leader)
+    part, group_level = part_of_angle[angle], level[angle]
+    order = np.arange(len(leader))[order_by(part, group_level, kind, count, rank, angle)]
+    part, group_level, angle, begins = part[order], group_level[order], angle[order], begins[order]
     kind, count = kind[order], count[order]
-    new = run_starts(part, height, kind, count)
-    new[1:] |= angle[1:] != angle[:-1] + 1
-    new |= (kind == Kind.CUBIC) | (kind == Kind.SERIES)
-    chosen = member[expand(begins, begins + count)[1]]
-    sorted_ = bool(np.all(chosen[1:] > chosen[:-1]))
-    return _Groups(part, angle, starts_of(count), new), blocks if sorted_ else blocks.take(chosen)
+    begins_run = run_starts(part, group_level, kind, count)
+    begins_run[1:] |= angle[1:] != angle[:-1] + 1
+    begins_run |= (kind == Kind.CUBIC) | (kind == Kind.SERIES)
+    selection = member[expand(begins, begins + count)[1]]
+    in_order = bool(np.all(selection[1:] > selection[:-1]))
+    return _Groups(part, angle, starts_of(count), begins_run), blocks if in_order else blocks.take(selection)
 
 
-def _ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
+def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
     """Number the groups of one angle and shape by their first blocks."""
     order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
     first = run_starts(angle[order], kind[order], count[order])
-    place = np.arange(len(order))
+    position = np.arange(len(order))
     rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = place - np.maximum.accumulate(np.where(first, place, 0))
+    rank[order] = position - np.maximum.accumulate(np.where(first, position, 0))
     return rank
 
 
-def _arrange(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
+def _arrange_runs(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
     first = np.flatnonzero(groups.begins)
     leader = groups.block[first]
     kind = blocks.kind
     # The blocks of a group share the constants of its first block, except for shears.
-    kept = (kind == Kind.SHEAR) | (kind == Kind.CUBIC) | (kind == Kind.SERIES)
-    kept[groups.block[:-1]] = True
-    length = np.where(kept, np.diff(blocks.constant_begin), 0)
-    constants = blocks.constants if kept.all() else blocks.constants[np.repeat(kept, np.diff(blocks.constant_begin))]
+    stored = (kind == Kind.SHEAR) | (kind == Kind.CUBIC) | (kind == Kind.SERIES)
+    stored[groups.block[:-1]] = True
+    length = np.where(stored, np.diff(blocks.constant_begin), 0)
+    constants = (
+        blocks.constants if stored.all() else blocks.constants[np.repeat(stored, np.diff(blocks.constant_begin))]
+    )
     part = groups.part[first]
 
     def column(values: Any) -> NDArray[np.uint32]:
@@ -167,23 +167,64 @@ def _arrange(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Ac
 
 def empty_action() -> Action:
     """Return the action of a program without a group element."""
-    return _empty(0, 0, float)
+    return _empty_action(0, 0, float)
 
 
-def _empty(size: int, parts: int, number: Number) -> Action:
-    none, kind = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
+def _empty_action(size: int, parts: int, number: Number) -> Action:
+    empty, kind = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
     return Action(
         size,
         np.zeros(parts + 1, dtype=np.uint32),
         kind,
-        none,
-        none,
-        none,
-        none,
-        none,
-        none,
-        none,
-        none,
-        none,
+        empty,
+        empty,
+        empty,
+        empty,
+        empty,
+        empty,
+        empty,
+        empty,
+        empty,
         array_of(number, []),
     )
+
+
+def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    """Return the blocks of a run at its angle number q, as (coordinates, matrix)."""
+    kind, repeat = action.kind[run], int(action.repeat[run])
+    width, index, constant = int(action.width[run]), int(action.place[run]), int(action.constant[run])
+    constants = action.constants
+    zero = 0 * constants[constant]
+    blocks = []
+    for b in range(repeat):
+        first = index + (q * repeat + b) * width
+        coordinates = action.indices[first : first + width].astype(np.int64)
+        matrix = np.full((width, width), zero, dtype=constants.dtype)
+        if kind == Kind.SCALE:
+            matrix[0, 0] = constants[constant + q]
+        elif kind == Kind.ROTATE:
+            matrix[1, 0] = constants[constant + q]
+            matrix[0, 1] = -matrix[1, 0]
+        elif kind == Kind.SHEAR:
+            matrix[0, 1] = constants[constant + q * repeat + b]
+        elif kind == Kind.PLANE:
+            mean, half, upper, lower = constants[constant + 4 * q : constant + 4 * q + 4]
+            matrix[:] = [[mean + half, upper], [lower, mean - half]]
+        else:
+            count = int(action.entries[run])
+            header = CUBIC_HEADER if kind == Kind.CUBIC else 1
+            starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
+            rows = np.repeat(np.arange(width), np.diff(starts))
+            columns = action.indices[index + 2 * width + 1 :][:count]
+            matrix[rows, columns] = constants[constant + header :][:count]
+        blocks.append((coordinates, matrix))
+    return blocks
+
+
+def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:
+    """Return the nonzero entries of a run's generator at its angle number q."""
+    entries = {}
+    for coordinates, matrix in run_blocks(action, run, q):
+        for i, j in np.argwhere(matrix != 0):
+            entries[int(coordinates[i]), int(coordinates[j])] = matrix[i, j]
+    return entries

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.blocks import CUBIC_HEADER, Block, Kind, larger_block
-from coadjoint.program.components import Components, components_of
-from coadjoint.program.generators import Generators
+from coadjoint.program.generators import Components, Generators, components_of
 from coadjoint.program.sparse_rows import joined_starts, starts_of
 
 
@@ -70,37 +69,37 @@ def block_table(generators: Generators, u: Any) -> BlockTable:
     """
     sets, sheared, depth = components_of(generators)
     width = sets.width
-    found = [
-        (np.flatnonzero(mask), make)
-        for mask, make in (
-            (sheared, _shears),
-            (~sheared & (width == 1), _scales),
-            (~sheared & (width == 2), _planes),
+    classes = [
+        (np.flatnonzero(mask), build)
+        for mask, build in (
+            (sheared, _shear_blocks),
+            (~sheared & (width == 1), _scale_blocks),
+            (~sheared & (width == 2), _plane_blocks),
             (
                 (width > 2) & ~sheared & (depth >= 0),
-                lambda own: _series(own, depth[(width > 2) & ~sheared & (depth >= 0)]),
+                lambda subset: _series_blocks(subset, depth[(width > 2) & ~sheared & (depth >= 0)]),
             ),
-            ((width > 2) & ~sheared & (depth < 0), lambda own: _larger(own, u)),
+            ((width > 2) & ~sheared & (depth < 0), lambda subset: _cyclic_blocks(subset, u)),
         )
     ]
     tables, owners = [], []
-    for chosen, make in found:
+    for chosen, build in classes:
         if len(chosen):
-            own = sets.take(chosen) if len(chosen) < len(width) else sets
-            tables.append(make(own))
-            owners.append(np.repeat(chosen, own.lengths) if make is _shears else chosen)
+            subset = sets.take(chosen) if len(chosen) < len(width) else sets
+            tables.append(build(subset))
+            owners.append(np.repeat(chosen, subset.lengths) if build is _shear_blocks else chosen)
     if not tables:
-        return _empty(generators.value)
+        return _empty_table(generators.value)
     table = joined_tables(tables)
     return table if len(tables) == 1 else table.take(np.argsort(np.concatenate(owners), kind="stable"))
 
 
-def _empty(value: NDArray[Any]) -> BlockTable:
-    none, start = np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
-    return _table(none, np.zeros(0, dtype=np.uint8), none, none, start, none, start, value[:0])
+def _empty_table(value: NDArray[Any]) -> BlockTable:
+    empty, start = np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    return _build_table(empty, np.zeros(0, dtype=np.uint8), empty, empty, start, empty, start, value[:0])
 
 
-def _table(
+def _build_table(
     angle: Integers,
     kind: Any,
     width: Any,
@@ -127,96 +126,100 @@ def _table(
     )
 
 
-def _shears(sets: Components) -> BlockTable:
+def _shear_blocks(sets: Components) -> BlockTable:
     ends = np.arange(len(sets.value) + 1)
     low = sets.low[:-1][sets.owner]
     index = np.stack([sets.member[low + sets.row], sets.member[low + sets.column]], axis=1).ravel()
-    return _table(sets.angle[sets.owner], Kind.SHEAR, 2, 0, 2 * ends, index, ends, sets.value)
+    return _build_table(sets.angle[sets.owner], Kind.SHEAR, 2, 0, 2 * ends, index, ends, sets.value)
 
 
-def _scales(sets: Components) -> BlockTable:
-    return _table(sets.angle, Kind.SCALE, 1, 0, sets.low, sets.member, sets.first, sets.value)
+def _scale_blocks(sets: Components) -> BlockTable:
+    return _build_table(sets.angle, Kind.SCALE, 1, 0, sets.low, sets.member, sets.first, sets.value)
 
 
-def _planes(sets: Components) -> BlockTable:
+def _plane_blocks(sets: Components) -> BlockTable:
     """Build the ROTATE and PLANE blocks, of two coordinates."""
     matrix = np.repeat(0 * sets.value[sets.first[:-1]], 4).reshape(-1, 2, 2)
     matrix[sets.owner, sets.row, sets.column] = sets.value
     (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
-    turns = np.asarray((a == 0) & (d == 0) & (b == -c), dtype=bool)
+    is_rotation = np.asarray((a == 0) & (d == 0) & (b == -c), dtype=bool)
     members = sets.member.reshape(-1, 2)
-    reversed_ = turns & np.asarray(c < 0, dtype=bool)
+    reversed_ = is_rotation & np.asarray(c < 0, dtype=bool)
     members = np.where(reversed_[:, None], members[:, ::-1], members)
     constants = np.stack([(a + d) / 2, (a - d) / 2, b, c], axis=1)
-    constants[turns, 0] = abs(c[turns])
-    kept = np.ones(constants.shape, dtype=bool)
-    kept[turns, 1:] = False
-    kinds = np.where(turns, Kind.ROTATE, Kind.PLANE)
-    return _table(sets.angle, kinds, 2, 0, sets.low, members.ravel(), starts_of(np.where(turns, 1, 4)), constants[kept])
+    constants[is_rotation, 0] = abs(c[is_rotation])
+    used = np.ones(constants.shape, dtype=bool)
+    used[is_rotation, 1:] = False
+    kinds = np.where(is_rotation, Kind.ROTATE, Kind.PLANE)
+    return _build_table(
+        sets.angle, kinds, 2, 0, sets.low, members.ravel(), starts_of(np.where(is_rotation, 1, 4)), constants[used]
+    )
 
 
-def _series(sets: Components, depth: Integers) -> BlockTable:
+def _series_blocks(sets: Components, depth: Integers) -> BlockTable:
     """Build the SERIES blocks of nilpotent patterns, whose exponentials are finite sums."""
     width, count, size = sets.width, sets.lengths, len(sets.angle)
     begin = starts_of(2 * width + 1 + count)
     index = np.empty(begin[-1], dtype=np.int64)
     starts = begin[:-1]
-    member_place = np.arange(len(sets.member)) + np.repeat(starts - sets.low[:-1], width)
-    index[member_place] = sets.member
+    member_index = np.arange(len(sets.member)) + np.repeat(starts - sets.low[:-1], width)
+    index[member_index] = sets.member
     in_row = np.bincount(sets.low[sets.owner] + sets.row, minlength=len(sets.member))
-    index[member_place + np.repeat(width, width)] = np.cumsum(in_row) - in_row - np.repeat(sets.first[:-1], width)
+    index[member_index + np.repeat(width, width)] = np.cumsum(in_row) - in_row - np.repeat(sets.first[:-1], width)
     index[starts + 2 * width] = count
-    entry_place = np.arange(len(sets.column)) + np.repeat(starts + 2 * width + 1 - sets.first[:-1], count)
-    index[entry_place] = sets.column
+    entry_index = np.arange(len(sets.column)) + np.repeat(starts + 2 * width + 1 - sets.first[:-1], count)
+    index[entry_index] = sets.column
     constant_begin = starts_of(count + 1)
     constants = np.empty(constant_begin[-1], dtype=sets.value.dtype)
     constants[constant_begin[:-1]] = 0 * sets.value[sets.first[:-1]]
     constants[np.arange(len(sets.value)) + sets.owner + 1] = sets.value
-    return _table(sets.angle, np.full(size, Kind.SERIES), width, depth, begin, index, constant_begin, constants)
+    return _build_table(sets.angle, np.full(size, Kind.SERIES), width, depth, begin, index, constant_begin, constants)
 
 
-def _larger(sets: Components, u: Any) -> BlockTable:
+def _cyclic_blocks(sets: Components, u: Any) -> BlockTable:
     """Build the blocks of patterns with cycles; equal blocks, as at the sites of a lattice, are classified once."""
-    known: dict[Any, int] = {}
+    model_numbers: dict[Any, int] = {}
     models: list[Block] = []
     tails: list[Integers] = []
-    flat: list[NDArray[Any]] = []
-    which = np.empty(len(sets.angle), dtype=np.int64)
+    model_constants: list[NDArray[Any]] = []
+    model_of_set = np.empty(len(sets.angle), dtype=np.int64)
     width = sets.width.tolist()
     for s, (first, last) in enumerate(zip(sets.first[:-1].tolist(), sets.first[1:].tolist(), strict=True)):
         row, column, value = sets.row[first:last], sets.column[first:last], sets.value[first:last]
-        same = tuple(value) if value.dtype == object else value.tobytes()
-        key = (width[s], row.tobytes(), column.tobytes(), same)
-        if key not in known:
+        value_key = tuple(value) if value.dtype == object else value.tobytes()
+        key = (width[s], row.tobytes(), column.tobytes(), value_key)
+        if key not in model_numbers:
             local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
-            known[key] = len(models)
+            model_numbers[key] = len(models)
             models.append(model := larger_block(width[s], local, u))
-            given = model.kind == Kind.SERIES  # its entries are those of D as given, possibly very many
-            tails.append(_tail(width[s], row, column) if given else _tail_of(model))
-            flat.append(np.array([*model.constants, *value] if given else _flat_constants(model), dtype=value.dtype))
-        which[s] = known[key]
-    begin = starts_of(sets.width + np.array([len(tail) for tail in tails])[which])
-    constant_begin = starts_of(np.array([len(constants) for constants in flat])[which])
+            is_series = model.kind == Kind.SERIES  # keeps the entries of D, possibly very many
+            tails.append(_sparse_tail(width[s], row, column) if is_series else _sparse_tail_of(model))
+            model_constants.append(
+                np.array([*model.constants, *value] if is_series else _flat_constants(model), dtype=value.dtype)
+            )
+        model_of_set[s] = model_numbers[key]
+    begin = starts_of(sets.width + np.array([len(tail) for tail in tails])[model_of_set])
+    constant_begin = starts_of(np.array([len(constants) for constants in model_constants])[model_of_set])
     index = np.empty(begin[-1], dtype=np.int64)
     constants = np.empty(constant_begin[-1], dtype=sets.value.dtype)
     for number, model in enumerate(models):
-        own = np.flatnonzero(which == number)
-        place, size = begin[own][:, None], len(model.coordinates)
-        index[place + np.arange(size)] = sets.member[sets.low[own][:, None] + np.arange(size)]
-        index[place + size + np.arange(len(tails[number]))] = tails[number]
-        constants[constant_begin[own][:, None] + np.arange(len(flat[number]))] = flat[number]
-    kinds, degrees = (np.array([getattr(model, name) for model in models])[which] for name in ("kind", "degree"))
-    return _table(sets.angle, kinds, sets.width, degrees, begin, index, constant_begin, constants)
+        selected = np.flatnonzero(model_of_set == number)
+        start, size = begin[selected][:, None], len(model.coordinates)
+        index[start + np.arange(size)] = sets.member[sets.low[selected][:, None] + np.arange(size)]
+        index[start + size + np.arange(len(tails[number]))] = tails[number]
+        constants[constant_begin[selected][:, None] + np.arange(len(model_constants[number]))] = model_constants[number]
+    kinds, degrees = (np.array([getattr(model, name) for model in models])[model_of_set] for name in ("kind", "degree"))
+    return _build_table(sets.angle, kinds, sets.width, degrees, begin, index, constant_begin, constants)
 
 
-def _tail(width: int, row: Integers, column: Integers) -> Integers:
+def _sparse_tail(width: int, row: Integers, column: Integers) -> Integers:
     """Return the sparse rows that follow the coordinates of a block: row starts, then columns."""
     return np.concatenate([starts_of(np.bincount(row, minlength=width)), column])
 
 
-def _tail_of(block: Block) -> Integers:
+def _sparse_tail_of(block: Block) -> Integers:
     row, column = np.array([entry[:2] for entry in block.entries], dtype=np.int64).T
-    return _tail(len(block.coordinates), row, column)
+    return _sparse_tail(len(block.coordinates), row, column)
 
 
 def _flat_constants(block: Block) -> list[Any]:
@@ -227,8 +230,8 @@ def _flat_constants(block: Block) -> list[Any]:
 def blocks_of(entries: Mapping[tuple[int, int], Any], u: Any) -> list[Block]:
     """Decompose one sparse matrix D, (row, column) -> nonzero value, into blocks sorted by first coordinate."""
     keys = sorted(entries)
-    given = [entries[key] for key in keys]
-    values = np.array(given, dtype=np.float64 if all(isinstance(value, float) for value in given) else object)
+    value_list = [entries[key] for key in keys]
+    values = np.array(value_list, dtype=np.float64 if all(isinstance(value, float) for value in value_list) else object)
     row, column = np.array(keys, dtype=np.int64).reshape(-1, 2).T
     table = block_table(Generators(np.zeros(len(keys), dtype=np.int64), row, column, values), u)
     return [_block(table, b) for b in range(len(table.angle))]

@@ -86,21 +86,21 @@ def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values:
     Avoids the size^3 multiplications of full matrix products.
     """
 
-    def times(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def multiply(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.bincount(rows, weights=matrix * vector[columns], minlength=size).astype(np.float64)
 
     largest = int(np.argmax(np.abs(values)))
     first = np.zeros(size)
-    own = columns == columns[largest]
-    first[rows[own]] = values[own]
-    second, bound = times(values, first), times(np.abs(values), np.abs(first))
-    third, high = times(values, second), times(np.abs(values), bound)
+    in_column = columns == columns[largest]
+    first[rows[in_column]] = values[in_column]
+    second, bound = multiply(values, first), multiply(np.abs(values), np.abs(first))
+    third, third_bound = multiply(values, second), multiply(np.abs(values), bound)
     lam = third[rows[largest]] / values[largest]
     margin = 32 * size * 3 * UNIT_ROUNDOFF
-    cubic = high + high[rows[largest]] + abs(lam) * np.abs(first)
+    cubic = third_bound + third_bound[rows[largest]] + abs(lam) * np.abs(first)
     return (
         bool(np.any(np.abs(second) > margin * bound))
-        and bool(np.any(np.abs(third) > margin * high))
+        and bool(np.any(np.abs(third) > margin * third_bound))
         and bool(np.any(np.abs(third - lam * first) > margin * cubic))
     )
 
@@ -126,8 +126,8 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
         *_double_double(numbers[2]),
         *_double_double(numbers[3]),
     )
-    places = np.argwhere((matrix != 0) | (square != 0)).tolist()
-    entries = tuple((i, j, matrix[i, j], *_double_double(square[i, j])) for i, j in places)
+    positions = np.argwhere((matrix != 0) | (square != 0)).tolist()
+    entries = tuple((i, j, matrix[i, j], *_double_double(square[i, j])) for i, j in positions)
     return Block(Kind.CUBIC, coordinates, constants, entries)
 
 

@@ -82,11 +82,11 @@ class _Bodies:
 
     def rates(self, x: Vectors) -> NDArray[Any]:
         """Return the angular velocities along the generators, or their derivatives along the columns of x."""
-        terms, found = self.terms, np.empty((len(self.rows), *x.shape[1:]), dtype=x.dtype)
+        terms, rates = self.terms, np.empty((len(self.rows), *x.shape[1:]), dtype=x.dtype)
         for a, r in enumerate(self.rows):
             entries = range(terms.entry[r], terms.entry[r + 1])
-            found[a] = sum((terms.weight[e] * x[terms.column[e]] for e in entries), 0 * x[0])
-        return found
+            rates[a] = sum((terms.weight[e] * x[terms.column[e]] for e in entries), 0 * x[0])
+        return rates
 
     def next_term(self, terms: Sequence[FlowState], tau: Any) -> FlowState:
         """Return the next term of the series, times its power of tau."""
@@ -94,10 +94,10 @@ class _Bodies:
         sums: list[Any] = [None if item is None else 0 * item for item in terms[0]]
         for k, term in enumerate(terms):
             before, rates = terms[n - 1 - k], self.rates(term.x)
-            for place, entries in enumerate((self.state, self.group, self.state)):
-                vectors = before[place]
+            for slot, entries in enumerate((self.state, self.group, self.state)):
+                vectors = before[slot]
                 if vectors is not None and entries is not None:
-                    sums[place] = sums[place] + entries.times(rates, vectors)
+                    sums[slot] = sums[slot] + entries.times(rates, vectors)
             if term.tangent is not None:
                 changes, state = self.rates(term.tangent), self.state
                 np.add.at(sums[2], state.row, (state.value * before.x[state.column])[:, None] * changes[state.owner])
@@ -108,9 +108,9 @@ class _Bodies:
 
 def _entries(interpreter: Interpreter, action: Action, part: int, angles: Sequence[int]) -> _Entries:
     matrices = [interpreter.generator(action, part, q) for q in angles]
-    found = [(a, *place, value) for a, matrix in enumerate(matrices) for place, value in matrix.items()]
-    owner, row, column = (np.array([entry[k] for entry in found], dtype=np.int64) for k in range(3))
-    return _Entries(owner, row, column, np.array([entry[3] for entry in found]))
+    entries = [(a, *position, value) for a, matrix in enumerate(matrices) for position, value in matrix.items()]
+    owner, row, column = (np.array([entry[k] for entry in entries], dtype=np.int64) for k in range(3))
+    return _Entries(owner, row, column, np.array([entry[3] for entry in entries]))
 
 
 def largest_of(term: Iterable[Vectors | None]) -> Any:

@@ -9,17 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.sparse_sums import CHUNK, Integers, chunks, expand, groups
+from coadjoint.algebra.exact.sparse_sums import CHUNK, Floats, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts.clashing_forms import BRACKET_ROUNDOFF, surely_noncommuting
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.sparse_rows import order_by, run_starts, run_sums, starts_of
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 Pairs = tuple[Integers, Integers]
 
 # Largest number of entries of a dense lookup table of forms.
 MAX_TABLE_SIZE = 1 << 22
+# A bracket of two forms counts as zero below this relative size (round-off of its products).
+BRACKET_ROUNDOFF = 16 * UNIT_ROUNDOFF
+# Cost of sorting one product, in multiplications of a dense matrix product.
+COST_RATIO = 32
 
 
 class Commutation:
@@ -30,9 +34,7 @@ class Commutation:
 
     @property
     def pattern(self) -> Pairs:
-        """Noncommuting pairs as compressed sparse rows; equal for algebras that differ only in the values of their
-        constants.
-        """
+        """Noncommuting pairs as compressed sparse rows; independent of the values of the structure constants."""
         return self._algebra.neighbours()
 
     @property
@@ -51,30 +53,32 @@ class Commutation:
     def has_noncommuting(self, label: Integers) -> NDArray[np.bool_]:
         """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
         i, j, _, _ = self._algebra.triples
-        found = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
-        both = label[i]
-        found[both[(both == label[j]) & (both >= 0)]] = True
-        return found
+        noncommuting = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
+        first_label = label[i]
+        noncommuting[first_label[(first_label == label[j]) & (first_label >= 0)]] = True
+        return noncommuting
 
     def coupled_pairs(self, parts: Parts) -> Pairs:
         """Return the pairs of parts (first <= second) with noncommuting coordinates, even if the forms commute."""
         if max(len(parts.offset), self._algebra.dim) > MAX_PATTERN_SIZE:
             return self._find_coupled_pairs(parts)
-        where = (parts.forms.start, parts.forms.coordinate, parts.angle)
-        return _cached_coupled_pairs(Pattern((self, parts), *where, *self.pattern))
+        columns = (parts.forms.start, parts.forms.coordinate, parts.angle)
+        return _cached_coupled_pairs(Pattern((self, parts), *columns, *self.pattern))
 
     def noncommuting_pairs(self, parts: Parts, coupled_pairs: Pairs) -> Pairs:
-        """Select the noncommuting pairs from touching pairs of parts, first < second."""
+        """Select the noncommuting pairs, first < second, from coupled pairs of parts."""
         first, second = coupled_pairs
-        apart = first != second
-        first, second = first[apart], second[apart]
-        several = np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
-        open_ = np.flatnonzero(several[first] | several[second])
-        if not len(open_):
+        distinct = first != second
+        first, second = first[distinct], second[distinct]
+        has_long_form = (
+            np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
+        )
+        undecided = np.flatnonzero(has_long_form[first] | has_long_form[second])
+        if not len(undecided):
             return first, second
-        settled = np.ones(len(first), dtype=bool)
-        settled[open_] = ~self._forms_commute(parts, first[open_], second[open_])
-        return first[settled], second[settled]
+        noncommuting = np.ones(len(first), dtype=bool)
+        noncommuting[undecided] = ~self._forms_commute(parts, first[undecided], second[undecided])
+        return first[noncommuting], second[noncommuting]
 
     def _find_coupled_pairs(self, parts: Parts) -> Pairs:
         count, size = len(parts), self._algebra.dim
@@ -83,34 +87,35 @@ class Commutation:
         i, j = i[begins], j[begins]
         part, coordinate = _without_repeats(parts.part_of_angle[parts.forms.owner], parts.forms.coordinate)
         order = order_by(coordinate)
-        held = np.bincount(coordinate, minlength=size)
-        start, holder = starts_of(held), part[order]
-        if int(held[i] @ held[j]) > count * (count + 1) // 2:
+        part_count = np.bincount(coordinate, minlength=size)
+        start, part_by_coordinate = starts_of(part_count), part[order]
+        if int(part_count[i] @ part_count[j]) > count * (count + 1) // 2:
             if max(count, size) ** 2 <= MAX_TABLE_SIZE:
                 # Counts of coordinate pairs; float32 suffices, since only zero or nonzero matters.
-                holds, apart = np.zeros((count, size), dtype=np.float32), np.zeros((size, size), dtype=np.float32)
-                holds[part, coordinate], apart[i, j], apart[j, i] = 1.0, 1.0, 1.0
-                first, second = np.nonzero(np.triu(holds @ apart @ holds.T))
+                incidence = np.zeros((count, size), dtype=np.float32)
+                noncommuting = np.zeros((size, size), dtype=np.float32)
+                incidence[part, coordinate], noncommuting[i, j], noncommuting[j, i] = 1.0, 1.0, 1.0
+                first, second = np.nonzero(np.triu(incidence @ noncommuting @ incidence.T))
                 return first.astype(np.int64), second.astype(np.int64)
-            coupled_pairs = np.zeros((count, count), dtype=bool)
-            for pair in chunks(np.arange(len(i)), held[i] * held[j]):
-                one, other = _pairs(start, holder, i[pair], j[pair])
-                coupled_pairs[np.minimum(one, other), np.maximum(one, other)] = True
-            first, second = np.nonzero(coupled_pairs)
+            coupled = np.zeros((count, count), dtype=bool)
+            for pair in chunks(np.arange(len(i)), part_count[i] * part_count[j]):
+                part_i, part_j = _pairs(start, part_by_coordinate, i[pair], j[pair])
+                coupled[np.minimum(part_i, part_j), np.maximum(part_i, part_j)] = True
+            first, second = np.nonzero(coupled)
             return first.astype(np.int64), second.astype(np.int64)
-        one, other = _pairs(start, holder, i, j)
-        return _without_repeats(np.minimum(one, other), np.maximum(one, other))
+        part_i, part_j = _pairs(start, part_by_coordinate, i, j)
+        return _without_repeats(np.minimum(part_i, part_j), np.maximum(part_i, part_j))
 
     def _forms_commute(self, parts: Parts, first: Integers, second: Integers) -> NDArray[np.bool_]:
         """Test for pairs of parts whether all their forms commute, up to rounding."""
         angle, forms, size = parts.angle, parts.forms, self._algebra.dim
         count = np.diff(angle)
-        pair, place = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
-        f = angle[first[pair]] + place // count[second[pair]]
-        g = angle[second[pair]] + place % count[second[pair]]
+        pair, product_index = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
+        f = angle[first[pair]] + product_index // count[second[pair]]
+        g = angle[second[pair]] + product_index % count[second[pair]]
         values = forms.value.astype(np.float64)
         lookup = _Lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
-        start, every = self._algebra.actions
+        start, actions = self._algebra.actions
         cost = np.diff(start)[forms.coordinate]
         costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
         commute = np.ones(len(first), dtype=bool)
@@ -119,24 +124,24 @@ class Commutation:
             dense[forms.owner, forms.coordinate] = values
             clash = surely_noncommuting(dense, self._algebra, f, g, costs)
             commute[pair[clash]] = False
-            left = commute[pair]
-            pair, f, g, costs = pair[left], f[left], g[left], costs[left]
+            undecided = commute[pair]
+            pair, f, g, costs = pair[undecided], f[undecided], g[undecided], costs[undecided]
         for part in chunks(np.arange(len(f)), costs):
-            own, entry = expand(forms.start[f[part]], forms.start[f[part] + 1])
+            owner, entry = expand(forms.start[f[part]], forms.start[f[part] + 1])
             i = forms.coordinate[entry].astype(np.int64)
-            row, at = expand(start[i], start[i + 1])
-            which = own[row]
-            product = values[entry][row] * every.c[at] * lookup(g[part][which], every.j[at])
-            used = product != 0
-            which, k, product = which[used], every.k[at][used], product[used]
-            order, begins = groups(which, k)
+            row, index = expand(start[i], start[i + 1])
+            bracket_index = owner[row]
+            product = values[entry][row] * actions.c[index] * lookup(g[part][bracket_index], actions.j[index])
+            nonzero = product != 0
+            bracket_index, k, product = bracket_index[nonzero], actions.k[index][nonzero], product[nonzero]
+            order, begins = groups(bracket_index, k)
             if not len(order):
                 continue
             marks = np.zeros(len(order), dtype=bool)
             marks[begins] = True
             bracket, bound = run_sums(product[order], marks), run_sums(np.abs(product[order]), marks)
-            wrong = np.abs(bracket) > BRACKET_ROUNDOFF * bound
-            commute[pair[part][which[order[begins]][wrong]]] = False
+            clashing = np.abs(bracket) > BRACKET_ROUNDOFF * bound
+            commute[pair[part][bracket_index[order[begins]][clashing]]] = False
         return commute
 
 
@@ -161,20 +166,53 @@ class _Lookup:
         if self._table is not None:
             return self._table[form, coordinate]
         key = form * self._size + coordinate
-        place = np.searchsorted(self._key, key)
-        found = self._key[np.minimum(place, len(self._key) - 1)] == key
-        return self._value[np.where(found, place, -1)]
+        position = np.searchsorted(self._key, key)
+        present = self._key[np.minimum(position, len(self._key) - 1)] == key
+        return self._value[np.where(present, position, -1)]
 
 
-def _pairs(start: Integers, holder: Integers, i: Integers, j: Integers) -> Pairs:
-    """Return all pairs of a holder of i and a holder of j."""
-    row, one = expand(start[i], start[i + 1])
-    again, other = expand(start[j[row]], start[j[row] + 1])
-    return holder[one[again]], holder[other]
+def _pairs(start: Integers, part_by_coordinate: Integers, i: Integers, j: Integers) -> Pairs:
+    """Return all pairs of a part that contains i and a part that contains j."""
+    row, first_entry = expand(start[i], start[i + 1])
+    repeat, second_entry = expand(start[j[row]], start[j[row] + 1])
+    return part_by_coordinate[first_entry[repeat]], part_by_coordinate[second_entry]
 
 
 def _without_repeats(first: NDArray[Any], second: NDArray[Any]) -> Pairs:
     order = order_by(first, second)
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
-    kept = run_starts(first, second)
-    return first[kept], second[kept]
+    begins = run_starts(first, second)
+    return first[begins], second[begins]
+
+
+def surely_noncommuting(
+    forms: Floats, algebra: LieAlgebra, first: Integers, second: Integers, costs: Integers
+) -> NDArray[np.bool_]:
+    """Test pairs of dense forms, shape (forms, n), for a bracket component that is nonzero far beyond rounding.
+
+    For unrelated long forms one or two components suffice; pairs not decided here need the sum of all products. `costs`
+    has the number of products in each bracket. A component counts as nonzero only if this holds for two summation
+    orders, so the result is the same on every machine.
+    """
+    size = forms.shape[1]
+    i, j, k, c = algebra.triples
+    order = order_by(k)
+    i, j, c = i[order], j[order], c[order]
+    count = np.bincount(k, minlength=size)
+    start = starts_of(count)
+    noncommuting = np.zeros(len(first), dtype=bool)
+    undecided = np.arange(len(first))
+    # Components with the most products decide the most pairs. A sum of m products has an error below m round-offs.
+    for component in np.argsort(-count, kind="stable").tolist():
+        entries = slice(start[component], start[component + 1])
+        products = 4 * count[component] * len(forms) ** 2
+        if not products or COST_RATIO * int(costs[undecided].sum()) < products:
+            break
+        left, right = c[entries] * forms[:, i[entries]], forms[:, j[entries]]
+        half, half_bound = left @ right.T, np.abs(left) @ np.abs(right).T
+        bracket, bound = half - half.T, half_bound + half_bound.T
+        sure = np.abs(bracket) > (BRACKET_ROUNDOFF + 8 * count[component] * UNIT_ROUNDOFF) * bound
+        decided = sure[first[undecided], second[undecided]]
+        noncommuting[undecided[decided]] = True
+        undecided = undecided[~decided]
+    return noncommuting

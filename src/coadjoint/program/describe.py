@@ -55,8 +55,8 @@ class Description:
     functions: int
 
     def __str__(self) -> str:
-        off = "".join(_subtracted(name, factor) for name, factor in self.shift.items())
-        lines = [f"{self.method} on {self.system}: H{off} in {len(self.parts)} parts"]
+        subtracted = "".join(_subtracted(name, factor) for name, factor in self.shift.items())
+        lines = [f"{self.method} on {self.system}: H{subtracted} in {len(self.parts)} parts"]
         for number, part in enumerate(self.parts, start=1):
             shown = list(part.generators[:MAX_SHOWN])
             if len(part.generators) > MAX_SHOWN:
@@ -84,7 +84,7 @@ def _subtracted(name: str, factor: float) -> str:
 def describe(system: LiePoissonSystem, method: Swept) -> Description:
     """Describe a splitting of a system; the result is printable."""
     program = build_program(system, method)
-    parts = tuple(_part(system, program, number, part) for number, part in enumerate(program.parts))
+    parts = tuple(_describe_part(system, program, number, part) for number, part in enumerate(program.parts))
     first, last = int(program.rows.section[1]), int(program.rows.section[2])
     step = [parts[int(program.rows.part[row])] for row in range(first, last)]
     return Description(
@@ -98,7 +98,7 @@ def describe(system: LiePoissonSystem, method: Swept) -> Description:
     )
 
 
-def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -> PartDescription:
+def _describe_part(system: LiePoissonSystem, program: Program, number: int, part: Part) -> PartDescription:
     blocks: Counter[str] = Counter()
     action = program.state
     for run in range(action.run[number], action.run[number + 1]):
@@ -108,14 +108,16 @@ def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -
     if bodies:
         acting = 0 if bodies[0].other else acting[0], 0
     multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
-    names = tuple(_name(system, form) for form in part.forms)
+    names = tuple(_form_name(system, form) for form in part.forms)
     if bodies:
         names = tuple(_body_name(system, body) for body in bodies)
     return PartDescription(names, dict(blocks), multiplications, functions)
 
 
 def _body_name(system: LiePoissonSystem, body: BodyShare) -> str:
-    first, second = (", ".join(system.algebra.basis[i] for i in own) for own in (body.coordinates, body.other or ()))
+    first, second = (
+        ", ".join(system.algebra.basis[i] for i in coordinates) for coordinates in (body.coordinates, body.other or ())
+    )
     return f"bond of {first} and {second}" if second else f"free body of {first}"
 
 
@@ -166,7 +168,7 @@ def share_work(program: Program, number: int) -> tuple[int, int]:
     return multiplications, functions
 
 
-def _name(system: LiePoissonSystem, form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
+def _form_name(system: LiePoissonSystem, form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
     basis = system.algebra.basis
     words = [basis[i] if value == 1 else f"{float(value):.4g} {basis[i]}" for i, value in zip(*form, strict=True)]
     shown = words if len(words) <= MAX_SHOWN else [*words[:MAX_SHOWN], "..."]

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.actions import Action
+from coadjoint.program.actions import Action, run_blocks, run_entries
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
 from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, pieces
-from coadjoint.program.elementary import elementary
-from coadjoint.program.numbers import array_of, roundoff
+from coadjoint.program.numbers import array_of, elementary, roundoff
 from coadjoint.program.rational_rotations import rational_angle
-from coadjoint.program.run_matrices import run_blocks, run_entries
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
@@ -29,7 +27,7 @@ class Interpreter:
         self.program = program
         self.functions = elementary(program.number)
         self._u = roundoff(program.number)
-        self._called = body_flow_parts(program)
+        self._is_body_flow = body_flow_parts(program)
 
     def steps(
         self,
@@ -46,100 +44,100 @@ class Interpreter:
         in columns. Returns the momentum, or a tuple of it with those of `group` and `tangent` that are given, in this
         order.
         """
-        x = self._numbers(x)
-        carried = None if group is None else self._numbers(group).T.copy()
-        vectors = None if tangent is None else self._numbers(tangent)
+        x = self._converted(x)
+        element = None if group is None else self._converted(group).T.copy()
+        vectors = None if tangent is None else self._converted(tangent)
         ends = self.program.rows.section
         for k in range(count):
-            which = 0 if k == 0 else 1
-            self._rows(range(ends[which], ends[which + 1]), x, h, t0 + k * h, carried, vectors)
+            section = 0 if k == 0 else 1
+            self._apply_rows(range(ends[section], ends[section + 1]), x, h, t0 + k * h, element, vectors)
         if count:
-            self._rows(range(ends[2], ends[3]), x, h, t0 + (count - 1) * h, carried, vectors)
-        extra = [item for item in (None if carried is None else carried.T, vectors) if item is not None]
+            self._apply_rows(range(ends[2], ends[3]), x, h, t0 + (count - 1) * h, element, vectors)
+        extra = [item for item in (None if element is None else element.T, vectors) if item is not None]
         return (x, *extra) if extra else x
 
-    def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:
+    def _converted(self, values: NDArray[Any]) -> NDArray[Any]:
         return array_of(self.program.number, np.ravel(values)).reshape(np.shape(values)).copy()
 
-    def _rows(self, rows: range, x: Any, h: Any, t: Any, group: Any, tangent: Any) -> None:
+    def _apply_rows(self, rows: range, x: Any, h: Any, t: Any, group: Any, tangent: Any) -> None:
         table = self.program.rows
         for r in rows:
             part = int(table.part[r])
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
-            if self._called[part]:
+            if self._is_body_flow[part]:
                 apply_body_flow(self, part, tau, FlowState(x, group, tangent))
                 continue
             theta = [tau * angle for angle in self.angles(part, x, moment)]
-            turned = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
-            theta, turned = self._rational_angles(part, theta, turned)
+            tangents = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
+            theta, tangents = self._rational_angles(part, theta, tangents)
             self.act(self.program.state, part, theta, x)
             if group is not None and self.program.group is not None:
                 self.act(self.program.group, part, theta, group)
-            if turned is not None:
+            if tangents is not None:
                 self.act(self.program.state, part, theta, tangent)
-                for angle, change in enumerate(turned):
+                for angle, change in enumerate(tangents):
                     tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
 
-    def _rational_angles(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
+    def _rational_angles(self, part: int, theta: list[Any], tangents: Any) -> tuple[list[Any], Any]:
         """Replace angles of rational rotations, and their tangents."""
         base = int(self.program.terms.row[self.program.share[part]])
         w = self.program.frequency[base : base + len(theta)]
-        if turned is not None:
-            turned = [d / (1 + (f * angle / 2) ** 2) for d, angle, f in zip(turned, theta, w, strict=True)]
-        return [rational_angle(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], turned
+        if tangents is not None:
+            tangents = [d / (1 + (f * angle / 2) ** 2) for d, angle, f in zip(tangents, theta, w, strict=True)]
+        return [rational_angle(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], tangents
 
     def angles(self, part: int, x: NDArray[Any], t: Any) -> list[Any]:
         """Return dH/d(l_a.x) for the forms of a part (operation `angle` of the table)."""
         terms, share = self.program.terms, self.program.share
-        found: list[Any] = []
+        angles: list[Any] = []
         for k in range(share[part], share[part + 1]):
             rows = range(terms.row[k], terms.row[k + 1])
             if terms.kind[k] == LINEAR:
                 for row in rows:
                     entries = range(terms.entry[row], terms.entry[row + 1])
-                    found.append(terms.offset[row] + sum(terms.weight[e] * x[terms.column[e]] for e in entries))
+                    angles.append(terms.offset[row] + sum(terms.weight[e] * x[terms.column[e]] for e in entries))
             else:
-                found.extend(self._term_derivative(k, x, t, 1))
-        return found
+                angles.extend(self._term_derivative(k, x, t, 1))
+        return angles
 
     def _angle_tangents(self, part: int, x: NDArray[Any], t: Any, tangent: NDArray[Any]) -> list[NDArray[Any]]:
         terms, share = self.program.terms, self.program.share
-        found: list[NDArray[Any]] = []
+        tangents: list[NDArray[Any]] = []
         for k in range(share[part], share[part + 1]):
             rows = range(terms.row[k], terms.row[k + 1])
             if terms.kind[k] == LINEAR:
                 for row in rows:
                     entries = range(terms.entry[row], terms.entry[row + 1])
                     zero = 0 * tangent[0]
-                    found.append(sum((terms.weight[e] * tangent[terms.column[e]] for e in entries), zero))
+                    tangents.append(sum((terms.weight[e] * tangent[terms.column[e]] for e in entries), zero))
             else:
-                found.extend(self._term_derivative(k, x, t, 2) @ tangent[terms.target[rows.start : rows.stop]])
-        return found
+                tangents.extend(self._term_derivative(k, x, t, 2) @ tangent[terms.target[rows.start : rows.stop]])
+        return tangents
 
     def _term_derivative(self, k: int, x: NDArray[Any], t: Any, order: int) -> Any:
         """Return the gradient (order 1) or Hessian (order 2) of a term in its own coordinates."""
         terms = self.program.terms
-        own = terms.target[terms.row[k] : terms.row[k + 1]]
+        coordinates = terms.target[terms.row[k] : terms.row[k + 1]]
         if terms.kind[k] == FUNCTION:
-            return derivative_of(self.program.functions[k], order, x[own], t)
-        result = np.full((len(own),) * order, 0 * x[0], dtype=x.dtype)
+            return derivative_of(self.program.functions[k], order, x[coordinates], t)
+        result = np.full((len(coordinates),) * order, 0 * x[0], dtype=x.dtype)
         for monomial in range(terms.monomial[k], terms.monomial[k + 1]):
             factors = range(terms.factor[monomial], terms.factor[monomial + 1])
             powers = {int(terms.factor_row[f] - terms.row[k]): int(terms.exponent[f]) for f in factors}
-            for places in np.ndindex(*result.shape):
-                result[places] += self._derivative(terms.coefficient[monomial], powers, places, x[own])
+            for indices in np.ndindex(*result.shape):
+                result[indices] += self._derivative(terms.coefficient[monomial], powers, indices, x[coordinates])
         return result
 
     @staticmethod
-    def _derivative(coefficient: Any, powers: dict[int, int], places: tuple[int, ...], y: NDArray[Any]) -> Any:
-        left = dict(powers)
-        for place in places:
-            coefficient = coefficient * left.get(place, 0)
-            left[place] = left.get(place, 0) - 1
+    def _derivative(coefficient: Any, powers: dict[int, int], indices: tuple[int, ...], y: NDArray[Any]) -> Any:
+        exponents = dict(powers)
+        for index in indices:
+            coefficient = coefficient * exponents.get(index, 0)
+            exponents[index] = exponents.get(index, 0) - 1
         if coefficient == 0:
             return coefficient
-        for place, exponent in left.items():
-            coefficient = coefficient * y[place] ** exponent
+        for index, exponent in exponents.items():
+            coefficient = coefficient * y[index] ** exponent
         return coefficient
 
     def pieces(self, reach: Callable[[], Any]) -> int:
@@ -148,15 +146,15 @@ class Interpreter:
 
     def negligible(self, terms: Sequence[FlowState]) -> bool:
         """Test whether the last two terms of a series are below rounding."""
-        whole, last, before = (largest_of(terms[k]) for k in (0, -1, -2))
-        return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, before, whole, strict=True))
+        first, last, previous = (largest_of(terms[k]) for k in (0, -1, -2))
+        return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, previous, first, strict=True))
 
     def generator(self, action: Action, part: int, angle: int) -> dict[tuple[int, int], Any]:
         """Return the entries of the generator of one form of a part."""
-        found: dict[tuple[int, int], Any] = {}
+        entries: dict[tuple[int, int], Any] = {}
         for run, q in self._runs(part, angle, action):
-            found.update(run_entries(action, run, q))
-        return found
+            entries.update(run_entries(action, run, q))
+        return entries
 
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
         """Return D_a x for one form of a part (operation `apply` of the table)."""
@@ -183,21 +181,21 @@ class Interpreter:
             for q in range(action.angles[run]):
                 angle = theta[int(action.angle[run]) + q]
                 for coordinates, block in run_blocks(action, run, q):
-                    own = vectors[coordinates]
-                    vectors[coordinates] = own + self._increment(action, run, angle, block, own)
+                    local = vectors[coordinates]
+                    vectors[coordinates] = local + self._increment(action, run, angle, block, local)
 
-    def _increment(self, action: Action, run: int, angle: Any, block: NDArray[Any], own: NDArray[Any]) -> Any:
+    def _increment(self, action: Action, run: int, angle: Any, block: NDArray[Any], local: NDArray[Any]) -> Any:
         """Return (exp(angle B) - 1) on one block, by the closed form of its kind."""
         kind = action.kind[run]
         f = self.functions
         if kind == Kind.SCALE:
-            return f.expm1(angle * block[0, 0]) * own
+            return f.expm1(angle * block[0, 0]) * local
         if kind == Kind.ROTATE:
             phi = angle * block[1, 0]
-            swapped = np.array([-own[1], own[0]], dtype=own.dtype)
-            return f.sin(phi) * swapped - 2 * f.sin(phi / 2) ** 2 * own
+            swapped = np.array([-local[1], local[0]], dtype=local.dtype)
+            return f.sin(phi) * swapped - 2 * f.sin(phi / 2) ** 2 * local
         if kind == Kind.SHEAR:
-            return angle * (block @ own)
+            return angle * (block @ local)
         if kind == Kind.PLANE:
             mean = (block[0, 0] + block[1, 1]) / 2
             traceless = block - mean * np.eye(2, dtype=int)
@@ -205,31 +203,31 @@ class Interpreter:
             scale = f.exp(angle * mean)
             # If both are large, expm1(mean) = -1 + ... has lost digits, which a product with cosh would amplify.
             diagonal = f.expm1(angle * mean) + scale * c
-            return diagonal * own + scale * angle * s * (traceless @ own)
-        moved = block @ own
+            return diagonal * local + scale * angle * s * (traceless @ local)
+        moved = block @ local
         if kind == Kind.CUBIC:
             lam = action.constants[action.constant[run]]
             s, c = self._entire_pair(angle**2 * lam)
             return angle * s * moved + c / lam * (block @ moved)
-        return self._series(angle, action.constants[action.constant[run]], int(action.degree[run]), block, own)
+        return self._series(angle, action.constants[action.constant[run]], int(action.degree[run]), block, local)
 
-    def _series(self, angle: Any, norm: Any, degree: int, block: NDArray[Any], own: NDArray[Any]) -> Any:
+    def _series(self, angle: Any, norm: Any, degree: int, block: NDArray[Any], vectors: NDArray[Any]) -> Any:
         reach = abs(angle) * norm
         if not reach <= MOST_SUBSTEPS:
             raise ValueError(
-                f"a flow goes too far in one step: it would take {float(reach):.3g} pieces, and at most "
+                f"a flow is too long for one step: it would take {float(reach):.3g} pieces, and at most "
                 f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
             )
         substeps = max(1, self.functions.ceil(reach))
-        h, start = angle / substeps, own
+        h, start = angle / substeps, vectors
         for _ in range(substeps):
-            power, k, total = own, 0, 0 * own
-            while k < degree or (norm != 0 and np.max(np.abs(power)) > self._u * np.max(np.abs(own))):
+            power, k, total = vectors, 0, 0 * vectors
+            while k < degree or (norm != 0 and np.max(np.abs(power)) > self._u * np.max(np.abs(vectors))):
                 k += 1
                 power = h / k * (block @ power)
                 total = total + power
-            own = own + total
-        return own - start
+            vectors = vectors + total
+        return vectors - start
 
     def _entire_pair(self, z: Any) -> tuple[Any, Any]:
         """Return sinh(w)/w and cosh(w) - 1 with w^2 = z of either sign."""

@@ -1,10 +1,11 @@
-"""Number types of the reference interpreter: float64 arrays, or object arrays of exact or multiprecision numbers."""
+"""Number types of the reference interpreter: conversion, arrays, round-off and elementary functions."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,10 @@ def convert(number: Number, value: Any) -> Any:
 
 
 def array_of(number: Number, values: Iterable[Any]) -> NDArray[Any]:
-    """Return a float64 array for float, and an object array for other number types."""
+    """Return a float64 array for float, and an object array (exact or multiprecision) for other number types."""
     if number is float:
-        given = values if isinstance(values, np.ndarray) else list(values)
-        return np.ascontiguousarray(given, dtype=np.float64)
+        sequence = values if isinstance(values, np.ndarray) else list(values)
+        return np.ascontiguousarray(sequence, dtype=np.float64)
     items = [convert(number, value) for value in values]
     result = np.empty(len(items), dtype=object)
     result[:] = items
@@ -45,3 +46,35 @@ def roundoff(number: Number) -> Any:
     while one + u / 2 != one:
         u = u / 2
     return u / 2
+
+
+class Elementary(NamedTuple):
+    """Elementary functions of the closed forms, for one number type."""
+
+    sin: Callable[[Any], Any]
+    cos: Callable[[Any], Any]
+    atan: Callable[[Any], Any]
+    sinh: Callable[[Any], Any]
+    exp: Callable[[Any], Any]
+    expm1: Callable[[Any], Any]
+    sqrt: Callable[[Any], Any]
+    ceil: Callable[[Any], int]
+
+
+def elementary(number: Number) -> Elementary:
+    """Return the elementary functions of a number type: from `math` for float, from its own context for mpmath."""
+    if number is float:
+        return Elementary(math.sin, math.cos, math.atan, math.sinh, math.exp, math.expm1, math.sqrt, math.ceil)
+    context: Any = getattr(type(number(1)), "context", None)
+    if context is None:
+        raise TypeError(f"the number type {type(number(1)).__name__} is not supported; use float or mpmath numbers")
+    return Elementary(
+        context.sin,
+        context.cos,
+        context.atan,
+        context.sinh,
+        context.exp,
+        context.expm1,
+        context.sqrt,
+        lambda v: int(context.ceil(v)),
+    )

@@ -39,5 +39,5 @@ class Pattern(Generic[SourceT]):
 
 def _content(column: NDArray[Any]) -> tuple[Any, ...]:
     # The bytes of object arrays (fractions) are addresses, so their values are compared.
-    held = tuple(column.tolist()) if column.dtype == object else column.tobytes()
-    return column.dtype.char, column.shape, held
+    values = tuple(column.tolist()) if column.dtype == object else column.tobytes()
+    return column.dtype.char, column.shape, values

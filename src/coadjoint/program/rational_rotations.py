@@ -65,16 +65,16 @@ def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
     q = np.arange(len(run)) - np.repeat(starts_of(action.angles)[:-1], action.angles)
     part = np.repeat(np.arange(len(parts)), np.diff(action.run))[run]
     angle, kind = parts.angle[part] + action.angle[run] + q, action.kind[run]
-    place = action.constant[run].astype(np.int64)
-    turns = kind == Kind.ROTATE
-    first = action.constants[place + np.where(turns, q, 0)]
+    first_constant = action.constant[run].astype(np.int64)
+    is_rotation = kind == Kind.ROTATE
+    first = action.constants[first_constant + np.where(is_rotation, q, 0)]
     cubic = (kind == Kind.CUBIC) & np.asarray(first < 0, dtype=bool)
     nilpotent = (kind == Kind.SHEAR) | ((kind == Kind.SERIES) & np.asarray(first == 0, dtype=bool))
-    frequency = np.where(turns, first, 0 * first)
-    frequency[cubic] = action.constants[place[cubic] + 1]
+    frequency = np.where(is_rotation, first, 0 * first)
+    frequency[cubic] = action.constants[first_constant[cubic] + 1]
     known, acting = np.ones(len(parts.offset), dtype=bool), np.zeros(len(parts.offset), dtype=bool)
     acting[angle] = True
-    known[angle[~(turns | cubic | nilpotent)]] = False
+    known[angle[~(is_rotation | cubic | nilpotent)]] = False
     largest = array_of(number, np.zeros(len(parts.offset), dtype=np.int64))
     np.maximum.at(largest, angle, frequency)
     least = largest.copy()
@@ -84,7 +84,7 @@ def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
 
 def _coupled(parts: Parts) -> NDArray[np.bool_]:
     """Test for each angle whether it depends on more than its own form."""
-    coupled = ~_along(parts.forms, parts.weights)
+    coupled = ~_is_along_form(parts.forms, parts.weights)
     for s, share in parts.nonlinear_shares.items():
         angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
         if isinstance(share, PolynomialShare):
@@ -95,18 +95,18 @@ def _coupled(parts: Parts) -> NDArray[np.bool_]:
     return coupled
 
 
-def _along(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
+def _is_along_form(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
     """Test whether the weights of each angle are a multiple of its form, up to rounding."""
     length = np.diff(weights.start)
-    along = np.asarray((length == 0) | (length == np.diff(forms.start)))
-    same = np.flatnonzero(along & (length > 0))
+    is_along = np.asarray((length == 0) | (length == np.diff(forms.start)))
+    same = np.flatnonzero(is_along & (length > 0))
     form, weight = forms.take(same), weights.take(same)
     first = form.start[:-1][form.owner]
-    one, other = weight.value * form.value[first], weight.value[first] * form.value
-    agree = np.asarray(abs(one - other) <= 8 * UNIT_ROUNDOFF * abs(one), dtype=bool)
+    left, right = weight.value * form.value[first], weight.value[first] * form.value
+    agree = np.asarray(abs(left - right) <= 8 * UNIT_ROUNDOFF * abs(left), dtype=bool)
     agree &= form.coordinate == weight.coordinate
-    along[same[form.owner[~agree]]] = False
-    return along
+    is_along[same[form.owner[~agree]]] = False
+    return is_along
 
 
 def rational_angle(angle: Any, frequency: Any, atan: Any) -> Any:
@@ -120,7 +120,7 @@ def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> ND
     Rational rotations then need no arc tangent in this representation either.
     """
     least, largest, known, acting = _frequencies(action, parts, float)
-    apart = np.maximum(np.abs(least - frequency), np.abs(largest - frequency))
+    difference = np.maximum(np.abs(least - frequency), np.abs(largest - frequency))
     agree = np.ones(len(parts), dtype=bool)
-    agree[parts.part_of_angle[acting & ~(known & (apart <= 64 * UNIT_ROUNDOFF * np.abs(frequency)))]] = False
+    agree[parts.part_of_angle[acting & ~(known & (difference <= 64 * UNIT_ROUNDOFF * np.abs(frequency)))]] = False
     return agree

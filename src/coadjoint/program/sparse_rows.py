@@ -1,4 +1,4 @@
-"""Sparse rows: concatenated short lists of (coordinate, value), and operations on them."""
+"""Sparse rows, operations on sorted columns, and layers of directed graphs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.sparse_sums import Integers, expand
+from coadjoint.algebra.exact.sparse_sums import Integers, distinct, expand
 
 
 class SparseRows(NamedTuple):
@@ -26,8 +26,8 @@ class SparseRows(NamedTuple):
         """Construct rows from lists; fractions among the values make all of them objects."""
         start = starts_of([len(row) for row in coordinates])
         flat = [value for row in values for value in row]
-        found = np.array(flat, dtype=np.float64 if all(isinstance(value, float) for value in flat) else object)
-        return cls(start, np.array([i for row in coordinates for i in row], dtype=np.uint32), found)
+        flat_values = np.array(flat, dtype=np.float64 if all(isinstance(value, float) for value in flat) else object)
+        return cls(start, np.array([i for row in coordinates for i in row], dtype=np.uint32), flat_values)
 
     @classmethod
     def units(cls, coordinates: NDArray[Any]) -> SparseRows:
@@ -59,8 +59,8 @@ class SparseRows(NamedTuple):
     def take(self, rows: NDArray[Any]) -> SparseRows:
         """Select rows, in the order given."""
         first, last = self.start[rows], self.start[rows + 1]
-        _, places = expand(first, last)
-        return SparseRows(starts_of(last - first), self.coordinate[places], self.value[places])
+        _, entries = expand(first, last)
+        return SparseRows(starts_of(last - first), self.coordinate[entries], self.value[entries])
 
 
 def starts_of(counts: Any) -> Integers:
@@ -124,11 +124,11 @@ def run_starts(*keys: NDArray[Any]) -> NDArray[np.bool_]:
     >>> run_starts(np.array([0, 0, 1]), np.array([3, 3, 3])).tolist()
     [True, False, True]
     """
-    new = np.zeros(len(keys[0]), dtype=bool)
-    new[:1] = True
+    begins = np.zeros(len(keys[0]), dtype=bool)
+    begins[:1] = True
     for key in keys:
-        new[1:] |= np.asarray(key[1:] != key[:-1], dtype=bool)
-    return new
+        begins[1:] |= np.asarray(key[1:] != key[:-1], dtype=bool)
+    return begins
 
 
 def run_sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
@@ -145,3 +145,22 @@ def run_sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
         return values
     # Unlike reduceat, bincount adds in order for sums of any length.
     return np.bincount(np.cumsum(first) - 1, weights=values)
+
+
+def layers(count: int, source: Integers, target: Integers) -> Integers:
+    """Return the length of the longest path to each node, shape (count,); -1 for nodes on or behind a cycle.
+
+    The edges lead from `source` to `target`. Computed layer by layer, each vectorised.
+    """
+    layer = np.full(count, -1, dtype=np.int64)
+    open_edges = np.bincount(target, minlength=count)
+    order = order_by(source)
+    start, ends = starts_of(np.bincount(source, minlength=count)), target[order]
+    current, depth = np.flatnonzero(open_edges == 0), 0
+    while len(current):
+        layer[current] = depth
+        _, entries = expand(start[current], start[current + 1])
+        reached = ends[entries]
+        np.subtract.at(open_edges, reached, 1)
+        current, depth = distinct(reached[open_edges[reached] == 0]), depth + 1
+    return layer

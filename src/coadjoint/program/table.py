@@ -1,4 +1,4 @@
-"""Program: a table of elementary flows in three sections, with the rules for their angles and their actions."""
+"""Program: a table of elementary flows in three sections, with their angles and actions; export as plain arrays."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.actions import Action, build_action
-from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.actions import Action, build_action, run_entries
+from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.generator_cost import SplittingTooExpensive
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
-from coadjoint.program.rows import JoinRules, Rows, rows_of
 from coadjoint.program.sparse_rows import SparseRows
-from coadjoint.program.sweeps import Swept
+from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+RENAMED_COLUMNS = {"kind": "term_kind", "row": "term_row", "coefficient": "coefficient_of_monomial"}
+"""Names in `Program.to_mapping` that differ from those in `Terms`."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +73,42 @@ class Program:
     shift: tuple[tuple[Polynomial, float], ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the table as plain arrays by name; see `plain_table`."""
-        from coadjoint.program.plain_table import plain_table
+        """Return the table as arrays, numbers and lists by name; `docs/table.md` documents them.
 
-        return plain_table(self)
+        Arrays are integers, or of the number type of the program. As lists they can be written to JSON.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> table = co.Splitting(order=2).program(co.systems.rigid_body(inertia=(1, 2, 2.5))).to_mapping()
+        >>> table["part"].tolist(), table["section"].tolist()
+        ([0, 1, 0, 1, 0], [0, 2, 4, 5])
+        >>> [table[name].tolist() for name in ("state_part", "state_row", "state_column", "state_value")]
+        [[0, 0, 1, 1], [1, 2, 0, 1], [2, 1, 1, 0], [-1.0, 1.0, -1.0, 1.0]]
+        """
+        rows, terms = self.rows, self.terms
+        table: dict[str, Any] = {
+            "dim": int(self.state.size),
+            "section": rows.section,
+            "part": rows.part,
+            "coefficient": rows.coefficient,
+            "moment": rows.moment,
+            "share": self.share,
+            "frequency": self.frequency,
+            **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in terms._fields[1:]},
+            **_generators("state", self.state, self),
+            "shift": [
+                {
+                    "factor": factor,
+                    "exponents": [list(map(int, exponents)) for exponents in casimir.monomials],
+                    "coefficients": list(casimir.monomials.values()),
+                }
+                for casimir, factor in self.shift
+            ],
+            "functions": sorted(int(k) for k in self.functions),
+            "bodies": sorted(self.parts.bodies),
+        }
+        return table | (_generators("group", self.group, self) if self.group is not None else {})
 
 
 def build_program(
@@ -169,3 +202,21 @@ def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Nu
         return None
     representation = None if isinstance(group, str) else group
     return build_action(BasisMatrices.on_group(system.algebra, representation), parts, number)
+
+
+def _generators(name: str, action: Action, program: Program) -> dict[str, NDArray[Any]]:
+    """Return the entries of the generators D of all angles of all parts, sorted."""
+    entries = []
+    for part in range(len(program.parts)):
+        for run in range(action.run[part], action.run[part + 1]):
+            for q in range(action.angles[run]):
+                items = run_entries(action, run, q)
+                entries += [(part, int(action.angle[run]) + q, i, j, value) for (i, j), value in sorted(items.items())]
+    entries.sort(key=lambda entry: entry[:4])
+    columns = list(zip(*entries, strict=True)) or [()] * 5
+    indices = [np.array(column, dtype=np.int64) for column in columns[:4]]
+    values = array_of(program.number, np.array(columns[4], dtype=object)) if entries else array_of(program.number, [])
+    return {
+        f"{name}_{label}": column
+        for label, column in zip(("part", "angle", "row", "column", "value"), [*indices, values], strict=True)
+    }

@@ -87,18 +87,18 @@ class TermTable:
         self._add_rows(LINEAR, np.asarray(target), offset, indptr, column, weight)
 
     def _add_empty_rows(self, kind: int, coordinates: Sequence[int]) -> None:
-        none = np.zeros(0)
+        empty = np.zeros(0)
         size = len(coordinates)
         target = np.asarray(coordinates, dtype=np.int64)
-        self._add_rows(kind, target, np.zeros(size), np.zeros(size + 1, dtype=np.int64), none, none)
+        self._add_rows(kind, target, np.zeros(size), np.zeros(size + 1, dtype=np.int64), empty, empty)
 
     def add_polynomial(self, coordinates: Sequence[int], polynomial: Polynomial) -> None:
         """Add a polynomial of the given coordinates (constant monomials have no gradient)."""
-        place = {coordinate: int(self._rows[-1][-1]) + k for k, coordinate in enumerate(coordinates)}
+        row_of = {coordinate: int(self._rows[-1][-1]) + k for k, coordinate in enumerate(coordinates)}
         for exponents, coefficient in polynomial.monomials.items():
             present = [(k, e) for k, e in enumerate(exponents) if e]
             self._coefficient.append(coefficient)
-            self._factor_row.extend(place[k] for k, _ in present)
+            self._factor_row.extend(row_of[k] for k, _ in present)
             self._exponent.extend(e for _, e in present)
             self._factor.append(len(self._exponent))
         self._add_empty_rows(POLYNOMIAL, coordinates)
@@ -147,8 +147,8 @@ class ValueTable(TermTable):
     def quadratic(self, term: QuadraticTerm) -> None:
         """Add a quadratic term by its nonzero rows."""
         rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
-        own = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
-        self.add_linear(rows, term.linear[rows], own.start, own.coordinate, own.value)
+        selected = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
+        self.add_linear(rows, term.linear[rows], selected.start, selected.coordinate, selected.value)
 
 
 def _joined(pieces: list[NDArray[Any]], dtype: Any) -> NDArray[Any]:

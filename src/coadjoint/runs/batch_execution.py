@@ -1,4 +1,4 @@
-"""Execution of crews in one or several threads, and descriptions of their failures."""
+"""Execution of member batches in one or several threads, and descriptions of failures."""
 
 from __future__ import annotations
 
@@ -15,39 +15,41 @@ from coadjoint.runs.loops import Loops
 def run_in_threads(
     member_batches: Sequence[MemberBatch], arguments: tuple[Any, ...], loops: Loops, workers: int = 1
 ) -> int:
-    """Advance crews in `workers` threads (1: the calling thread); return the number of members that failed.
+    """Advance member batches in `workers` threads (1: the calling thread); return the number of failed members.
 
-    `arguments` holds the arguments of `MemberBatch.advance` except the last; an exception raised by a user's function
-    in `loops` takes precedence over any other.
+    `arguments` are those of `MemberBatch.advance` except the last. Exceptions of user functions in `loops` take
+    precedence over others.
     """
     stop = StopFlag()
 
-    def take(member_batch: MemberBatch) -> int:
+    def advance(member_batch: MemberBatch) -> int:
         return member_batch.advance(*(*arguments, stop))
 
     try:
         failed_count = (
-            sum(map(take, member_batches)) if workers == 1 else _sum_in_threads(take, member_batches, workers, stop)
+            sum(map(advance, member_batches))
+            if workers == 1
+            else _sum_in_threads(advance, member_batches, workers, stop)
         )
-    except BaseException as ended:
+    except BaseException as error:
         raised = loops.raised()
         if raised is not None:
             raise raised from None
-        raise ended
+        raise error
     if failed_count and (raised := loops.raised()) is not None:
         raise raised
     return failed_count
 
 
 def _sum_in_threads(
-    take: Callable[[MemberBatch], int], member_batches: Sequence[MemberBatch], workers: int, stop: StopFlag
+    advance: Callable[[MemberBatch], int], member_batches: Sequence[MemberBatch], workers: int, stop: StopFlag
 ) -> int:
-    """Sum the results of `take` over all crews; the first error stops all threads and is raised.
+    """Sum the results of `advance` over all member batches; the first error stops all threads and is raised.
 
-    The threads are daemons: those of a pool would make the interpreter wait at exit for a run in a daemon thread.
+    Daemon threads, since the interpreter would wait for the threads of a pool at exit.
     """
     waiting, lock = list(reversed(member_batches)), threading.Lock()
-    found: list[int] = []
+    counts: list[int] = []
     errors: list[BaseException] = []
 
     def work() -> None:
@@ -57,7 +59,7 @@ def _sum_in_threads(
                     if not waiting:
                         return
                     member_batch = waiting.pop()
-                found.append(take(member_batch))
+                counts.append(advance(member_batch))
         except BaseException as error:
             errors.append(error)
             waiting.clear()
@@ -79,7 +81,7 @@ def _sum_in_threads(
         raise
     if errors:
         raise errors[0]
-    return sum(found)
+    return sum(counts)
 
 
 def status_name(status: Any) -> str:
@@ -92,8 +94,8 @@ def failure_text(status: str, method: Method, loops: Loops, residual: float) -> 
     if status in method.failures:
         return method.failures[status]
     if status == "NOT_CONVERGED":
-        or_of = ", or of a force," if loops.accounts else ""
-        return f"the iteration of {method}{or_of} did not converge (last correction {residual:.3g})"
+        forces = ", or of a force," if loops.accounts else ""
+        return f"the iteration of {method}{forces} did not converge (last correction {residual:.3g})"
     if status == "PARALLEL":
         return "a tangent vector lost half of its digits against the others"
     return "a number overflowed"

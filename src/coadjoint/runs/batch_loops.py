@@ -1,4 +1,4 @@
-"""Compiled loops of a batch; members whose tables differ only in constants share one set of tables."""
+"""Compiled loops of a batch; members with tables that differ only in constants share one set of tables."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from coadjoint.systems.batch import Batch
 if TYPE_CHECKING:
     from coadjoint.kernels.tables import CompiledTables
 
-# Per thread. An interrupt waits until the round ends, and each crew costs a call from Python.
 BATCHES_PER_ROUND = 8
+"""Per thread. An interrupt waits until the round ends; each batch costs a call from Python."""
 
 
 def in_rounds(member_batches: list[MemberBatch], workers: int) -> list[list[MemberBatch]]:
-    """Split crews into rounds of `BATCHES_PER_ROUND` per thread."""
+    """Split member batches into rounds of `BATCHES_PER_ROUND` per thread."""
     size = BATCHES_PER_ROUND * workers
     return [member_batches[a : a + size] for a in range(0, len(member_batches), size)]
 
@@ -49,7 +49,7 @@ class Group(NamedTuple):
 
 
 class BatchLoops(Loops):
-    """Loops of a batch; each member has the same tables as if it ran alone.
+    """Loops of a batch; the tables of a member are those of its run alone.
 
     `representations` holds an array (n, d, d), "coadjoint" or None for each member; h is negative for backward runs.
     """
@@ -70,12 +70,12 @@ class BatchLoops(Loops):
             tracked, accounts = {name: casimirs[name] for name in names}, prepared[-1].accounts
             watches.append(balance_tables(system, tracked, accounts) if accounts else watch_tables(system, tracked))
         shift_corrections = [
-            ShiftCorrection(system, found.shift, representation) if found.shift and representation is not None else None
-            for system, found, representation in zip(batch, prepared, representations, strict=True)
+            ShiftCorrection(system, loop.shift, representation) if loop.shift and representation is not None else None
+            for system, loop, representation in zip(batch, prepared, representations, strict=True)
         ]
-        self._adopt(batch.dim, ["energy", *names], prepared, watches, shift_corrections)
+        self._set_up(batch.dim, ["energy", *names], prepared, watches, shift_corrections)
 
-    def _adopt(
+    def _set_up(
         self,
         dim: int,
         names: list[str],
@@ -94,16 +94,16 @@ class BatchLoops(Loops):
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self.names, self._dim = names, dim
         self.accounts = prepared[0].accounts
-        self.size, self.memory = dim + len(self.accounts), max(found.memory for found in prepared)
+        self.size, self.memory = dim + len(self.accounts), max(loop.memory for loop in prepared)
 
     def among(self, first: int, last: int) -> BatchLoops:
-        """Loops of the members `first` to `last` - 1 alone, from the tables already built."""
-        found = object.__new__(BatchLoops)
+        """Return the loops of the members `first` to `last` - 1, from the tables already built."""
+        loops = object.__new__(BatchLoops)
         chosen = slice(first, last)
-        found._adopt(
+        loops._set_up(
             self._dim, self.names, self._prepared[chosen], self._watches[chosen], self._shift_corrections[chosen]
         )
-        return found
+        return loops
 
     @property
     def is_picklable(self) -> bool:
@@ -119,7 +119,7 @@ class BatchLoops(Loops):
         from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
         loops, watches = (
-            [picklable_loop(own) for own in self._prepared],
+            [picklable_loop(loop) for loop in self._prepared],
             [picklable_tables(*watch) for watch in self._watches],
         )
         return {
@@ -127,44 +127,47 @@ class BatchLoops(Loops):
             "names": self.names,
             "loops": loops,
             "watches": watches,
-            "turned": self._shift_corrections,
+            "shift_corrections": self._shift_corrections,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         from coadjoint.kernels.pickling import restored_loop, restored_tables
 
         loops, watches = (
-            [restored_loop(own) for own in state["loops"]],
-            [restored_tables(own) for own in state["watches"]],
+            [restored_loop(stored) for stored in state["loops"]],
+            [restored_tables(stored) for stored in state["watches"]],
         )
-        self._adopt(state["dim"], state["names"], loops, watches, state["turned"])
+        self._set_up(state["dim"], state["names"], loops, watches, state["shift_corrections"])
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
-        """Return rounds of crews; each crew lies within one group and begins at a lane boundary."""
+        """Return rounds of member batches, each within one group and from a lane boundary."""
         member_batches: list[MemberBatch] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
-            for places in split_members(first, last, workers, limit("LARGEST_CROWD")):
-                member_batches.append(MemberBatch(group.loop, group.tables, group.watch, *places, group.stride, first))
+            for bounds in split_members(first, last, workers, limit("LARGEST_CROWD")):
+                member_batches.append(MemberBatch(group.loop, group.tables, group.watch, *bounds, group.stride, first))
         return in_rounds(member_batches, workers)
 
     def pieces(self, watch: Any = None) -> MemberTables:
         """Return the tables and the members of each group."""
-        return [(Tables(own.loop, own.tables, watch or own.watch, own.stride), own.members) for own in self.groups]
+        return [
+            (Tables(group.loop, group.tables, watch or group.watch, group.stride), group.members)
+            for group in self.groups
+        ]
 
     def raised(self) -> BaseException | None:
-        """Return the exception that a user's function raised in the loop of any member."""
-        return next((error for found in self._prepared if (error := found.raised())), None)
+        """Return and clear the exception raised by a user function in the loop of any member."""
+        return next((error for loop in self._prepared if (error := loop.raised())), None)
 
     @property
     def shift_corrections(self) -> Sequence[ShiftCorrection]:
-        """Unshifts of the members that have one."""
-        return [unshift for unshift in self._shift_corrections if unshift is not None]
+        """Corrections of the members with a shifted Hamiltonian."""
+        return [correction for correction in self._shift_corrections if correction is not None]
 
     def shift_correction_of(self, member: int) -> ShiftCorrection | None:
         return self._shift_corrections[member]
 
     def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._shift_corrections]
+        rows, shifted = np.array(as_rows(groups)), [correction is not None for correction in self._shift_corrections]
         rows[shifted] = unit_row(groups.shape[-1])
         return rows
 
@@ -173,15 +176,15 @@ def corrected_groups_each(
     shift_corrections: Sequence[ShiftCorrection | None], start: Start, times: Times, saved: NamedArrays, points: int
 ) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d), each corrected for the shift of its member's H."""
-    found, held = np.array(uncorrected_groups(start, times, saved, points), order="C"), saved.address_of("group")
-    for m, unshift in enumerate(shift_corrections):
-        if unshift is not None and points:
-            unshift.fill(found, start, times, held, m, m + 1)
-    return found
+    groups, address = np.array(uncorrected_groups(start, times, saved, points), order="C"), saved.address_of("group")
+    for m, correction in enumerate(shift_corrections):
+        if correction is not None and points:
+            correction.fill(groups, start, times, address, m, m + 1)
+    return groups
 
 
 def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[Group]:
-    """Group members whose tables differ only in constants, in the order of their first members.
+    """Group members with tables that differ only in constants, in the order of their first members.
 
     Examples
     --------
@@ -192,13 +195,12 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
     >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
     [[0, 1, 2]]
     """
-    from coadjoint.kernels.structures import as_structure
-    from coadjoint.kernels.varied_tables import stacked, structure_of
+    from coadjoint.kernels.structures import as_structure, stacked, structure_of
 
     block = limit("LARGEST_CROWD")
-    found: dict[Hashable, list[int]] = {}
-    for m, (own, watch) in enumerate(zip(prepared, watches, strict=True)):
-        found.setdefault((own.name, structure_of(own.tables), structure_of(watch)), []).append(m)
+    members_by_structure: dict[Hashable, list[int]] = {}
+    for m, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):
+        members_by_structure.setdefault((loop.name, structure_of(loop.tables), structure_of(watch)), []).append(m)
     return [
         Group(
             np.array(members, dtype=np.int64),
@@ -207,5 +209,5 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
             as_structure(stacked([watches[m] for m in members])),
             -(-len(members) // block) * block,
         )
-        for members in found.values()
+        for members in members_by_structure.values()
     ]

@@ -1,4 +1,4 @@
-"""Assignment of rows, each belonging to a member, to slots of crews."""
+"""Assignment of rows, each of one member, to the slots of member batches."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Integers = NDArray[np.int64]
 
 
 class Rows(NamedTuple):
-    """The row in each slot, and the crews of all slots.
+    """The row in each slot, and the member batches of all slots.
 
-    A slot that is not `own` pads a lane, and holds a copy of another row.
+    Slots that are not `filled` pad lanes with copies of other rows.
     """
 
     rows: Integers
-    own: NDArray[np.bool_]
+    filled: NDArray[np.bool_]
     member_batches: list[MemberBatch]
 
 
@@ -35,9 +35,9 @@ class Tables(NamedTuple):
     stride: int = 0
 
     def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> Rows:
-        """Return rows (m,) with these columns of constants, or in the given order without a stride.
+        """Return rows (m,) for these columns of constants, in the given order without a stride.
 
-        Slots count from `begin`. Without a stride there is a crew for each worker, and `block` rows go side by side.
+        Slots count from `begin`. Without a stride, each worker has a batch, in which `block` rows go side by side.
         """
         if self.stride:
             return self._in_columns(columns, begin)
@@ -49,46 +49,48 @@ class Tables(NamedTuple):
         return Rows(np.arange(count), np.ones(count, dtype=bool), member_batches)
 
     def _in_columns(self, columns: Integers, begin: int) -> Rows:
-        # Crews begin at blocks of columns; a block holds one row of each column at a time.
+        # Batches begin at blocks of columns; a block holds one row of each column at a time.
         block = limit("LARGEST_CROWD")
-        wide = self.stride // block
+        column_blocks = self.stride // block
         order = np.argsort(columns, kind="stable")
         ascending = columns[order]
-        turn = np.arange(len(order)) - np.searchsorted(ascending, ascending)
-        keys, some, piece = np.unique(turn * wide + ascending // block, return_index=True, return_inverse=True)
-        rows, own = np.repeat(order[some], block), np.zeros(len(keys) * block, dtype=bool)
-        places = piece * block + ascending % block
-        rows[places], own[places] = order, True
-        member_batches, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % wide == 0)) + 1
-        for one, other in pairwise([0, *cuts.tolist(), len(keys)]):
-            first, column = begin + one * block, int(keys[one]) % wide * block
-            last = begin + int(np.flatnonzero(own[: other * block])[-1]) + 1
+        occurrence = np.arange(len(order)) - np.searchsorted(ascending, ascending)
+        keys, first_rows, positions = np.unique(
+            occurrence * column_blocks + ascending // block, return_index=True, return_inverse=True
+        )
+        rows, filled = np.repeat(order[first_rows], block), np.zeros(len(keys) * block, dtype=bool)
+        slots = positions * block + ascending % block
+        rows[slots], filled[slots] = order, True
+        member_batches, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % column_blocks == 0)) + 1
+        for low, high in pairwise([0, *cuts.tolist(), len(keys)]):
+            first, column = begin + low * block, int(keys[low]) % column_blocks * block
+            last = begin + int(np.flatnonzero(filled[: high * block])[-1]) + 1
             member_batches.append(MemberBatch(*self[:3], first, last, self.stride, first - column))
-        return Rows(rows, own, member_batches)
+        return Rows(rows, filled, member_batches)
 
 
 MemberTables = Sequence[tuple[Tables, Integers | None]]
-"""Tables, and the members that share them, ascending, one column each; None: all members, in the same columns."""
+"""Tables, and the members that share them, ascending, one column each; None: all members share the same columns."""
 
 
 def rows_of_pieces(pieces: MemberTables, owners: Integers, workers: int, block: int) -> Rows:
     """Return rows of members with different tables, piece after piece; `owners` (m,) holds the member of each row."""
-    found: list[Rows] = []
+    parts: list[Rows] = []
     begin = 0
     for tables, members in pieces:
         if members is None:
             return tables.rows(owners, workers, block)
-        numbers = np.flatnonzero(np.isin(owners, members))
-        if len(numbers):
-            own = tables.rows(np.searchsorted(members, owners[numbers]), workers, block, begin)
-            found.append(own._replace(rows=numbers[own.rows]))
-            begin += len(own.rows)
-    rows, filled = (np.concatenate([piece[k] for piece in found]) for k in range(2))
-    return Rows(rows, filled, [member_batch for piece in found for member_batch in piece.member_batches])
+        selected = np.flatnonzero(np.isin(owners, members))
+        if len(selected):
+            part = tables.rows(np.searchsorted(members, owners[selected]), workers, block, begin)
+            parts.append(part._replace(rows=selected[part.rows]))
+            begin += len(part.rows)
+    rows, filled = (np.concatenate([piece[k] for piece in parts]) for k in range(2))
+    return Rows(rows, filled, [member_batch for piece in parts for member_batch in piece.member_batches])
 
 
 def split_members(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
-    """Split the members first to last - 1 into crews, one for each worker, that begin at multiples of `block`.
+    """Split the members first to last - 1 into ranges, one for each worker, that begin at multiples of `block`.
 
     Examples
     --------
@@ -97,4 +99,4 @@ def split_members(first: int, last: int, workers: int, block: int) -> list[tuple
     """
     blocks = -(-(last - first) // block)
     edges = pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1))
-    return [(one, other) for one, other in edges if one < other]
+    return [(low, high) for low, high in edges if low < high]

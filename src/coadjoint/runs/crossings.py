@@ -1,4 +1,4 @@
-"""Location of events: from the steps flagged by the loops to times and states between grid points."""
+"""Location of events: times and states of crossings within the steps that the loops have flagged."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.root_search import minimize_each, roots
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.description import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, unforced
@@ -30,7 +30,7 @@ Integers = NDArray[np.int64]
 
 
 class Crossings(NamedTuple):
-    """The m crossings found: member, step, time, state, group element, event and direction of each."""
+    """Member, step, time, state, group element, event and direction of each of m crossings."""
 
     members: Integers
     steps: Integers
@@ -40,13 +40,13 @@ class Crossings(NamedTuple):
     which: Integers
     direction: Integers
 
-    def select(self, places: Any) -> Crossings:
+    def select(self, selection: Any) -> Crossings:
         """Select crossings by mask, slice or indices."""
-        return Crossings(*(array[places] for array in self))
+        return Crossings(*(array[selection] for array in self))
 
 
 class MemberFailure(NamedTuple):
-    """Failure of a member during the location of its crossings: step and reason, the arguments of `Run.fail`."""
+    """Failure of a member during the location of its crossings: the arguments of `Run.mark_failed`."""
 
     member: int
     step: int
@@ -56,11 +56,10 @@ class MemberFailure(NamedTuple):
 
 
 class WatchedEvents:
-    """Events compiled for a system, and their location.
+    """Events compiled for a system, and their location; `coordinates` is empty for matrices.
 
-    `compiled` holds the functions as a `Watch`; `coordinates` is empty for matrices. Each function is called once at x0
-    (n,) and t0. Unknown coordinates, wrong dimensions and functions that return no number raise TypeError or
-    ValueError.
+    Each function is called once at x0 (n,) and t0. TypeError or ValueError: unknown coordinates, wrong dimensions,
+    functions that do not return a number.
     """
 
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
@@ -93,53 +92,55 @@ class WatchedEvents:
     ) -> tuple[Crossings, list[MemberFailure]]:
         """Return the crossings in the flagged steps, ordered by member and time, and the members that failed.
 
-        A member fails where an event is NaN at a grid point, or where a partial step fails although the whole step did
-        not; its crossings from that step on are dropped. Other members are unaffected.
+        A member fails if an event is NaN at a grid point, or if a partial step fails within a successful step; its
+        crossings from that step on are dropped.
         """
-        for kept in self.compiled.keepalive:
-            if (raised := getattr(kept, "raised", lambda: None)()) is not None:
+        for function in self.compiled.keepalive:
+            if (raised := getattr(function, "raised", lambda: None)()) is not None:
                 raise raised
         crossing = codes("Crossing")
         search = _Search(self, flagged, parts, t0, h)
         rows, events = np.nonzero((flagged.codes == crossing["RISING"]) | (flagged.codes == crossing["FALLING"]))
-        sure = search.between(rows, events, np.zeros(len(rows)), flagged.before, np.ones(len(rows)), flagged.after)
-        maybe = search.pairs(*np.nonzero(flagged.codes == crossing["NEAR"]))
+        sign_changes = search.between(
+            rows, events, np.zeros(len(rows)), flagged.before, np.ones(len(rows)), flagged.after
+        )
+        pairs = search.pairs(*np.nonzero(flagged.codes == crossing["NEAR"]))
         isolated_crossings = search.isolated_crossings(*np.nonzero(flagged.codes == crossing["BETWEEN"]))
         rows, events, theta, rising = (
-            np.concatenate(both) for both in zip(sure, *maybe, isolated_crossings, strict=True)
+            np.concatenate(both) for both in zip(sign_changes, *pairs, isolated_crossings, strict=True)
         )
         wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
         rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
-        # Simultaneous crossings are ordered as the events were given.
+        # Simultaneous crossings are in the order of the events.
         order = np.lexsort((events, theta, rows))
         rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]
-        states, groups = search.part(rows, theta)
+        states, groups = search.states_at(rows, theta)
         members, steps = flagged.members[rows], flagged.steps[rows]
-        found = Crossings(members, steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
+        crossings = Crossings(members, steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
         failed = self._failed(flagged, search, t0, h)
         if failed:
             last = dict.fromkeys(flagged.members.tolist(), np.iinfo(np.int64).max)
-            last |= {each.member: each.step for each in failed}
-            found = found.select(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
-        return found, failed
+            last |= {failure.member: failure.step for failure in failed}
+            crossings = crossings.select(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
+        return crossings, failed
 
     def _failed(self, flagged: FlaggedSteps, search: _Search, t0: float, h: float) -> list[MemberFailure]:
         """Return the first failure of each member that failed."""
         undefined = flagged.codes == codes("Crossing")["UNDEFINED"]
         rows = np.flatnonzero(undefined.any(axis=1) | (search.status != 0))
-        found: dict[int, MemberFailure] = {}
+        failures: dict[int, MemberFailure] = {}
         for row in rows[np.argsort(flagged.steps[rows], kind="stable")].tolist():
             member, step = int(flagged.members[row]), int(flagged.steps[row])
-            if member in found:
+            if member in failures:
                 continue
             if undefined[row].any():
                 name = self.names[int(np.argmax(undefined[row]))]
                 reason = f"the event {name} is not a number at t = {t0 + step * h:g}; its function is undefined there"
-                found[member] = MemberFailure(member, step, "UNDEFINED", reason=reason)
+                failures[member] = MemberFailure(member, step, "UNDEFINED", reason=reason)
             else:
                 status, residual = status_name(search.status[row]), float(search.residual[row])
-                found[member] = MemberFailure(member, step, status, residual)
-        return list(found.values())
+                failures[member] = MemberFailure(member, step, status, residual)
+        return list(failures.values())
 
 
 class _Search:
@@ -148,36 +149,36 @@ class _Search:
     def __init__(self, watched: WatchedEvents, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float) -> None:
         self.watched, self.flagged, self.parts, self.h = watched, flagged, parts, h
         self.begin: Floats = np.asarray(t0 + (flagged.steps - 1) * h, dtype=np.float64)
-        # Failures of partial steps.
+        # Statuses and residuals of partial steps that fail.
         self.status = np.zeros(len(flagged.steps), dtype=np.int64)
         self.residual = np.full(len(flagged.steps), np.nan)
         # Resolution of the roots: the spacing of floats at the time of the step.
         self.least = np.maximum(2.0**-52, 0.5 * np.spacing(np.abs(self.begin) + abs(h)) / abs(h))
 
-    def part(self, rows: Integers, theta: Floats) -> tuple[Floats, Floats]:
+    def states_at(self, rows: Integers, theta: Floats) -> tuple[Floats, Floats]:
         """Return states and group elements at fractions `theta` of the steps; NaN where the partial step fails."""
         flagged = self.flagged
-        found = self.parts.attempt(
+        result = self.parts.attempt(
             flagged.states[rows], flagged.groups[rows], self.begin[rows], theta * self.h, flagged.members[rows]
         )
-        failed = found.status != 0
+        failed = result.status != 0
         # A step may occur in several rows, one for each event; the last failure is recorded.
-        self.status[rows[failed]], self.residual[rows[failed]] = found.status[failed], found.residual[failed]
-        return found.momenta, found.groups
+        self.status[rows[failed]], self.residual[rows[failed]] = result.status[failed], result.residual[failed]
+        return result.momenta, result.groups
 
     def values(self, rows: Integers, events: Integers, theta: Floats) -> Floats:
         """Evaluate one event for each row."""
-        states, _ = self.part(rows, theta)
+        states, _ = self.states_at(rows, theta)
         return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
 
     def between(
         self, rows: Integers, events: Integers, low: Floats, before: Floats, high: Floats, after: Floats
     ) -> tuple[Integers, Integers, Floats, Integers]:
-        """Return the roots between two points of a step at which the values of all events are known."""
-        places = (rows, events) if before.ndim > 1 else slice(None)
-        first, last = before[places], after[places]
+        """Return the roots between two points of a step with known values of the events."""
+        selection = (rows, events) if before.ndim > 1 else slice(None)
+        first, last = before[selection], after[selection]
         theta = roots(
-            lambda which, t: self.values(rows[which], events[which], low[which] + t * (high - low)[which]),
+            lambda subset, t: self.values(rows[subset], events[subset], low[subset] + t * (high - low)[subset]),
             first,
             last,
             self.least[rows] / np.maximum(high - low, 2.0**-52),
@@ -190,28 +191,28 @@ class _Search:
         at_start = self.watched.values(self.flagged.states[rows], self.begin[rows])[np.arange(len(rows)), events]
         first = np.where(low == 0.0, at_start, self.values(rows, events, low))
         last = self.values(rows, events, high)
-        # A root that rounding moved past an end of its interval is spurious or belongs to the next interval.
-        sound = (first != 0.0) & (np.sign(first) != np.sign(last))
-        return self.between(*(a[sound] for a in (rows, events, low, first, high, last)))
+        # A root moved past an end of its interval by rounding is spurious or belongs to the next interval.
+        bracketed = (first != 0.0) & (np.sign(first) != np.sign(last))
+        return self.between(*(a[bracketed] for a in (rows, events, low, first, high, last)))
 
     def pairs(self, rows: Integers, events: Integers) -> list[tuple[Integers, Integers, Floats, Integers]]:
         """Return the crossings in steps where g may go through zero and back."""
         first, last = self.flagged.before[rows, events], self.flagged.after[rows, events]
         side = np.sign(first)
         theta, value = minimize_each(
-            lambda which, t: side[which] * self.values(rows[which], events[which], t), len(rows)
+            lambda subset, t: side[subset] * self.values(rows[subset], events[subset], t), len(rows)
         )
-        there = value <= 0.0
-        rows, events, side, theta = rows[there], events[there], side[there], theta[there]
-        middle, zero, one = side * value[there], np.zeros(len(rows)), np.ones(len(rows))
-        left = self.between(rows, events, zero, first[there], theta, middle)
-        # A zero without a change of sign was counted when g reached it.
+        crossed = value <= 0.0
+        rows, events, side, theta = rows[crossed], events[crossed], side[crossed], theta[crossed]
+        middle, zeros, ones = side * value[crossed], np.zeros(len(rows)), np.ones(len(rows))
+        left = self.between(rows, events, zeros, first[crossed], theta, middle)
+        # A zero without a change of sign belongs to the left part.
         through = middle != 0.0
-        right = self.between(*(a[through] for a in (rows, events, theta, middle, one, last[there])))
+        right = self.between(*(a[through] for a in (rows, events, theta, middle, ones, last[crossed])))
         return [left, right]
 
 
-def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
+def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, ...]:
     """Return the names of events: as given, else that of the coordinate, else "event k".
 
     Examples
@@ -224,8 +225,8 @@ def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
         name = event.name
         if name is None and isinstance(event.g, str):
             name = event.g
-        elif name is None and isinstance(event.g, int | np.integer) and 0 <= event.g < len(known):
-            name = known[event.g]
+        elif name is None and isinstance(event.g, int | np.integer) and 0 <= event.g < len(coordinates):
+            name = coordinates[event.g]
         if event.name is None and (name is None or name in names):
             name = f"event {k}"
         if name in names:
@@ -234,7 +235,7 @@ def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _function_of(event: Event, name: str, plain_system: Any, known: Sequence[str], x0: Floats, t0: float) -> Any:
+def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequence[str], x0: Floats, t0: float) -> Any:
     """Return the object of an event that the kernels compile."""
     g, n = event.g, plain_system.dim
     start: Any = plain_system.states(x0) if isinstance(plain_system, MatrixSystem) else x0
@@ -243,13 +244,17 @@ def _function_of(event: Event, name: str, plain_system: Any, known: Sequence[str
             f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "
             "function of a matrix"
         )
-    if isinstance(g, str) and g not in known and set("+-*/^") & set(g):
+    if isinstance(g, str) and g not in coordinates and set("+-*/^") & set(g):
         raise ValueError(
             f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "
-            f"co.Polynomial({short(g)}, basis={short(tuple(known), 200)})"
+            f"co.Polynomial({short(g)}, basis={short(tuple(coordinates), 200)})"
         )
     if isinstance(g, str | int | np.integer):
-        i = known.index(read_choice(g, "coordinate", known)) if isinstance(g, str) else read_integer(g, "g", 0, n - 1)
+        i = (
+            coordinates.index(read_choice(g, "coordinate", coordinates))
+            if isinstance(g, str)
+            else read_integer(g, "g", 0, n - 1)
+        )
         return Quadratic(0.0, linear=np.eye(1, n, i)[0])
     if isinstance(g, Polynomial | Quadratic):
         return g

@@ -1,4 +1,4 @@
-"""Runs with events: chunks of steps alternate with the location of crossings in them."""
+"""Runs with events: chunks of steps, each followed by the location of its crossings."""
 
 from __future__ import annotations
 
@@ -22,42 +22,43 @@ from coadjoint.systems.system_checks import unforced
 FIRST_CHUNK = 256
 MOST_STEPS = 2**16
 MAX_CHUNK_BYTES = 2**28
-"""Memory that is touched only where events are found."""
+"""Memory of a chunk; only the part with events is written."""
 
 
 class EventRun:
-    """The steps of a run together with the location of its events.
-
-    `parts` takes partial steps of the same scheme; `run` is at its start.
-    """
+    """Steps of a run with location of events; `run` is at its start, and `parts` takes its partial steps."""
 
     def __init__(self, run: Run, watched: WatchedEvents, parts: PartialSteps) -> None:
         self.run, self.watched, self.parts = run, watched, parts
         members, extent = len(run.start.momenta), run.plan.layout.extent
         count = len(watched.events)
-        fixed, each = EventArrays.required_bytes(members, count, extent.size, extent.square)
-        chunk = min(run.times.steps, MOST_STEPS, max(1, MAX_CHUNK_BYTES // each)) + 1
-        kept = 16 * run.plan.layout.state.size
-        check_available_memory(3 * fixed + kept + each * chunk, f"looking for events of {members} members")
+        fixed, per_step = EventArrays.required_bytes(members, count, extent.size, extent.square)
+        chunk = min(run.times.steps, MOST_STEPS, max(1, MAX_CHUNK_BYTES // per_step)) + 1
+        checkpoint = 16 * run.plan.layout.state.size
+        check_available_memory(
+            3 * fixed + checkpoint + per_step * chunk, f"the detection of events of {members} members"
+        )
         self._max_chunk = max(chunk - 1, 1)
-        left = np.tile(watched.until, (members, 1))
-        self.arrays = EventArrays(watched.compiled.tables, watched.direction, left, extent.size, extent.square, chunk)
+        remaining = np.tile(watched.until, (members, 1))
+        self.arrays = EventArrays(
+            watched.compiled.tables, watched.direction, remaining, extent.size, extent.square, chunk
+        )
         order = run.loops.order
         self._order = np.arange(members) if order is None else order
         self._crossing_counts = np.zeros((members, count), dtype=np.int64)
         self._crossings: list[Crossings] = []
         self._packed_members = members
-        self._pending: FlaggedSteps | None = None  # flags of a step beyond the current chunk
+        self._pending: FlaggedSteps | None = None  # flags of steps beyond the current chunk
         self._failed: dict[int, MemberFailure] = {}
         run.enable_events(self.arrays.address)
         self._checkpoint = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
 
     @property
     def last(self) -> NDArray[np.int64]:
-        """Last whole step of each member before it ended, shape (members,)."""
-        found = np.empty_like(self.arrays.limit)
-        found[self._order] = self.arrays.limit
-        return np.minimum(found, self.run.state.number)
+        """Last whole step of each member, shape (members,)."""
+        last = np.empty_like(self.arrays.limit)
+        last[self._order] = self.arrays.limit
+        return np.minimum(last, self.run.state.number)
 
     def advance(self, progress: bool = False) -> None:
         """Take steps until all members have ended."""
@@ -66,7 +67,7 @@ class EventRun:
         with progress_bar(steps, progress) as bar:
             while True:
                 until = min(steps, first + chunk)
-                self._take(until)
+                self._advance_chunk(until)
                 bar(until - first)
                 first = until
                 active = np.flatnonzero(run.state["status"] == codes("Status")["DONE"])
@@ -79,19 +80,21 @@ class EventRun:
 
     def _store_events(self) -> None:
         """Store the events in the run; for a single member that an event ended, also its last point."""
-        run, found = self.run, self.found
+        run, crossings = self.run, self.found
         attitude = None
         if run.start.representation is not None:
-            attitude = run.loops.corrected_groups_at(run.start, found.members, found.t - run.times.t0, found.groups)
-        states = found.states[:, : run.start.momenta.shape[1]]
+            attitude = run.loops.corrected_groups_at(
+                run.start, crossings.members, crossings.t - run.times.t0, crossings.groups
+            )
+        states = crossings.states[:, : run.start.momenta.shape[1]]
         plain = unforced(self.watched.system)
         run.events = Events(
             self.watched.names,
-            found.t,
+            crossings.t,
             plain.states(states) if isinstance(plain, MatrixSystem) else states.reshape(-1, *run.start.shape),
-            found.which,
-            found.members,
-            found.direction,
+            crossings.which,
+            crossings.members,
+            crossings.direction,
             attitude,
             self.watched.coordinates,
             self.watched.events,
@@ -100,11 +103,11 @@ class EventRun:
         if not run.start.single or last >= run.times.steps or run.failed_count:
             return
         points = int(np.searchsorted(run.times.saved, last, side="right"))
-        x, t = found.states[-1], float(found.t[-1])
+        x, t = crossings.states[-1], float(crossings.t[-1])
         values = run.loops.values_at(x, t, run.state["last"][0])
         run.ending = TerminalEvent(points + 1, last + 1, t, x, values, None if attitude is None else attitude[-1])
         if points < run.times.points:
-            # With t_eval, all of its steps may already be saved.
+            # With t_eval, all steps may already be saved.
             run.saved["x"][points, 0], run.saved["values"][points, 0] = x, values
 
     def _repack_members(self, active: NDArray[np.int64]) -> None:
@@ -116,77 +119,81 @@ class EventRun:
             plan = self.run.plan
             self.run.plan, self._packed_members = ExecutionPlan(plan.key, plan.layout, rounds), len(active)
 
-    def _take(self, until: int) -> None:
-        """Take the steps up to number `until`, and locate the events in them."""
-        kept = self._checkpoint
+    def _advance_chunk(self, until: int) -> None:
+        """Take the steps up to number `until`, and locate their events."""
+        checkpoint = self._checkpoint
         flagged = self._flagged_until(until)
-        found, failed = self.watched.locate(flagged, self.parts, self.run.times.t0, self.run.times.h)
+        crossings, failed = self.watched.locate(flagged, self.parts, self.run.times.t0, self.run.times.h)
         # One step may be flagged for one event at its end, and for another after the next step.
-        found = found.select(np.lexsort((found.which, found.t * np.sign(self.run.times.h), found.members)))
-        last = self._record_crossings(found)
-        for each in failed:
-            if each.step - 1 <= last[each.member]:
-                last[each.member] = each.step - 1
-                self._failed[each.member] = each
+        crossings = crossings.select(
+            np.lexsort((crossings.which, crossings.t * np.sign(self.run.times.h), crossings.members))
+        )
+        last = self._record_crossings(crossings)
+        for failure in failed:
+            if failure.step - 1 <= last[failure.member]:
+                last[failure.member] = failure.step - 1
+                self._failed[failure.member] = failure
         if (last < self._limits()).any():
-            # A member ended or failed within a step, unknown to the loops: the steps are repeated with its limit set.
+            # A member ended or failed within a step, undetected by the loops: repeat the steps with its limit set.
             ends = np.minimum(self._limits(), last)
-            self.run.state, self._pending = kept[0].copy(), None
-            self.arrays.restore_arrays(kept[1])
+            self.run.state, self._pending = checkpoint[0].copy(), None
+            self.arrays.restore_arrays(checkpoint[1])
             self.arrays.limit[:] = ends[self._order]
             self._flagged_until(until)
         self._mark_ended()
 
     def _flagged_until(self, until: int) -> FlaggedSteps:
         """Return the flags of the steps up to number `until`; the loops need one further step to set them."""
-        run, rows = self.run, [] if self._pending is None else [self._pending]
+        run, batches = self.run, [] if self._pending is None else [self._pending]
         for target in (until, min(until + 1, run.times.steps)):
             # The first call of `advance` initializes the run, even if it has no steps.
             if run.state.number < target or target == 0:
                 run.advance(until=target)
-            rows.append(self._rows())
+            batches.append(self._take_flags())
             if target == until:
                 self._checkpoint = run.state.copy(), self.arrays.copy()
-        flagged = FlaggedSteps(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True)))
-        flagged = flagged.with_members(flagged.members)  # threads note in any order
+        flagged = FlaggedSteps(*(np.concatenate(arrays) for arrays in zip(*batches, strict=True)))
+        flagged = flagged.with_members(flagged.members)  # sorted, since threads flag in any order
         self._pending = flagged.select(flagged.steps > until)
         return flagged.select(flagged.steps <= until)
 
-    def _rows(self) -> FlaggedSteps:
+    def _take_flags(self) -> FlaggedSteps:
         flagged = self.arrays.take()
         return flagged._replace(members=self._order[flagged.members])
 
-    def _record_crossings(self, found: Crossings) -> NDArray[np.int64]:
-        """Store the crossings of interest; return the last whole step of each member before a terminal event."""
+    def _record_crossings(self, crossings: Crossings) -> NDArray[np.int64]:
+        """Record crossings up to the counts of their events; return the last whole step before each terminal event."""
         last = np.full(len(self._order), np.iinfo(np.int64).max)
-        rank = self._crossing_counts[found.members, found.which] + _rank(found)
-        most = np.array([event.count or np.iinfo(np.int64).max for event in self.watched.events])
-        until = self.watched.until[found.which]
+        rank = self._crossing_counts[crossings.members, crossings.which] + _rank(crossings)
+        max_counts = np.array([event.count or np.iinfo(np.int64).max for event in self.watched.events])
+        until = self.watched.until[crossings.which]
         ends = np.flatnonzero((until > 0) & (rank == np.where(until > 0, until, -1)))
         # Rows are ordered by time: the first terminal crossing of a member ends it.
-        where = np.full(len(self._order), len(rank))
-        np.minimum.at(where, found.members[ends], ends)
-        ended = where < len(rank)
-        last[ended] = found.steps[where[ended]] - 1
-        kept = found.select((rank <= most[found.which]) & (np.arange(len(rank)) <= where[found.members]))
-        np.add.at(self._crossing_counts, (kept.members, kept.which), 1)
-        self._crossings.append(kept)
+        end_rows = np.full(len(self._order), len(rank))
+        np.minimum.at(end_rows, crossings.members[ends], ends)
+        ended = end_rows < len(rank)
+        last[ended] = crossings.steps[end_rows[ended]] - 1
+        recorded = crossings.select(
+            (rank <= max_counts[crossings.which]) & (np.arange(len(rank)) <= end_rows[crossings.members])
+        )
+        np.add.at(self._crossing_counts, (recorded.members, recorded.which), 1)
+        self._crossings.append(recorded)
         return last
 
     def _limits(self) -> NDArray[np.int64]:
-        found = np.empty_like(self.arrays.limit)
-        found[self._order] = self.arrays.limit
-        return found
+        limits = np.empty_like(self.arrays.limit)
+        limits[self._order] = self.arrays.limit
+        return limits
 
     def _mark_ended(self) -> None:
-        """Mark members that have ended, so that the loops skip them; a failure after the end is discarded."""
+        """Mark ended members, which the loops then skip; failures after the end are discarded."""
         state, status = self.run.state, codes("Status")
         limits = self._limits()
         ended = limits < state.number
         failed = state["status"] != status["DONE"]
         state["status"][ended & ~(failed & (state["step"] <= limits))] = status["ENDED"]
-        for each in self._failed.values():
-            self.run.mark_failed(*each)
+        for failure in self._failed.values():
+            self.run.mark_failed(*failure)
 
     @property
     def found(self) -> Crossings:
@@ -196,13 +203,13 @@ class EventRun:
         return together.select(np.argsort(together.members, kind="stable"))
 
 
-def _rank(found: Crossings) -> Any:
+def _rank(crossings: Crossings) -> Any:
     """Rank of each crossing, from 1, among those of its member and event."""
-    order = np.lexsort((np.arange(len(found.t)), found.which, found.members))
-    members, which = found.members[order], found.which[order]
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = (members[1:] != members[:-1]) | (which[1:] != which[:-1])
-    begins = np.maximum.accumulate(np.where(new, np.arange(len(order)), 0))
+    order = np.lexsort((np.arange(len(crossings.t)), crossings.which, crossings.members))
+    members, which = crossings.members[order], crossings.which[order]
+    is_first = np.ones(len(order), dtype=bool)
+    is_first[1:] = (members[1:] != members[:-1]) | (which[1:] != which[:-1])
+    begins = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order)) - begins + 1
     return rank

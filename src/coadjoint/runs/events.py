@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.short_repr import short, shown_fields
+from coadjoint.short_repr import dataclass_repr, short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.user_functions import takes_time
@@ -79,7 +79,7 @@ class Event:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        keep = object.__setattr__
+        assign = object.__setattr__
         if isinstance(self.g, bool) or not (
             isinstance(self.g, int | np.integer | str | Polynomial | Quadratic) or callable(self.g)
         ):
@@ -88,21 +88,21 @@ class Event:
                 "of x or (x, t)"
             )
         if isinstance(self.g, int | np.integer):
-            keep(self, "g", read_integer(self.g, "the coordinate of an event", 0, MAX_COORDINATES))
-        whole = isinstance(self.direction, int | np.integer) and not isinstance(self.direction, bool)
-        if not whole or self.direction not in (0, 1, -1):
+            assign(self, "g", read_integer(self.g, "the coordinate of an event", 0, MAX_COORDINATES))
+        is_integer = isinstance(self.direction, int | np.integer) and not isinstance(self.direction, bool)
+        if not is_integer or self.direction not in (0, 1, -1):
             raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")
-        keep(self, "direction", int(self.direction))
+        assign(self, "direction", int(self.direction))
         if self.count is not None:
-            keep(self, "count", read_integer(self.count, "count of an event", 1, MOST_CROSSINGS))
-        keep(self, "terminal", read_bool(self.terminal, "terminal"))
+            assign(self, "count", read_integer(self.count, "count of an event", 1, MOST_CROSSINGS))
+        assign(self, "terminal", read_bool(self.terminal, "terminal"))
         if self.name is not None:
-            keep(self, "name", read_title(self.name, "name of an event"))
+            assign(self, "name", read_title(self.name, "name of an event"))
         if callable(self.g) and not isinstance(self.g, Polynomial | Quadratic):
             takes_time(self.g, "g of an event")
 
     def __repr__(self) -> str:
-        return shown_fields(self)
+        return dataclass_repr(self)
 
     @property
     def until(self) -> int:
@@ -110,7 +110,7 @@ class Event:
         return (self.count or 1) if self.terminal else 0
 
 
-def read_events(given: Any) -> tuple[Event, ...]:
+def read_events(value: Any) -> tuple[Event, ...]:
     """Validate an event or a sequence of events (or None) and return a tuple; at most `MOST_EVENTS`.
 
     Examples
@@ -118,15 +118,15 @@ def read_events(given: Any) -> tuple[Event, ...]:
     >>> len(read_events([Event(0), Event("x2", direction=1)]))
     2
     """
-    if given is None:
+    if value is None:
         return ()
-    listed = (given,) if isinstance(given, Event) else given
-    if not isinstance(listed, Sequence) or isinstance(listed, str) or not all(isinstance(e, Event) for e in listed):
-        such = f"co.Event({short(given)})" if isinstance(given, str) else "co.Event('x1')"
-        raise TypeError(f"events is {short(given)}; give an Event, such as {such}, or a list of them")
-    if len(listed) > MOST_EVENTS:
-        raise ValueError(f"{len(listed)} events were given; a run can have at most {MOST_EVENTS}")
-    return tuple(listed)
+    events = (value,) if isinstance(value, Event) else value
+    if not isinstance(events, Sequence) or isinstance(events, str) or not all(isinstance(e, Event) for e in events):
+        example = f"co.Event({short(value)})" if isinstance(value, str) else "co.Event('x1')"
+        raise TypeError(f"events is {short(value)}; give an Event, such as {example}, or a list of them")
+    if len(events) > MOST_EVENTS:
+        raise ValueError(f"{len(events)} events were given; a run can have at most {MOST_EVENTS}")
+    return tuple(events)
 
 
 class Events:
@@ -189,13 +189,13 @@ class Events:
         raise TypeError("events are arrays: t, x, which, member, direction; take one event by its name, events['name']")
 
     def __repr__(self) -> str:
-        found = ", ".join(f"{name}: {np.count_nonzero(self.which == k)}" for k, name in enumerate(self.names))
-        return f"<crossings of {found}>"
+        counts = ", ".join(f"{name}: {np.count_nonzero(self.which == k)}" for k, name in enumerate(self.names))
+        return f"<crossings of {counts}>"
 
-    def chosen(self, places: NDArray[Any]) -> Events:
+    def chosen(self, selection: NDArray[Any]) -> Events:
         """Select crossings by mask or indices."""
-        attitude = None if self.attitude is None else self.attitude[places]
-        t, x, which, member, direction = (getattr(self, name)[places] for name in PER_CROSSING)
+        attitude = None if self.attitude is None else self.attitude[selection]
+        t, x, which, member, direction = (getattr(self, name)[selection] for name in PER_CROSSING)
         return Events(self.names, t, x, which, member, direction, attitude, self.coordinates, self.asked)
 
     def __getitem__(self, name: str | int) -> Events:
@@ -222,14 +222,14 @@ class Events:
         >>> sol.events.ends(2).round(6)
         array([21.335034,       nan])
         """
-        found = np.full(members, np.nan)
+        times = np.full(members, np.nan)
         last = np.flatnonzero(np.diff(self.member, append=-1))  # last crossing of each member
         for event, asked in enumerate(self.asked):
             if asked.until:
-                seen = np.bincount(self.member[self.which == event], minlength=members)
-                ended = last[(self.which[last] == event) & (seen[self.member[last]] == asked.until)]
-                found[self.member[ended]] = self.t[ended]
-        return found
+                counts = np.bincount(self.member[self.which == event], minlength=members)
+                ended = last[(self.which[last] == event) & (counts[self.member[last]] == asked.until)]
+                times[self.member[ended]] = self.t[ended]
+        return times
 
     def plot(self, components: tuple[Any, Any] | None = None, axes: Any = None) -> Figure:
         """Plot two components of the states at the crossings, with one colour for each member.
@@ -245,7 +245,7 @@ class Events:
         -------
         matplotlib.figure.Figure
         """
-        from coadjoint.pictures.section import draw_crossings
+        from coadjoint.pictures.kinds.section import draw_crossings
 
         return draw_crossings(self, components, axes)
 

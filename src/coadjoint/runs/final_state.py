@@ -26,11 +26,11 @@ FLOAT64 = np.dtype(np.float64)
 ENDS_ONLY = 2**53
 """A `save_every` that saves only the start and the end."""
 MAX_CACHED_NUMBERS = 2**16
-"""Most numbers cached between calls; for larger runs the allocation is negligible next to the steps."""
+"""Largest number of entries cached between calls; for larger runs allocation is negligible."""
 
 
 class FinalStateRun:
-    """Reusable arrays for successive calls of one `PreparedRun`; concurrent calls need one object each."""
+    """Reusable arrays for successive calls of a `PreparedRun`; concurrent calls need separate objects."""
 
     _loops: SystemLoops
     _layout: Layout
@@ -70,11 +70,11 @@ class FinalStateRun:
             failed_count = self._advance()
             if failed_count < 0:
                 raise_outcome(failed_count)
-        except BaseException as ended:
+        except BaseException as error:
             raised = self._loops.raised()
-            raise ended if raised is None else raised from None
+            raise error if raised is None else raised from None
         if failed_count:
-            # The full run fails too and reports the step; it raises what a user's function raised.
+            # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()
             return None
         if self._max_evaluations < math.inf and self._evaluations[0] > self._max_evaluations:
@@ -82,7 +82,7 @@ class FinalStateRun:
         return self._end.copy()
 
     def _is_prepared_for(self, t_span: Any) -> bool:
-        """Whether the span equals that of the previous call in every bit."""
+        """Whether the span is bitwise equal to that of the previous call."""
         return (
             type(t_span) is tuple
             and len(t_span) == 2
@@ -107,14 +107,14 @@ class FinalStateRun:
     def _allocate(self, times: Times) -> None:
         """Allocate the arrays for this step, if the run is that of a single vector."""
         prepared, self._member_batch, self._h = self._prepared, None, times.h
-        found = prepared.loops(times.h)
-        if not isinstance(found, SystemLoops) or found.rows or prepared.carries:
+        loops = prepared.loops(times.h)
+        if not isinstance(loops, SystemLoops) or loops.rows or prepared.carries:
             return
-        plan = found.plan(1, 2, 0, 1)
+        plan = loops.plan(1, 2, 0, 1)
         check_run_memory(plan.layout, Times(times.t0, times.h, 1, 1), 1)
         if plan.layout.saved.size + plan.layout.state.size > MAX_CACHED_NUMBERS:
             return
-        self._loops, self._layout = found, plan.layout
+        self._loops, self._layout = loops, plan.layout
         self._saved, self._state = NamedArrays(plan.layout.saved), NamedArrays(plan.layout.state)
         ((self._member_batch,),) = plan.rounds
         # Accounts follow the coordinates, and start at zero.

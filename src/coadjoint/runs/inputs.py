@@ -1,4 +1,7 @@
-"""Inputs of a prepared run: coefficients of the linear term of H, and torques, that each call sets."""
+"""Inputs of a prepared run: coefficients of the linear term of H, and torques, that each call sets.
+
+The loops are compiled once; each call writes its inputs into copies of their tables.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
+from coadjoint.kernels.input_tables import InputsNotLocated, InputTables
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import MemberBatch
 from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.batch_loops import in_rounds
+from coadjoint.runs.batch_rows import MemberTables, Tables, split_members
+from coadjoint.runs.loops import ExecutionPlan, Loops, SystemLoops, values_of_watch
+from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -27,11 +37,11 @@ SEED = 1993
 
 
 class Inputs:
-    """The inputs of a prepared run: coefficients of the linear term of H, or constant torques.
+    """Inputs of a prepared run: coefficients of the linear term of H, or constant torques.
 
-    `given` is True (all coefficients, as the input ``linear``), a sequence of coordinates, or a mapping from names to
-    coordinates or to the label of a constant torque. `values` (m,) holds the defaults from the system, the linear term
-    first, then the torques; `indices` maps each name to its indices in `values`.
+    `specification` is True (all coefficients, as the input ``linear``), a sequence of coordinates, or a mapping from
+    names to coordinates or to the label of a constant torque. `values` (m,) are the defaults of the system, first the
+    linear term, then the torques; `indices` maps each name to its indices in `values`.
 
     Examples
     --------
@@ -41,7 +51,7 @@ class Inputs:
     array([0.5 , 0.  , 0.25])
     """
 
-    def __init__(self, system: System | ForcedSystem | Batch, given: Any) -> None:
+    def __init__(self, system: System | ForcedSystem | Batch, specification: Any) -> None:
         if isinstance(system, Batch):
             raise TypeError(
                 f"inputs are for one system, and this is {system!r}; prepare one system, whose inputs may have a value "
@@ -49,30 +59,36 @@ class Inputs:
             )
         self.system = system
         self._unforced: Any = system.system if isinstance(system, ForcedSystem) else system
-        if isinstance(given, bool | np.bool_) and given:
-            given = range(system.dim)
-        if isinstance(given, str):
-            raise TypeError(f"inputs is {short(given)}; give each torque a name, such as {{'torque': 'Torque'}}")
-        named = given if isinstance(given, Mapping) else {"linear": given}
+        if isinstance(specification, bool | np.bool_) and specification:
+            specification = range(system.dim)
+        if isinstance(specification, str):
+            raise TypeError(
+                f"inputs is {short(specification)}; give each torque a name, such as {{'torque': 'Torque'}}"
+            )
+        named = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
         self._linear = np.zeros(0)
-        if not all(isinstance(where, str) for where in named.values()):
+        if not all(isinstance(target, str) for target in named.values()):
             check_linear(self._unforced)
             self._linear = linear_of(self._unforced.hamiltonian, system.dim)
         self.values = self._linear
         self._torques: dict[int, NDArray[np.int64]] = {}
         self.indices: dict[str, NDArray[np.int64]] = {}
-        for name, where in named.items():
+        for name, target in named.items():
             self.indices[_name(name)] = (
-                self._torque_indices(where, name) if isinstance(where, str) else _coordinates(where, name, system.dim)
+                self._torque_indices(target, name)
+                if isinstance(target, str)
+                else _coordinates(target, name, system.dim)
             )
-        every = np.arange(len(self.values))
-        self._full_input = next((name for name, where in self.indices.items() if np.array_equal(where, every)), None)
-        self._input_indices = np.concatenate([where.ravel() for where in self.indices.values()])
+        all_indices = np.arange(len(self.values))
+        self._full_input = next(
+            (name for name, target in self.indices.items() if np.array_equal(target, all_indices)), None
+        )
+        self._input_indices = np.concatenate([target.ravel() for target in self.indices.values()])
         if len(np.unique(self._input_indices)) < len(self._input_indices):
-            twice = int(np.flatnonzero(np.bincount(self._input_indices) > 1)[0])
-            raise ValueError(f"inputs name coordinate {twice} more than once; each coefficient is one input")
+            repeated = int(np.flatnonzero(np.bincount(self._input_indices) > 1)[0])
+            raise ValueError(f"inputs name coordinate {repeated} more than once; each coefficient is one input")
 
     def _torque_indices(self, label: str, name: str) -> NDArray[np.int64]:
         """Append the torque of this label to the values, and return its indices."""
@@ -100,48 +116,49 @@ class Inputs:
         return indices
 
     def __repr__(self) -> str:
-        return ", ".join(f"{name} {where.shape}" for name, where in self.indices.items())
+        return ", ".join(f"{name} {indices.shape}" for name, indices in self.indices.items())
 
-    def read(self, given: Mapping[str, Any]) -> Floats:
-        """Return the values, (m,), or (members, m) if members have individual ones, with the given inputs inserted."""
-        if self._full_input is not None and list(given) == [self._full_input]:
+    def read(self, inputs: Mapping[str, Any]) -> Floats:
+        """Return the values with these inputs inserted: (m,), or (members, m) for individual values of members."""
+        if self._full_input is not None and list(inputs) == [self._full_input]:
             # All coefficients in coordinate order are the array itself.
-            numbers = read_numbers(given[self._full_input], self._full_input)
+            numbers = read_numbers(inputs[self._full_input], self._full_input)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
-        found, members = {}, None
-        for name, value in given.items():
-            where = self.indices.get(name)
-            if where is None:
+        arrays, members = {}, None
+        for name, value in inputs.items():
+            indices = self.indices.get(name)
+            if indices is None:
                 raise unknown_name("input of this run", name, self.indices)
             numbers = read_numbers(value, name)
-            if numbers.shape != where.shape:
-                several = numbers.shape[1:] == where.shape and numbers.ndim > where.ndim
-                if not several or not len(numbers) or members not in (None, len(numbers)):
+            if numbers.shape != indices.shape:
+                per_member = numbers.shape[1:] == indices.shape and numbers.ndim > indices.ndim
+                if not per_member or not len(numbers) or members not in (None, len(numbers)):
                     raise self._shape_error(name, numbers.shape, members)
                 members = len(numbers)
             if not are_finite(numbers):
                 raise ValueError(f"{name} contains NaN or infinity; every number must be finite")
-            found[name] = numbers
+            arrays[name] = numbers
         values = self.values.copy() if members is None else np.tile(self.values, (members, 1))
-        for name, numbers in found.items():
-            where = self.indices[name]
-            values[..., where.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - where.ndim], -1)
+        for name, numbers in arrays.items():
+            indices = self.indices[name]
+            values[..., indices.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - indices.ndim], -1)
         return values
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
-        own = self.indices[name].shape
-        each = ", ".join(map(str, ("members" if members is None else members, *own)))
+        expected = self.indices[name].shape
+        per_member = ", ".join(map(str, ("members" if members is None else members, *expected)))
         return ValueError(
-            f"{name} has the shape {shape}; as prepared it must be {own}, or ({each}) with a value for each member"
+            f"{name} has the shape {shape}; as prepared it must be {expected}, or ({per_member}) with a "
+            "value for each member"
         )
 
     def random_values(self) -> tuple[Floats, Floats]:
         """Return two arrays of values in which the inputs have reproducible random digits."""
-        one, other = self.values.copy(), self.values.copy()
+        first, second = self.values.copy(), self.values.copy()
         digits = 1.0 + np.random.default_rng(SEED).random((2, len(self._input_indices)))
-        one[self._input_indices], other[self._input_indices] = digits
-        return one, other
+        first[self._input_indices], second[self._input_indices] = digits
+        return first, second
 
     def settled(self, method: Method) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term."""
@@ -163,7 +180,7 @@ class Inputs:
         """Return the system of a call, or a batch with one system for each member."""
         if values.ndim == 1:
             return self.system_at(values)
-        return Batch([self.system_at(own) for own in values])
+        return Batch([self.system_at(row) for row in values])
 
 
 def _name(name: Any) -> str:
@@ -174,12 +191,100 @@ def _name(name: Any) -> str:
     return name
 
 
-def _coordinates(given: Any, name: str, n: int) -> NDArray[np.int64]:
-    numbers = read_numbers(given, f"the coordinates of {name}") if not isinstance(given, bool) else None
+def _coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
+    numbers = read_numbers(value, f"the coordinates of {name}") if not isinstance(value, bool) else None
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(
-            f"inputs has {short(given)} for {name}; give coordinates, whole numbers from 0 to {n - 1}, or True"
+            f"inputs has {short(value)} for {name}; give coordinates, whole numbers from 0 to {n - 1}, or True"
         )
     if np.any((numbers < 0) | (numbers >= n)):
-        raise ValueError(f"inputs has {short(given)} for {name}; coordinates run from 0 to {n - 1}")
+        raise ValueError(f"inputs has {short(value)} for {name}; coordinates run from 0 to {n - 1}")
     return numbers.astype(np.int64)
+
+
+class InputLoops:
+    """Loops for any values of the inputs, for a scheme with fixed parts; h is negative for backward runs.
+
+    `representation` is an array (n, d, d), "coadjoint" or None. ValueError: the scheme takes no inputs for this system.
+    """
+
+    def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
+        random_values = inputs.random_values()
+        self.base, comparison = (
+            SystemLoops(inputs.system_at(values), method, h, representation) for values in random_values
+        )
+        try:
+            self.tables = InputTables(
+                (self.base.prepared, comparison.prepared), (self.base.watch, comparison.watch), random_values
+            )
+        except InputsNotLocated as reason:
+            raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
+
+    def build_all(self) -> None:
+        """Build everything that would be built lazily."""
+        self.base.build_all()
+
+    def at(self, values: Floats) -> Loops:
+        """Return the loops of one call, from the values of `Inputs.read`, (m,) or (members, m)."""
+        try:
+            return CallLoops(self, values)
+        except OverflowError:
+            raise ValueError(
+                "the linear term is too large: a completed square overflows; give smaller inputs"
+            ) from None
+
+
+class CallLoops(Loops):
+    """Loops of one call, with its inputs in their tables."""
+
+    def __init__(self, input_loops: InputLoops, values: Floats) -> None:
+        base, tables = input_loops.base, input_loops.tables
+        self._base, self._stride = base, 0
+        self.names, self.accounts, self.corrected_groups = base.names, base.accounts, base.corrected_groups
+        self.size, self.memory, self.block = base.size, base.memory, base.block
+        if values.ndim == 1:
+            self._call_tables = [tables.shared(values)]
+        elif tables.separate_tables:
+            self._call_tables = [tables.shared(row) for row in values]
+        else:
+            *call_tables, self._stride = tables.each(values)
+            self._call_tables = [tuple(call_tables)]
+
+    def plan(self, members: int, points: int, square: int, workers: int) -> ExecutionPlan:
+        """Return the plan of the run; its layout, and batches that share tables, are cached from the last call."""
+        cached = self._base.plan(members, points, square, workers)
+        if len(self._call_tables) == 1 and not self._stride:
+            rounds = [
+                [member_batch.with_tables(*self._call_tables[0]) for member_batch in member_batches]
+                for member_batches in cached.rounds
+            ]
+        else:
+            rounds = self.rounds(members, workers)
+        return ExecutionPlan(cached.key, cached.layout, rounds)
+
+    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
+        """Return the batches of members with individual inputs, in common or in separate tables."""
+        loop = self._base.prepared.name
+        if self._stride:
+            bounds = split_members(0, members, workers, limit("LARGEST_CROWD"))
+            return [[MemberBatch(loop, *self._call_tables[0], *part, self._stride) for part in bounds]]
+        return in_rounds(
+            [MemberBatch(loop, *part, m, m + 1, base=m) for m, part in enumerate(self._call_tables)], workers
+        )
+
+    def pieces(self, watch: Any = None) -> MemberTables:
+        """Return the tables of all members, or those of each member."""
+        loop = self._base.prepared.name
+        if len(self._call_tables) == 1:
+            return [(Tables(loop, self._call_tables[0][0], watch or self._call_tables[0][1], self._stride), None)]
+        return [(Tables(loop, part[0], watch or part[1]), np.array([m])) for m, part in enumerate(self._call_tables)]
+
+    def values_at(self, state: Floats, t: float, last: Floats) -> Floats:
+        return values_of_watch(self._call_tables[0][1], self._base.period, state, t, last)  # inputs change no period
+
+    def raised(self) -> BaseException | None:
+        """Return and clear the exception raised by a user function in the loop."""
+        return self._base.raised()
+
+    def initial_groups(self, groups: Floats) -> Floats:
+        return self._base.initial_groups(groups)

@@ -137,9 +137,9 @@ def integrate(
     if rtol is not None or atol is not None:
         raise TypeError(f"integrate has no {'rtol' if atol is None else 'atol'}: {NO_ERROR_CONTROL}")
     if (step is None) == (accuracy is None):
-        given = "neither" if step is None else "both"
+        supplied = "neither" if step is None else "both"
         raise TypeError(
-            f"integrate was given {given} of step and accuracy; give step=, or accuracy= to have the step chosen"
+            f"integrate was given {supplied} of step and accuracy; give step=, or accuracy= to have the step chosen"
         )
     progress = read_progress(progress)
     choice = None
@@ -147,13 +147,13 @@ def integrate(
         choice = chosen_for(accuracy, system, x0, t_span, attitude, method)
         method, step = choice.method, choice.step
     assert step is not None
-    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
+    prepared = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
     if archive is None:
-        sol = ready.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
+        sol = prepared.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
     else:
         from coadjoint.files.archives.resume import archive_run
 
-        sol = archive_run(ready, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events)
+        sol = archive_run(prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events)
     return with_choice(sol, choice)
 
 

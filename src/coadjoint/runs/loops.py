@@ -25,14 +25,14 @@ from coadjoint.systems.system_checks import System, unforced
 UNTRACKED = Quadratic(0.0)
 """Placeholder for an invariant that the loops do not track."""
 UNPICKLED = ("prepared", "watch", "_keepalive", "_structures", "_plan")
-"""Attributes of `SystemLoops` that contain addresses, or are built from such; not pickled."""
+"""Attributes of `SystemLoops` that contain addresses or derive from them; not pickled."""
 GroupCorrection = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
 class ExecutionPlan:
-    """Array layout and rounds of crews, shared by runs with equal numbers of members and saved points.
+    """Array layout and rounds of member batches, shared by runs with equal numbers of members and saved points.
 
-    Crews of one round run concurrently; the rounds run one after the other.
+    The batches of a round run concurrently; the rounds run one after the other.
     """
 
     def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[MemberBatch]]) -> None:
@@ -45,25 +45,25 @@ class Loops(ABC):
     Attributes
     ----------
     order : ndarray or None
-        Permutation of the members within a run; None if they keep the given order.
+        Permutation of the members within a run; None for the given order.
     names : list of str
         The tracked invariants, the energy first.
     accounts : tuple of (str, str)
-        Accumulators behind the coordinates of a state: the work of a force on an invariant. If there are any, each of
-        `names` is also tracked less the work of the forces.
+        Accumulators behind the coordinates of a state: (force, invariant) pairs whose work is recorded. With accounts,
+        each of `names` is also tracked minus the work of the forces.
     size : int
         Numbers of a state: the dimension of the system, and the accounts.
     memory : int
-        Numbers of a member that persist from step to step.
+        Numbers per member that persist from step to step.
     rows : int
         Rows of the matrices of a matrix system, else 0.
     measures : bool
-        Whether `measure` does anything.
+        Whether `measure` computes invariants that the loops do not track.
     block : int
         Members with the same tables that are advanced side by side.
-    turned : callable
-        ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from those
-        that the loops saved. It does not keep the tables of the loops alive.
+    corrected_groups : callable
+        ``corrected_groups(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run
+        from those saved by the loops. It does not keep the tables of the loops alive.
     """
 
     order: NDArray[np.int64] | None = None
@@ -93,10 +93,10 @@ class Loops(ABC):
 
     @abstractmethod
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
-        """Return the rounds of crews; those of a round run concurrently."""
+        """Return the rounds of member batches."""
 
     def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[MemberBatch]] | None:
-        """Return the crews of some members, ascending, packed side by side; None if not supported."""
+        """Return rounds of the given members, ascending, packed side by side; None if not supported."""
         return None
 
     @abstractmethod
@@ -105,12 +105,12 @@ class Loops(ABC):
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Whether `corrected_groups` may return infinite elements although those of the loops are finite."""
-        return any(unshift.may_overflow(start, times) for unshift in self.shift_corrections)
+        return any(correction.may_overflow(start, times) for correction in self.shift_corrections)
 
     def build_all(self) -> None:
-        """Build everything that is otherwise built lazily."""
-        for unshift in self.shift_corrections:
-            unshift.build()
+        """Build everything that would be built lazily."""
+        for correction in self.shift_corrections:
+            correction.build()
 
     @property
     def shift_corrections(self) -> Sequence[ShiftCorrection]:
@@ -126,12 +126,12 @@ class Loops(ABC):
     ) -> NDArray[np.float64]:
         """Return group elements (m, d, d) of members at times since their starts, from those of the loops (m, d*d)."""
         d = start.groups.shape[1]
-        found = np.array(np.swapaxes(loop_groups.reshape(-1, d, d), 1, 2))
+        groups = np.array(np.swapaxes(loop_groups.reshape(-1, d, d), 1, 2))
         for row, member in enumerate(members.tolist()):
-            unshift = self.shift_correction_of(member)
-            if unshift is not None:
-                found[row] = unshift.at(start, member, float(elapsed[row]), loop_groups[row])
-        return found
+            correction = self.shift_correction_of(member)
+            if correction is not None:
+                groups[row] = correction.at(start, member, float(elapsed[row]), loop_groups[row])
+        return groups
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the invariants of a single-member run at a state; multivalued ones on the branch nearest to `last`."""
@@ -157,7 +157,7 @@ class Loops(ABC):
 
     @abstractmethod
     def raised(self) -> BaseException | None:
-        """Return the exception that a user's function raised in a loop, and clear it; or None."""
+        """Return and clear the exception raised by a user function in a loop, or None."""
 
     @abstractmethod
     def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -202,9 +202,9 @@ class SystemLoops(Loops):
             ShiftCorrection(system, prepared.shift, representation) if self._shifted else uncorrected_groups
         )
         self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
-        self._read(prepared, watch)
+        self._set_tables(prepared, watch)
 
-    def _read(self, prepared: CompiledLoop, watch: Any) -> None:
+    def _set_tables(self, prepared: CompiledLoop, watch: Any) -> None:
         from coadjoint.kernels.structures import as_structure
 
         self._keepalive = watch.keepalive
@@ -223,30 +223,32 @@ class SystemLoops(Loops):
         """Return the attributes, with the tables in a form that can be pickled."""
         from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
-        other = {name: value for name, value in vars(self).items() if name not in UNPICKLED}
-        return {**other, "sent": (picklable_loop(self.prepared), picklable_tables(self.watch, self._keepalive))}
+        picklable = {name: value for name, value in vars(self).items() if name not in UNPICKLED}
+        return {**picklable, "tables": (picklable_loop(self.prepared), picklable_tables(self.watch, self._keepalive))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         from coadjoint.kernels.pickling import restored_loop, restored_tables
 
-        loop, watch = state.pop("sent")
+        loop, watch = state.pop("tables")
         self.__dict__.update(state)
-        self._read(restored_loop(loop), restored_tables(watch))
+        self._set_tables(restored_loop(loop), restored_tables(watch))
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
-        """Return one round with a crew for each thread; members advanced side by side share a crew."""
-        return [[self.member_batch(*places) for places in split_members(0, members, workers, self.block)]]
+        """Return one round with a batch for each thread; members that advance side by side share a batch."""
+        return [[self.member_batch(*bounds) for bounds in split_members(0, members, workers, self.block)]]
 
     def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[MemberBatch]] | None:
-        own = self.member_batch(0, 1)
-        return [[own.among(members[slice(*places)]) for places in split_members(0, len(members), workers, self.block)]]
+        batch = self.member_batch(0, 1)
+        return [
+            [batch.among(members[slice(*bounds)]) for bounds in split_members(0, len(members), workers, self.block)]
+        ]
 
     def pieces(self, watch: Any = None) -> MemberTables:
         """Return the tables, which all members share."""
         return [(Tables(*self._structures[:2], watch or self._structures[2]), None)]
 
     def member_batch(self, first: int, last: int, base: int = 0) -> MemberBatch:
-        """Return the members first to last - 1 as a crew; `base` as for `MemberBatch`."""
+        """Return the batch of the members first to last - 1; `base` as for `MemberBatch`."""
         return MemberBatch(*self._structures, first, last, base=base)
 
     def measure(
@@ -258,10 +260,10 @@ class SystemLoops(Loops):
         first = self._values(start.momenta, times.t0)
         for k in points.tolist():
             number = int(times.saved[k])
-            found = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
+            values = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
             tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
             with np.errstate(invalid="ignore"):  # members may be about to overflow
-                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
+                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(values - first))
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         if self._matrices is not None:
@@ -277,34 +279,32 @@ class SystemLoops(Loops):
         """Return the energy and the invariants of matrices."""
         if self._matrices is None:
             return None
-        return np.concatenate([self._values(x[None], when) for x, when in zip(states, t.tolist(), strict=True)])
+        return np.concatenate([self._values(x[None], time) for x, time in zip(states, t.tolist(), strict=True)])
 
     def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         system = self._matrices
         assert system is not None
         # States after a failure are NaN; user functions are not called on them.
-        sound = np.isfinite(states[:, : system.dim]).all(axis=-1)
-        found = np.full((len(states), len(self.names) * (2 if self.accounts else 1)), np.nan)
-        W = system.from_vector(states[sound, : system.dim])
+        finite = np.isfinite(states[:, : system.dim]).all(axis=-1)
+        result = np.full((len(states), len(self.names) * (2 if self.accounts else 1)), np.nan)
+        W = system.from_vector(states[finite, : system.dim])
         with np.errstate(all="ignore"):
             values = [system.energy(W, t), *system.casimirs_at(W).values()]
         if self.accounts:
-            # Less the work of the forces, from the accounts of a state; a start has none.
-            done = {name: np.zeros(len(W)) for name in self.names}
-            for (_, name), column in zip(self.accounts, states[sound, system.dim :].T, strict=False):
-                done[name] += column
-            values += [value - done[name] for value, name in zip(values, self.names, strict=True)]
-        found[sound] = np.stack(values, axis=-1)
-        return found
+            # Minus the work of the forces, from the accounts of a state; the start has none.
+            work = {name: np.zeros(len(W)) for name in self.names}
+            for (_, name), column in zip(self.accounts, states[finite, system.dim :].T, strict=False):
+                work[name] += column
+            values += [value - work[name] for value, name in zip(values, self.names, strict=True)]
+        result[finite] = np.stack(values, axis=-1)
+        return result
 
     def raised(self) -> BaseException | None:
-        """Return the exception that a user's function raised in the loop."""
+        """Return and clear the exception raised by a user function in the loop."""
         return self.prepared.raised()
 
     def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the given elements; unit elements for a shifted run, which `corrected_groups` multiplies by the given
-        ones.
-        """
+        """Return the initial elements; for a shifted run unit elements, which `corrected_groups` replaces."""
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
 
 
@@ -314,11 +314,11 @@ def values_of_watch(
     """Return the invariants of a watch at a state; those with a period > 0 on the branch nearest to `last`."""
     from coadjoint.kernels.recording_tables import values_along
 
-    found = np.empty((1, 1, len(last)))
-    values_along(watch, state[None, None], np.array([t]), found)
+    values = np.empty((1, 1, len(last)))
+    values_along(watch, state[None, None], np.array([t]), values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        turns = np.where(period > 0.0, np.floor((last - found[0, 0]) / period + 0.5), 0.0)
-    return np.asarray(found[0, 0] + period * turns)
+        periods = np.where(period > 0.0, np.floor((last - values[0, 0]) / period + 0.5), 0.0)
+    return np.asarray(values[0, 0] + period * periods)
 
 
 @lru_cache(maxsize=8)

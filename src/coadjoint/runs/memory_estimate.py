@@ -19,19 +19,19 @@ def bytes_of_run(layout: Layout, times: Times) -> int:
 
 def check_run_memory(layout: Layout, times: Times, members: int) -> None:
     """Raise ValueError if a run's arrays exceed the free memory; suggest a `save_every` that fits, if any."""
-    need = bytes_of_run(layout, times)
-    if need <= UNCHECKED_BYTES:
+    required = bytes_of_run(layout, times)
+    if required <= UNCHECKED_BYTES:
         return
     free = memory.available()
-    if need <= free:
+    if required <= free:
         return
-    one = BYTES_PER_NUMBER * (layout.saved.size // times.points) + BYTES_PER_POINT
-    points = (free - (need - one * times.points)) // one
+    bytes_per_point = BYTES_PER_NUMBER * (layout.saved.size // times.points) + BYTES_PER_POINT
+    points = (free - (required - bytes_per_point * times.points)) // bytes_per_point
     # The start and the end are always saved.
     every = -(-times.steps // (points - 1)) if points >= 2 else 0
-    fewer = f"give save_every={every} or more" if times.marks is None else "give fewer times in t_eval"
-    right = fewer if every else "run fewer members at a time"
+    reduction = f"give save_every={every} or more" if times.marks is None else "give fewer times in t_eval"
+    advice = reduction if every else "run fewer members at a time"
     raise ValueError(
         f"{short(times.points)} saved points of {members} member{'s' if members > 1 else ''} need about "
-        f"{format_bytes(need)}; this machine has {format_bytes(free)} free; {right}"
+        f"{format_bytes(required)}; this machine has {format_bytes(free)} free; {advice}"
     )

@@ -20,10 +20,10 @@ from coadjoint.validation import read_number
 
 
 class Observed:
-    """Quantities evaluated at saved points; each function is called once at x0, and must return one real number.
+    """Quantities evaluated at saved points; each function is called once at x0 for validation.
 
     `observe` maps names to `Polynomial`, `Quadratic` or functions of x (of a matrix for matrix systems). TypeError: any
-    other value, or a function that does not compile.
+    other value, or a function that does not compile or does not return a real number.
     """
 
     def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
@@ -35,9 +35,9 @@ class Observed:
         start: Any = x0
         if self._matrices is not None:
             start = self._matrices.states(x0)
-            _check_of_matrices(self._matrices, observe)
-        for name, given in observe.items():
-            value = _value_at(given, name, start.copy())
+            _check_matrix_functions(self._matrices, observe)
+        for name, quantity in observe.items():
+            value = _value_at(quantity, name, start.copy())
             if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
                 raise TypeError(
                     f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
@@ -45,7 +45,9 @@ class Observed:
         if self._matrices is not None:
             return
         kinds = (Polynomial, Quadratic, Invariant)
-        wrapped = {name: given if isinstance(given, kinds) else Invariant(given) for name, given in observe.items()}
+        wrapped = {
+            name: quantity if isinstance(quantity, kinds) else Invariant(quantity) for name, quantity in observe.items()
+        }
         self._compiled, self._values_along = watch_tables(system, wrapped), values_along
 
     def along(self, t: NDArray[np.float64], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -58,21 +60,21 @@ class Observed:
         return {name: out[..., i + 1] for i, name in enumerate(self._names)}
 
     def _of_matrices(self, name: str, t: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate a Python function of a matrix at all points; NaN for members that have failed."""
+        """Evaluate a Python function of a matrix at all points; NaN for failed members."""
         assert self._matrices is not None
         function, system = self._quantities[name], self._matrices
         timed = takes_time(function, name)
-        found = np.full(points.shape[:2], np.nan)
+        values = np.full(points.shape[:2], np.nan)
         for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
             W = system.states(points[k, m, : system.dim].copy())
             value = function(W, float(t[k])) if timed else function(W)
-            found[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
-        return found
+            values[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
+        return values
 
 
-def _check_of_matrices(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
-    for name, given in observe.items():
-        if isinstance(given, Polynomial | Quadratic):
+def _check_matrix_functions(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
+    for name, quantity in observe.items():
+        if isinstance(quantity, Polynomial | Quadratic):
             raise TypeError(
                 f"observe[{short(name)}] is a function of coordinates, and the states of {system.name} are matrices; "
                 "give a function of a matrix"
@@ -83,20 +85,20 @@ def check_observe(observe: Any) -> dict[str, Any]:
     """Validate `observe` and return a copy."""
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
         raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
-    for name, given in observe.items():
-        if not isinstance(given, Polynomial | Quadratic | Invariant) and not callable(given):
+    for name, quantity in observe.items():
+        if not isinstance(quantity, Polynomial | Quadratic | Invariant) and not callable(quantity):
             raise TypeError(
-                f"observe[{short(name)}] is {short(given)}; it must be a Polynomial or a function, or a Quadratic"
+                f"observe[{short(name)}] is {short(quantity)}; it must be a Polynomial or a function, or a Quadratic"
             )
     return dict(observe)
 
 
-def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
-    """Evaluate a quantity at the start; NaN if it is undefined there, as in the run itself."""
+def _value_at(quantity: Any, name: str, x0: NDArray[np.float64]) -> Any:
+    """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
     try:
-        return 0.0 if isinstance(given, Polynomial | Quadratic) or takes_time(given, name) else given(x0)
+        return 0.0 if isinstance(quantity, Polynomial | Quadratic) or takes_time(quantity, name) else quantity(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")
     except (IndexError, KeyError, TypeError, AttributeError) as reason:
-        said = in_one_line(str(reason), 200)
-        raise type(reason)(f"observe[{short(name)}] cannot be evaluated at the start: {said}") from None
+        message = in_one_line(str(reason), 200)
+        raise type(reason)(f"observe[{short(name)}] cannot be evaluated at the start: {message}") from None

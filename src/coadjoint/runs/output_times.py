@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 ULP_TOLERANCE = 4
-"""A time within this many units in the last place (of the larger end of the span) of a step is that step."""
+"""Times this close to a step, in units in the last place of the larger end of the span, are at the step."""
 ROWS_PER_CALL = 2**16
 """States processed at once."""
 
 
 class OutputTimes(NamedTuple):
-    """Output times: the number of the step at or before each, and the remaining time `length` beyond that step."""
+    """Output times, with the number of the step at or before each and the remaining time `length` after it."""
 
     t: Floats
     number: NDArray[np.int64]
@@ -57,28 +57,28 @@ def output_times_of(t_eval: Any, times: Times, save_every: Any = 1) -> OutputTim
     """
     if save_every != 1:
         raise ValueError("the run was given save_every and t_eval; give only one of them")
-    given = read_numbers(t_eval, "t_eval")
-    if given.ndim != 1 or not len(given):
-        raise ValueError(f"t_eval has the shape {given.shape}; it must be a row of times, at least one")
-    if not are_finite(given):
+    values = read_numbers(t_eval, "t_eval")
+    if values.ndim != 1 or not len(values):
+        raise ValueError(f"t_eval has the shape {values.shape}; it must be a row of times, at least one")
+    if not are_finite(values):
         raise ValueError("t_eval contains NaN or infinity; every time must be finite")
-    t = np.array(given, dtype=np.float64)
+    t = np.array(values, dtype=np.float64)
     forward = times.h > 0.0
-    wrong = np.flatnonzero(t[1:] < t[:-1] if forward else t[1:] > t[:-1])
-    if len(wrong):
-        k = int(wrong[0]) + 1
+    unsorted = np.flatnonzero(t[1:] < t[:-1] if forward else t[1:] > t[:-1])
+    if len(unsorted):
+        k = int(unsorted[0]) + 1
         raise ValueError(
             f"t_eval[{k}] is {t[k]:g} and comes after {t[k - 1]:g}; times must be sorted in the direction of t_span"
         )
-    near = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+    tolerance = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
     low, high = (times.t0, times.end) if forward else (times.end, times.t0)
-    outside = np.flatnonzero((t < low - near) | (t > high + near))
+    outside = np.flatnonzero((t < low - tolerance) | (t > high + tolerance))
     if len(outside):
         k = int(outside[0])
         raise ValueError(f"t_eval[{k}] is {t[k]:g}; it must lie within t_span, from {times.t0:g} to {times.end:g}")
     steps = np.clip((t - times.t0) / times.h, 0, times.steps)
     nearest = np.rint(steps).astype(np.int64)
-    at_step = np.abs(t - times.at(nearest)) <= near
+    at_step = np.abs(t - times.at(nearest)) <= tolerance
     before = np.minimum(np.floor(steps).astype(np.int64), max(times.steps - 1, 0))
     # Division may round up to a whole number from just below.
     early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0
@@ -99,12 +99,12 @@ def resample(run: Run, moments: OutputTimes) -> None:
     ensemble, later states are NaN. A member whose partial step fails is marked as failed. ValueError: noise, or too
     little memory.
     """
-    marked, members = run.saved, len(run.start.momenta)
-    way, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
+    marked_points, members = run.saved, len(run.start.momenta)
+    direction, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
     if run.ending is not None:
-        before = way * moments.t < way * run.ending.t
+        before = direction * moments.t < direction * run.ending.t
         moments = OutputTimes(moments.t[before], moments.number[before], moments.length[before])
-    # Exactly n h at a step, whatever its time is rounded to.
+    # Exactly n h at a step, independent of the rounding of its time.
     elapsed = moments.number * run.times.h + moments.length
     times = run.times.with_saved_steps(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
     if run.ending is not None:
@@ -112,26 +112,26 @@ def resample(run: Run, moments: OutputTimes) -> None:
         run.ending = run.ending._replace(points=times.points)
     layout = Layout(run.plan.layout.extent._replace(points=times.points))
     check_run_memory(layout, times, members)
-    saved, place = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
+    saved, points = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
     names = ("x", "group", "values")
-    source, target = ([arrays[name] for name in names] for arrays in (marked, saved))
-    for to, given in zip(target, source, strict=True):
-        to[: len(place)] = given[place]
+    source, target = ([arrays[name] for name in names] for arrays in (marked_points, saved))
+    for to_array, from_array in zip(target, source, strict=True):
+        to_array[: len(points)] = from_array[points]
     if run.ending is not None:
         saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
-    inside = np.flatnonzero(moments.length)
-    if len(inside):
+    partial = np.flatnonzero(moments.length)
+    if len(partial):
         parts = PartialSteps(run.built_system, run.method, run.loops, run.workers)
-        # A failed member has no partial step within the step that failed.
+        # A failed member has no partial steps within its failed step.
         last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
         chunk = max(1, ROWS_PER_CALL // members)
-        for first in range(0, len(inside), chunk):
-            some = inside[first : first + chunk]
-            _fill(parts, run, moments, some, (last, way * ends), target)
+        for first in range(0, len(partial), chunk):
+            chunk_points = partial[first : first + chunk]
+            _fill(parts, run, moments, chunk_points, (last, direction * ends), target)
         late = (moments.ends[:, None] >= last) & (run.state["status"] != 0)
         for array in target:
             array[: len(late)][late] = np.nan
-    run.initial, run.saved, run.times = marked["values"][0], saved, times
+    run.initial, run.saved, run.times = marked_points["values"][0], saved, times
 
 
 def _with_ending(times: Times, ending: TerminalEvent) -> Times:
@@ -145,30 +145,31 @@ def _with_ending(times: Times, ending: TerminalEvent) -> Times:
 
 
 def _fill(
-    parts: PartialSteps, run: Run, moments: OutputTimes, some: NDArray[np.int64], lasting: Any, target: list[Floats]
+    parts: PartialSteps, run: Run, moments: OutputTimes, some: NDArray[np.int64], limits: Any, target: list[Floats]
 ) -> None:
-    """Compute the states at the chosen output times by partial steps, for members that neither failed nor ended."""
+    """Compute the states at these output times by partial steps, for members that have neither failed nor ended."""
     x, group, values = target
     k, owners = (axis.ravel() for axis in np.meshgrid(some, np.arange(x.shape[1]), indexing="ij"))
-    failing, ending = lasting
-    gone = (1.0 if run.times.h > 0.0 else -1.0) * moments.t[k] > ending[owners]
-    going = (moments.ends[k] < failing[owners]) & ~gone
+    failing, ending = limits
+    past_end = (1.0 if run.times.h > 0.0 else -1.0) * moments.t[k] > ending[owners]
+    active = (moments.ends[k] < failing[owners]) & ~past_end
     for array in target:
-        array[k[~going], owners[~going]] = np.nan
-    k, owners = k[going], owners[going]
+        array[k[~active], owners[~active]] = np.nan
+    k, owners = k[active], owners[active]
     if not len(k):
         return
     starts = run.times.at(moments.number[k])
-    found = parts.attempt(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
-    x[k, owners], group[k, owners] = found.momenta, found.groups
-    for row in np.flatnonzero(found.status).tolist():
+    result = parts.attempt(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
+    x[k, owners], group[k, owners] = result.momenta, result.groups
+    for row in np.flatnonzero(result.status).tolist():
         m, step = int(owners[row]), int(moments.ends[k[row]])
         if step < failing[m]:
             failing[m] = step
-            run.mark_failed(m, step, status_name(found.status[row]), float(found.residual[row]))
-    measured = run.loops.measured_at(found.momenta, moments.t[k])
+            run.mark_failed(m, step, status_name(result.status[row]), float(result.residual[row]))
+    measured = run.loops.measured_at(result.momenta, moments.t[k])
     if measured is None:
         # Multivalued invariants were followed along the run, and are continued from there by whole periods.
-        turns = values[k, owners] - found.before
-        measured = np.where(turns == 0.0, found.values, found.values + turns)
+        saved = values[k, owners]
+        with np.errstate(invalid="ignore"):  # an energy that overflowed
+            measured = np.where(saved == result.before, result.values, result.values + (saved - result.before))
     values[k, owners] = measured

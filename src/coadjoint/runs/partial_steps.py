@@ -30,20 +30,20 @@ SINGLE_THREAD_ROWS = 256
 
 def reject_noise(system: Any) -> None:
     """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
-    moved = system[0] if isinstance(system, Batch) else system
-    if isinstance(moved, ForcedSystem):
-        noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]
+    forced = system[0] if isinstance(system, Batch) else system
+    if isinstance(forced, ForcedSystem):
+        noises = [label for label, force in zip(forced.labels, forced.forces, strict=True) if force.random]
         if noises:
             raise ValueError(
-                f"{noises[0]} of {moved.name} is a noise, drawn once for a step: there is no state between two steps; "
+                f"{noises[0]} of {forced.name} is a noise, drawn once for a step: there is no state between two steps; "
                 "give times that are whole numbers of steps from the start"
             )
 
 
 class StepResult(NamedTuple):
-    """Result of one step for each row: momenta, group elements, and the invariants after and before it.
+    """Momenta, group elements and invariants after one step for each row, and the invariants before it.
 
-    In rows that failed these are NaN, and `status` is not zero.
+    In failed rows these are NaN, and `status` is not zero.
     """
 
     momenta: Floats
@@ -58,7 +58,7 @@ class PartialSteps:
     """Steps of arbitrary lengths by the scheme of a run, one for each of many states.
 
     A step of length theta h has the properties of the scheme: its order, its invariants, the group element. It starts
-    without history: compensated sums are zero, and iterations have no previous values. Each row's bits depend on that
+    without history: compensated sums are zero, and iterations have no previous values. The bits of a row depend on that
     row only. `loops` are those of one direction; a system with noise raises ValueError.
 
     Examples
@@ -88,32 +88,18 @@ class PartialSteps:
         lengths: Floats,
         owners: NDArray[np.int64] | None = None,
     ) -> tuple[Floats, Floats]:
-        """Return the momenta and group elements after one step for each row.
+        """Return the momenta and group elements after one step of each row; IntegrationError if a step fails.
 
-        Parameters
-        ----------
-        momenta : ndarray, shape (m, size)
-            States as a run saves them, with the accounts of forces behind the coordinates. Rows that are not finite
-            are returned as NaN.
-        groups : ndarray, shape (m, d*d) or (m, 0)
-            Group elements as the loops store them: transposed, and without the shift of the Hamiltonian.
-        times, lengths : ndarray, shape (m,)
-            Start and length of the step of each row; a negative length is backward.
-        owners : ndarray of int, shape (m,), optional
-            Member of each row, if tables differ between members; by default row i belongs to member i.
-
-        Raises
-        ------
-        IntegrationError
-            A partial step failed where the whole step did not.
+        `momenta` (m, size) and `groups` (m, d*d) are in the storage of the loops; rows that are not finite give NaN.
+        `owners` (m,) are the members of the rows; by default row i belongs to member i.
         """
-        found = self.attempt(momenta, groups, times, lengths, owners)
-        failed = np.flatnonzero(found.status)
+        result = self.attempt(momenta, groups, times, lengths, owners)
+        failed = np.flatnonzero(result.status)
         if len(failed):
             row = int(failed[0])
             owner = row if owners is None else int(owners[row])
-            raise self._failure(found, row, owner, float(times[row]), float(lengths[row]))
-        return found[:2]
+            raise self._failure(result, row, owner, float(times[row]), float(lengths[row]))
+        return result[:2]
 
     def attempt(
         self,
@@ -125,22 +111,28 @@ class PartialSteps:
         watched: bool = False,
     ) -> StepResult:
         """Like `take`, but return failures instead of raising, and the tracked invariants if `watched`."""
-        count, m = self.loops.tracked if watched else 0, len(momenta)
+        tracked, m = self.loops.tracked if watched else 0, len(momenta)
         x, group, after, before = (
-            np.full((m, width), np.nan) for width in (momenta.shape[1], groups.shape[1], count, count)
+            np.full((m, width), np.nan) for width in (momenta.shape[1], groups.shape[1], tracked, tracked)
         )
-        found = StepResult(x, group, after, before, np.zeros(m, dtype=np.int64), np.zeros(m))
+        result = StepResult(x, group, after, before, np.zeros(m, dtype=np.int64), np.zeros(m))
         owners = np.arange(len(momenta)) if owners is None else owners
-        sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
-        numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * count + 8
+        finite = np.flatnonzero(np.isfinite(momenta).all(axis=1))
+        numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * tracked + 8
         chunk = max(1, MAX_NUMBERS // numbers)
-        workers = self.workers if len(sound) > SINGLE_THREAD_ROWS else 1
-        for first in range(0, len(sound), chunk):
-            some = sound[first : first + chunk]
-            given = momenta[some], groups[some], times[some], lengths[some], owners[some]
-            for every, own in zip(found, self._take(*given, watched, workers), strict=True):
-                every[some] = own
-        return found
+        workers = self.workers if len(finite) > SINGLE_THREAD_ROWS else 1
+        for first in range(0, len(finite), chunk):
+            chunk_rows = finite[first : first + chunk]
+            arguments = (
+                momenta[chunk_rows],
+                groups[chunk_rows],
+                times[chunk_rows],
+                lengths[chunk_rows],
+                owners[chunk_rows],
+            )
+            for target, values in zip(result, self._take(*arguments, watched, workers), strict=True):
+                target[chunk_rows] = values
+        return result
 
     def _take(
         self,
@@ -154,27 +146,27 @@ class PartialSteps:
     ) -> list[NDArray[Any]]:
         loops = self.loops
         pieces = loops.pieces(None if watched else self._no_values)
-        rows, own, member_batches = rows_of_pieces(pieces, owners, workers, loops.block)
+        rows, filled, member_batches = rows_of_pieces(pieces, owners, workers, loops.block)
         count = loops.tracked if watched else 0
         layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
         saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
         state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
-        starts, steps = times[rows].astype(np.float64), np.where(own, lengths[rows], 0.0)
+        starts, steps = times[rows].astype(np.float64), np.where(filled, lengths[rows], 0.0)
         schedule = partial_step_schedule(starts, steps)
         with limited_blas_threads(loops.rows, workers):
             run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops, workers)
-        place = np.empty(len(momenta), dtype=np.int64)
-        place[rows[own]] = np.flatnonzero(own)
+        slots = np.empty(len(momenta), dtype=np.int64)
+        slots[rows[filled]] = np.flatnonzero(filled)
         arrays = (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])
-        status = state["status"][place]
-        moved = [np.where(status[:, None] == codes("Status")["DONE"], array[place], np.nan) for array in arrays]
-        return [*moved, status, state["residual"][place]]
+        status = state["status"][slots]
+        ends = [np.where(status[:, None] == codes("Status")["DONE"], array[slots], np.nan) for array in arrays]
+        return [*ends, status, state["residual"][slots]]
 
-    def _failure(self, found: StepResult, row: int, owner: int, start: float, length: float) -> IntegrationError:
-        residual = float(found.residual[row])
-        what = failure_text(status_name(found.status[row]), self.method, self.loops, residual)
+    def _failure(self, result: StepResult, row: int, owner: int, start: float, length: float) -> IntegrationError:
+        residual = float(result.residual[row])
+        reason = failure_text(status_name(result.status[row]), self.method, self.loops, residual)
         return IntegrationError(
-            f"in a part of a step, of length {length:g} from t = {start:g}, {what} for member {owner}; "
+            f"in a part of a step, of length {length:g} from t = {start:g}, {reason} for member {owner}; "
             "take a smaller step",
             step=0,
             time=start,

@@ -27,7 +27,7 @@ NOT_OCCURRED = np.array([-1.0, np.nan])
 
 
 class PiecewiseRun:
-    """A run that holds only its most recent saved points: those since `release_points`, at most `max_points` of them.
+    """A run that holds only the points saved since the last `release_points`, at most `max_points`.
 
     Pieces end at multiples of `max_points` points, counted over the whole run; `stored` resumes a run.
     `order_undefined` is True if an interrupt has left the saved points of a batch in an undefined order; no further
@@ -46,11 +46,10 @@ class PiecewiseRun:
         state = None if stored is None else state_of(stored)
         if state is not None and state.number == 0:
             state = None  # no step yet: begin at the start
-        self._most = max_points
+        self._max_points = max_points
         passed = 0 if state is None else times.after(state.number).passed
-        points_held = (
-            max_points - passed % max_points if passed else max(2, max_points)
-        )  # the start alone would leave no place for a step
+        # At least two: the start alone would leave no room for a step.
+        points_held = max_points - passed % max_points if passed else max(2, max_points)
         self.run = prepared.begun(times._replace(max_points=points_held), start, state=state)
         worst = self.run.state["worst"]
         self._earlier_worst: NDArray[np.float64] = np.zeros_like(worst)
@@ -102,18 +101,16 @@ class PiecewiseRun:
                 self.run.initial = first[np.argsort(order)]
 
     def piece(self) -> Solution:
-        """Return the points in memory, with drifts and work of all steps so far; must be followed by
-        `release_points`.
-        """
+        """Return the points in memory, with drifts and work of all steps so far; then call `release_points`."""
         run, order = self.run, self.run.loops.order
         if order is not None and self.number < run.times.steps:
             run.saved = run.saved.take(np.argsort(order), 1)
-        found = Solution(run, self.points_held, self._observed)
+        solution = Solution(run, self.points_held, self._observed)
         reported = run.state.arrays.subset(REPORTED_ARRAYS)
         reported["worst"][:] = self.worst
-        found.__dict__["_state"] = reported
-        self._note_undefined(found)
-        return found
+        solution.__dict__["_state"] = reported
+        self._record_undefined(solution)
+        return solution
 
     @property
     def first(self) -> int:
@@ -124,7 +121,9 @@ class PiecewiseRun:
         """Release the saved points in memory; no-op before the first step."""
         run = self.run
         if self.number:
-            run.times = run.times._replace(max_points=self._most - run.times.after(self.number).passed % self._most)
+            run.times = run.times._replace(
+                max_points=self._max_points - run.times.after(self.number).passed % self._max_points
+            )
             run.release_points()
 
     @property
@@ -148,7 +147,7 @@ class PiecewiseRun:
             "earlier": self._earlier_worst,
             "block": block,
             "initial": self.run.initial,
-            **{f"undefined {name}": found for name, found in self._undefined.items()},
+            **{f"undefined {name}": position for name, position in self._undefined.items()},
         }
 
     def failure(self, partial: Any) -> IntegrationError | None:
@@ -161,16 +160,16 @@ class PiecewiseRun:
                 return error(int(step), when, partial)
         return None
 
-    def _note_undefined(self, found: Solution) -> None:
-        """Record where an energy or a group element is first not finite although the state is."""
-        sound, shape = self.run.state["status"] == 0, (len(found.t), len(self.run.state["status"]))
-        series = {"energy": found.energy.reshape(shape)[:, sound]}
-        if self._may_overflow and found.attitude is not None:
-            series["attitude"] = found.attitude.reshape(*shape, found.attitude.shape[-1] ** 2)[:, sound]
+    def _record_undefined(self, solution: Solution) -> None:
+        """Record the first point at which an energy or a group element is not finite although the state is."""
+        running, shape = self.run.state["status"] == 0, (len(solution.t), len(self.run.state["status"]))
+        series = {"energy": solution.energy.reshape(shape)[:, running]}
+        if self._may_overflow and solution.attitude is not None:
+            series["attitude"] = solution.attitude.reshape(*shape, solution.attitude.shape[-1] ** 2)[:, running]
         for name, values in series.items():
             first = first_point_not_finite(values)
             if first is not None and self._undefined[name][0] < 0:
-                self._undefined[name] = np.array([self.run.times.saved[first], found.t[first]])
+                self._undefined[name] = np.array([self.run.times.saved[first], solution.t[first]])
 
 
 def state_of(stored: Mapping[str, Any]) -> RunState:

@@ -23,8 +23,7 @@ from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
-from coadjoint.runs.input_loops import InputLoops
-from coadjoint.runs.inputs import Inputs
+from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops import Loops, SystemLoops
 from coadjoint.runs.observables import Observed, check_observe
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
@@ -80,7 +79,7 @@ class PreparedRun:
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
         self._scheme = effective_scheme(system, scheme)
-        # The loops do not track invariants of matrices.
+        # Loops do not track invariants of matrices.
         self._watching = watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._attitude = read_attitude(attitude)
@@ -90,7 +89,7 @@ class PreparedRun:
         self._observed: Observed | None = None
         self._events: WatchedEvents | None = None
         self._lock = threading.RLock()
-        # A call takes one out while it runs, so that concurrent calls never share one.
+        # A call removes an entry while it runs, so that concurrent calls never share one.
         self._final_state_runs: list[FinalStateRun] = []
 
     def __repr__(self) -> str:
@@ -101,8 +100,10 @@ class PreparedRun:
 
         Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
         """
-        made = {h: loops for h, loops in self._loops_by_step.items() if getattr(loops, "is_picklable", False)}
-        return {name: value for name, value in vars(self).items() if name not in UNPICKLED} | {"_loops_by_step": made}
+        picklable = {h: loops for h, loops in self._loops_by_step.items() if getattr(loops, "is_picklable", False)}
+        return {name: value for name, value in vars(self).items() if name not in UNPICKLED} | {
+            "_loops_by_step": picklable
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _observed=None, _events=None, _lock=threading.RLock(), _final_state_runs=[])
@@ -128,9 +129,11 @@ class PreparedRun:
         if isinstance(system, Batch):
             state["system"], state["_representations"] = system.among(first, last), self._representations[first:last]
             # Tables hold the number of the noise, which a member keeps.
-            same = all(one is other for one, other in zip(state["system"], system.systems[first:last], strict=True))
-            loops = self._loops_by_step.items() if same else ()
-            state["_loops_by_step"] = {h: each.among(first, last) for h, each in loops if isinstance(each, BatchLoops)}
+            unchanged = all(
+                member is original for member, original in zip(state["system"], system.systems[first:last], strict=True)
+            )
+            loops = self._loops_by_step.items() if unchanged else ()
+            state["_loops_by_step"] = {h: loop.among(first, last) for h, loop in loops if isinstance(loop, BatchLoops)}
         elif isinstance(system, ForcedSystem):
             state["system"] = system.numbered_from(first)
             state["_loops_by_step"] = self._loops_by_step if state["system"] is system else {}
@@ -139,9 +142,9 @@ class PreparedRun:
         if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
             state["_attitude"] = self._attitude[first:last]
         state["_threads"] = threads or self._threads
-        found: PreparedRun = object.__new__(PreparedRun)
-        found.__setstate__(state)
-        return found
+        selected: PreparedRun = object.__new__(PreparedRun)
+        selected.__setstate__(state)
+        return selected
 
     def run(
         self,
@@ -192,8 +195,8 @@ class PreparedRun:
         """
         progress = read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
-        values, looked_for = self.values_of(inputs), read_events(events)
-        return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
+        values, event_list = self.values_of(inputs), read_events(events)
+        return self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
@@ -236,20 +239,20 @@ class PreparedRun:
         Examples
         --------
         >>> import coadjoint as co
-        >>> ready = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
-        >>> x, span = ready.end((0.1, 1.0, 0.1), (0.0, 5.0)), (0.0, 0.1)
-        >>> bool((x == ready.run((0.1, 1.0, 0.1), (0.0, 5.0)).x[-1]).all())
+        >>> prepared = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
+        >>> x, span = prepared.end((0.1, 1.0, 0.1), (0.0, 5.0)), (0.0, 0.1)
+        >>> bool((x == prepared.run((0.1, 1.0, 0.1), (0.0, 5.0)).x[-1]).all())
         True
         >>> for _ in range(1000):
-        ...     x = ready.end(x, span)
+        ...     x = prepared.end(x, span)
         """
         try:
-            own = self._final_state_runs.pop()
+            final_run = self._final_state_runs.pop()
         except IndexError:
-            own = FinalStateRun(self)
-        found = own(x0, t_span)
-        self._final_state_runs.append(own)
-        return self.run(x0, t_span, ENDS_ONLY).x[-1] if found is None else found
+            final_run = FinalStateRun(self)
+        state = final_run(x0, t_span)
+        self._final_state_runs.append(final_run)
+        return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
 
     @property
     def carries(self) -> bool:
@@ -314,7 +317,7 @@ class PreparedRun:
                 run.advance(progress)
         except KeyboardInterrupt as stopped:
             stopped.partial = run.interrupted(observed)  # type: ignore[attr-defined]
-            stopped.add_note("The error has what was computed as its attribute partial; archive= keeps it on disk")
+            stopped.add_note("The solution so far is the attribute partial of the error; archive= stores it on disk")
             raise
         if moments is not None:
             resample(run, moments)
@@ -341,12 +344,12 @@ class PreparedRun:
 
     def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative, built lazily for each direction."""
-        found = self._loops_by_step.get(h)
-        if found is None:
+        loops = self._loops_by_step.get(h)
+        if loops is None:
             with self._lock:
-                found = self._loops_by_step.get(h) or self._loops(h)
-                self._loops_by_step[h] = found
-        return found
+                loops = self._loops_by_step.get(h) or self._loops(h)
+                self._loops_by_step[h] = loops
+        return loops
 
     def _loops(self, h: float) -> Loops | InputLoops:
         if self._inputs is not None:
@@ -434,12 +437,12 @@ def prepare(
     Examples
     --------
     >>> import coadjoint as co
-    >>> ready = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
-    >>> there = ready.run((0.1, 1.0, 0.1), t_span=(0, 5), save_every=50)
-    >>> there.t
+    >>> prepared = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
+    >>> sol = prepared.run((0.1, 1.0, 0.1), t_span=(0, 5), save_every=50)
+    >>> sol.t
     array([0. , 2.5, 5. ])
-    >>> back = ready.run(there.x[-1], t_span=(5, 0), save_every=100)
-    >>> bool(abs(back.x[-1] - there.x[0]).max() < 1e-13)
+    >>> back = prepared.run(sol.x[-1], t_span=(5, 0), save_every=100)
+    >>> bool(abs(back.x[-1] - sol.x[0]).max() < 1e-13)
     True
 
     Rotor momenta as inputs of each run:
@@ -452,9 +455,9 @@ def prepare(
     Scheme and step chosen once for a sample of states:
 
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> ready = co.prepare(body, accuracy=1e-9, x0=[(0.1, 1.0, 0.1), (1.0, 0.2, 0.3)], t_span=(0, 20))
+    >>> prepared = co.prepare(body, accuracy=1e-9, x0=[(0.1, 1.0, 0.1), (1.0, 0.2, 0.3)], t_span=(0, 20))
     >>> x0 = (0.4, 0.7, 0.5)
-    >>> bool(abs(ready.end(x0, (0.0, 20.0)) - body.exact(x0, 20.0)).max() < 1e-9)
+    >>> bool(abs(prepared.end(x0, (0.0, 20.0)) - body.exact(x0, 20.0)).max() < 1e-9)
     True
 
     A thruster torque as an input of each run:
@@ -465,9 +468,9 @@ def prepare(
     array([0., 0., 0.])
     """
     if (step is None) == (accuracy is None):
-        given = "neither" if step is None else "both"
+        supplied = "neither" if step is None else "both"
         raise TypeError(
-            f"prepare was given {given} of step and accuracy; give step=, or accuracy= with x0= and t_span="
+            f"prepare was given {supplied} of step and accuracy; give step=, or accuracy= with x0= and t_span="
         )
     if step is None:
         if x0 is None or t_span is None or not (inputs is None or inputs is False):
@@ -483,8 +486,8 @@ def prepare(
         return chosen
     if x0 is not None or t_span is not None:
         raise TypeError("prepare takes x0= and t_span= with accuracy=; a given step needs neither")
-    ready = PreparedRun(
+    prepared = PreparedRun(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )
-    ready.loops(ready.step).build_all()
-    return ready
+    prepared.loops(prepared.step).build_all()
+    return prepared

@@ -73,4 +73,4 @@ class _Lines:
                 flush=True,
             )
         except (OSError, ValueError, AttributeError):
-            pass  # A log that cannot be written is no reason to lose the run.
+            pass  # The run continues even if the log cannot be written.

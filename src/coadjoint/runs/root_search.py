@@ -20,43 +20,43 @@ MIN_BRACKET = 2.0**-26
 def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Floats:
     """Find a root of each of m functions by inverse quadratic interpolation and bisection, independently of the others.
 
-    ``values(which, theta)`` evaluates the functions `which` at theta; `before` and `after` (m,) are their values at 0
-    and 1, of different signs (`after` may be zero); `least` (m,) is the resolution. T. R. Chandrupatla, Adv. Eng.
-    Softw. 28 (1997) 145-149; the first point is that of the secant.
+    ``values(indices, theta)`` evaluates some of the functions; `before` and `after` (m,) are the values at 0 and 1, of
+    different signs (`after` may be zero); `least` (m,) is the resolution. T. R. Chandrupatla, Adv. Eng. Softw. 28
+    (1997) 145-149; the first point is that of the secant.
 
     Examples
     --------
     >>> one = np.array([1.0])
-    >>> float(roots(lambda which, theta: theta**3 - 0.125, -0.125 * one, 0.875 * one, 2.0**-50 * one)[0])
+    >>> float(roots(lambda indices, theta: theta**3 - 0.125, -0.125 * one, 0.875 * one, 2.0**-50 * one)[0])
     0.5
     """
     found = np.ones(len(before))
-    which = np.flatnonzero(after != 0.0)
-    a, b, fa, fb = np.ones(len(which)), np.zeros(len(which)), after[which], before[which]
+    indices = np.flatnonzero(after != 0.0)
+    a, b, fa, fb = np.ones(len(indices)), np.zeros(len(indices)), after[indices], before[indices]
     with np.errstate(invalid="ignore", over="ignore"):
-        straight = fa / (fa - fb)
-    t = np.clip(np.where(np.isfinite(straight), straight, 0.5), 0.01, 0.99)
+        secant = fa / (fa - fb)
+    t = np.clip(np.where(np.isfinite(secant), secant, 0.5), 0.01, 0.99)
     for _ in range(MOST_ROUNDS):
-        if not len(which):
+        if not len(indices):
             break
         middle = a + t * (b - a)
-        fm = values(which, middle)
+        fm = values(indices, middle)
         same = np.sign(fm) == np.sign(fa)
         c, fc = np.where(same, a, b), np.where(same, fa, fb)
         b, fb = np.where(same, b, a), np.where(same, fb, fa)
         a, fa = middle, fm
         best = np.where(np.abs(fa) < np.abs(fb), a, b)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            least_t = least[which] / np.abs(b - a)
+            least_t = least[indices] / np.abs(b - a)
             done = (least_t > 0.5) | (fa == 0.0) | np.isnan(fm)
             xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
-            curved = fa / (fb - fa) * (fc / (fb - fc)) + (c - a) / (b - a) * (fa / (fc - fa)) * (fb / (fc - fb))
-            good = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-            t = np.clip(np.where(good, curved, 0.5), least_t, 1.0 - least_t)
-        found[which] = np.where(fa == 0.0, a, best)
+            quadratic = fa / (fb - fa) * (fc / (fb - fc)) + (c - a) / (b - a) * (fa / (fc - fa)) * (fb / (fc - fb))
+            accepted = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+            t = np.clip(np.where(accepted, quadratic, 0.5), least_t, 1.0 - least_t)
+        found[indices] = np.where(fa == 0.0, a, best)
         if done.any():
-            go = ~done
-            which, a, b, fa, fb, t = which[go], a[go], b[go], fa[go], fb[go], t[go]
+            active = ~done
+            indices, a, b, fa, fb, t = indices[active], a[active], b[active], fa[active], fb[active], t[active]
     return found
 
 
@@ -67,26 +67,26 @@ def minimize_each(values: Values, count: int) -> tuple[Floats, Floats]:
 
     Examples
     --------
-    >>> theta, value = minimize_each(lambda which, theta: (theta - 0.25) ** 2 + 1.0, 1)
+    >>> theta, value = minimize_each(lambda indices, theta: (theta - 0.25) ** 2 + 1.0, 1)
     >>> abs(float(theta[0]) - 0.25) < 1e-6, float(value[0])
     (True, 1.0)
     """
-    where, least = np.ones(count), np.full(count, np.inf)
-    which = np.arange(count)
+    position, smallest = np.ones(count), np.full(count, np.inf)
+    indices = np.arange(count)
     low, high = np.zeros(count), np.ones(count)
     left, right = high - GOLDEN, low + GOLDEN
-    at_left, at_right = values(which, left), values(which, right)
-    while len(which):
+    at_left, at_right = values(indices, left), values(indices, right)
+    while len(indices):
         lower = at_left < at_right
-        where[which], least[which] = np.where(lower, left, right), np.where(lower, at_left, at_right)
-        go = (least[which] > 0.0) & (high - low > MIN_BRACKET)
-        which, low, high, lower = which[go], low[go], high[go], lower[go]
-        left, right, at_left, at_right = left[go], right[go], at_left[go], at_right[go]
-        if not len(which):
+        position[indices], smallest[indices] = np.where(lower, left, right), np.where(lower, at_left, at_right)
+        active = (smallest[indices] > 0.0) & (high - low > MIN_BRACKET)
+        indices, low, high, lower = indices[active], low[active], high[active], lower[active]
+        left, right, at_left, at_right = left[active], right[active], at_left[active], at_right[active]
+        if not len(indices):
             break
         low, high = np.where(lower, low, left), np.where(lower, right, high)
-        new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
-        found = values(which, new)
-        left, right = np.where(lower, new, right), np.where(lower, left, new)
-        at_left, at_right = np.where(lower, found, at_right), np.where(lower, at_left, found)
-    return where, least
+        probe = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        value = values(indices, probe)
+        left, right = np.where(lower, probe, right), np.where(lower, left, probe)
+        at_left, at_right = np.where(lower, value, at_right), np.where(lower, at_left, value)
+    return position, smallest

@@ -32,15 +32,15 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_bool
 
-# Target time between updates of a progress bar, which happen between two calls of the compiled loop.
 SECONDS_BETWEEN_UPDATES = 0.2
+"""Target time between updates of a progress bar, which happen between calls of the compiled loop."""
 
 
 class Run:
     """Arrays of one run, from validated states and times, and the loops that fill them.
 
-    `system` may be a `partial` that builds it lazily. A given `state` resumes after its steps; it is copied, and
-    earlier points are not saved again.
+    `system` may be a `partial` that builds it lazily. A run with a `state` resumes after its steps; earlier points are
+    not saved again.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Run:
         State after the last step taken.
     events : Events or None
         Crossings found, if events were given.
-    ending : Ending or None
+    ending : TerminalEvent or None
         Terminal event that ended a single-member run.
     initial : ndarray or None
         Invariants at the start, (members, invariants), if they are not those of the first saved point.
@@ -115,7 +115,7 @@ class Run:
         self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
 
     def close(self, last: NDArray[np.int64]) -> None:
-        """Discard points saved after the last steps of members, where events have ended them before the others."""
+        """Discard points saved after the last steps of members that events have ended."""
         order, status = self.loops.order, codes("Status")
         if order is not None and self.state.number < self.times.steps:
             self.saved = self.saved.take(np.argsort(order), 1)
@@ -132,7 +132,7 @@ class Run:
         """Take the steps up to number `until`, or all, round by round; an interrupt aborts."""
         order = self.loops.order
         first, last = self.state.number, self.times.steps if until is None else until
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         if order is not None:
             self.state.arrays = self.state.arrays.take(order, 0)
         if self.loops.rows:
@@ -140,41 +140,41 @@ class Run:
                 self._advance(first, last, progress)
         else:
             self._advance(first, last, progress)
-        self.seconds += time.perf_counter() - began
+        self.seconds += time.perf_counter() - start_time
         self.state.number = last
         if order is not None:
-            place = np.argsort(order)
-            self.state.arrays = self.state.arrays.take(place, 0)
+            inverse = np.argsort(order)
+            self.state.arrays = self.state.arrays.take(inverse, 0)
             if last == self.times.steps:
-                self.saved = self.saved.take(place, 1)
+                self.saved = self.saved.take(inverse, 1)
         if self.loops.measures:
-            new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
-            self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
+            new_points = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
+            self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new_points)
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
         if not progress:
             for member_batches in plan.rounds:
-                self.failed_count += self._take(member_batches, first, last)
+                self.failed_count += self._advance_batches(member_batches, first, last)
         else:
             with progress_bar((last - first) * len(plan.rounds), progress) as bar:
                 for member_batches in plan.rounds:
-                    self.failed_count += self._take_in_chunks(member_batches, first, last, bar)
+                    self.failed_count += self._advance_in_chunks(member_batches, first, last, bar)
 
-    def _take(self, member_batches: list[MemberBatch], done: int, target: int) -> int:
-        """Take the steps done + 1 to target of some crews; return the number of members that failed."""
-        given = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
-        return run_in_threads(member_batches, given, self.loops, self.workers)
+    def _advance_batches(self, member_batches: list[MemberBatch], done: int, target: int) -> int:
+        """Take the steps done + 1 to target of member batches; return the number of failed members."""
+        arguments = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
+        return run_in_threads(member_batches, arguments, self.loops, self.workers)
 
-    def _take_in_chunks(
+    def _advance_in_chunks(
         self, member_batches: list[MemberBatch], done: int, last: int, bar: Callable[[int], Any]
     ) -> int:
-        """Take the steps done + 1 to last of some crews in chunks between updates of the progress bar."""
+        """Take the steps done + 1 to last of member batches in chunks between updates of the progress bar."""
         chunk = 1
         while True:
             target = min(last, done + chunk)
             before = time.perf_counter()
-            failed_count = self._take(member_batches, done, target)
+            failed_count = self._advance_batches(member_batches, done, target)
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_UPDATES), 1000 * chunk)), target
@@ -190,10 +190,10 @@ class Run:
         """Return the solution, or raise the failure with the partial solution."""
         saved_points = self.times.points if self.ending is None else self.ending.points
         if not self.failed_count:
-            whole = self._solution(saved_points, observed)
+            solution = self._solution(saved_points, observed)
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
-                self._check_attitude(whole)
-            return whole
+                self._check_attitude(solution)
+            return solution
         if self.start.single and self.state["status"][0]:
             saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
         raise self.failure(self._solution(saved_points, observed))
@@ -213,8 +213,8 @@ class Run:
             waiting = ~((first == self.start.momenta) | np.isnan(first)).all(axis=1)
             for name in ("x", "group", "values"):
                 self.saved[name][:, waiting] = np.nan
-        there = np.isfinite(x).any(axis=(1, 2))
-        saved_points = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
+        reached = np.isfinite(x).any(axis=(1, 2))
+        saved_points = int(np.flatnonzero(reached)[-1]) + 1 if reached.any() else 0
         worst, values = self.state["worst"], self.saved["values"]
         worst[:], self.state["status"][:], self.watching = 0.0, 0, False
         if self.loops.measures:
@@ -222,19 +222,19 @@ class Run:
         tenths = np.maximum(0, numbers[:saved_points] - 1) * worst.shape[1] // max(1, self.times.steps)
         with np.errstate(invalid="ignore"):
             for tenth in np.unique(tenths):
-                own = np.abs(values[:saved_points][tenths == tenth] - values[0])
-                worst[:, tenth] = np.fmax.reduce(own, axis=0, initial=0.0)
+                deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
+                worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
         return self._solution(saved_points, observed)
 
     def failure(self, partial: Any) -> IntegrationError:
-        """Return the error of a failed run, with its partial solution."""
+        """Return the error of a failed run with its partial solution."""
         failed = self.state["status"].nonzero()[0]
         if len(failed):
             return self._error(int(failed[0]), len(failed), partial)
-        whole = self._solution(self.times.points, None)
-        first = first_point_not_finite(whole.energy)
+        solution = self._solution(self.times.points, None)
+        first = first_point_not_finite(solution.energy)
         assert first is not None
-        return self.energy_error(int(self.times.saved[first]), float(whole.t[first]), partial)
+        return self.energy_error(int(self.times.saved[first]), float(solution.t[first]), partial)
 
     def mark_failed(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
         """Mark a member as failed in a step, from outside the loops; `reason` replaces the text of the status."""
@@ -245,11 +245,11 @@ class Run:
             self.failure_reasons[member] = reason
         self.failed_count += 1
 
-    def _check_attitude(self, whole: Solution) -> None:
+    def _check_attitude(self, solution: Solution) -> None:
         """Raise if a group element overflowed although the momentum did not: the factor of a shift may grow."""
-        first = first_point_not_finite(whole.attitude)
+        first = first_point_not_finite(solution.attitude)
         if first is not None:
-            raise self.attitude_error(int(self.times.saved[first]), float(whole.t[first]), whole)
+            raise self.attitude_error(int(self.times.saved[first]), float(solution.t[first]), solution)
 
     def attitude_error(self, step: int, when: float, partial: Any) -> IntegrationError:
         """Return the error for a group element that is not finite after a step, at time `when`."""
@@ -277,20 +277,22 @@ class Run:
         step = int(self.state["step"][member])
         when = float(self.times.t0 + (step - 1) * self.times.h)
         residual = float(self.state["residual"][member])
-        who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
+        members = (
+            "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
+        )
         status = status_name(self.state["status"][member])
         if member in self.failure_reasons:
             return IntegrationError(
-                f"in step {step}, {self.failure_reasons[member]}{who}",
+                f"in step {step}, {self.failure_reasons[member]}{members}",
                 step=step,
                 time=when,
                 residual=residual,
                 partial=partial,
             )
-        what = failure_text(status, self.method, self.loops, residual)
-        # Schemes with adaptive steps do not use the step of the run.
-        instead = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
-        message = f"in step {step}, at t = {when:g}, {what}{who}; {instead}"
+        reason = failure_text(status, self.method, self.loops, residual)
+        # The step of a run does not affect adaptive schemes.
+        advice = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
+        message = f"in step {step}, at t = {when:g}, {reason}{members}; {advice}"
         if status == "PARALLEL":
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
@@ -312,8 +314,8 @@ def first_point_not_finite(series: Any) -> int | None:
     1
     """
     values = np.asarray(series)
-    sound = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-    return None if sound.all() else int(np.argmin(sound))
+    finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    return None if finite.all() else int(np.argmin(finite))
 
 
 def read_progress(progress: Any) -> bool:

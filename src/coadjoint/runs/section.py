@@ -71,9 +71,9 @@ class Section:
 
     def _padded(self, values: NDArray[Any]) -> NDArray[Any]:
         counts, member = self.counts, self.events.member
-        found = np.full((len(counts), counts.max(initial=0), *values.shape[1:]), np.nan, dtype=values.dtype)
-        found[member, np.arange(len(member)) - (np.cumsum(counts) - counts)[member]] = values
-        return found
+        padded = np.full((len(counts), counts.max(initial=0), *values.shape[1:]), np.nan, dtype=values.dtype)
+        padded[member, np.arange(len(member)) - (np.cumsum(counts) - counts)[member]] = values
+        return padded
 
     def plot(self, components: Any = None, axes: Any = None) -> Figure:
         """Plot two components of the states at the crossings, with one colour for each member.

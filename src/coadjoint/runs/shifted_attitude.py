@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 Shift = tuple[tuple[Polynomial, float], ...]
 
-
-# exp overflows beyond 709.
-FINITE_GROWTH = 700.0
+FINITE_GROWTH = 700.0  # exp overflows beyond 709
 
 
 def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
@@ -37,17 +35,17 @@ def _with_tables(
 ) -> ShiftCorrection:
     from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
 
-    found = ShiftCorrection(system, shift, representation)
-    found._compiled_correction = CompiledShiftCorrection(tables, rate)
-    return found
+    correction = ShiftCorrection(system, shift, representation)
+    correction._compiled_correction = CompiledShiftCorrection(tables, rate)
+    return correction
 
 
 class ShiftCorrection:
     """Conversion of group elements for H - sum c C, started at the unit element, to those for the Hamiltonian H.
 
-    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t), since the gradient of a Casimir in the spatial frame is
-    constant. The result at a saved point depends only on its step number, x0 and g0; at the start it is g0. `shift`
-    holds pairs of a Casimir C and a factor c; `representation` is an array (n, d, d) or "coadjoint".
+    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t), since the gradient of a Casimir is constant in the spatial
+    frame. The result at a saved point depends only on its step number, x0 and g0. `shift` holds pairs of a Casimir C
+    and a factor c; `representation` is an array (n, d, d) or "coadjoint".
     """
 
     def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
@@ -60,7 +58,7 @@ class ShiftCorrection:
 
         system, shift, rate = self._system, self._shift, 1.0
         if len(shift) == 1:
-            # The factor of a single Casimir scales the time, so that a scan over factors shares the tables.
+            # The factor of a single Casimir scales the time: a scan over factors shares the tables.
             ((casimir, rate),) = shift
             shift = ((casimir, 1.0),)
         rho = None if isinstance(self._representation, str) else self._representation
@@ -69,8 +67,8 @@ class ShiftCorrection:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the tables."""
-        made = self._compiled_correction
-        return _with_tables, (self._system, self._shift, self._representation, made.tables, made.rate)
+        compiled = self._compiled_correction
+        return _with_tables, (self._system, self._shift, self._representation, compiled.tables, compiled.rate)
 
     def build(self) -> None:
         """Build the tables."""
@@ -78,28 +76,30 @@ class ShiftCorrection:
 
     def may_overflow(self, start: Start, times: Times) -> bool:
         """Whether the exponential could overflow within the run, by an upper bound on its growth."""
-        most = self._compiled_correction.most * abs(times.h) * times.steps
+        growth = self._compiled_correction.most * abs(times.h) * times.steps
         momenta = start.momenta
         if momenta.size <= SMALL_SIZE:
             # For few numbers Python's max is five times faster than NumPy's.
-            return most * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
-        return most * float(np.max(np.abs(momenta))) > FINITE_GROWTH
+            return growth * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
+        return growth * float(np.max(np.abs(momenta))) > FINITE_GROWTH
 
     def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
         """Return group elements (points, members, d, d) from those saved by the loops."""
-        found = np.empty((points, *start.groups.shape))
+        groups = np.empty((points, *start.groups.shape))
         if not points:
-            return found
-        self.fill(found, start, times, saved.address_of("group"), 0, len(start.groups))
-        return found
+            return groups
+        self.fill(groups, start, times, saved.address_of("group"), 0, len(start.groups))
+        return groups
 
     def at(self, start: Start, member: int, elapsed: float, loop_groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group element (d, d) of a member at a time after its start, from that of the loops, (d*d,)."""
-        own = start._replace(momenta=start.momenta[member : member + 1], groups=start.groups[member : member + 1])
-        saved, found = np.array(loop_groups), np.empty((1, *own.groups.shape))
-        once = Times(0.0, elapsed, 1, 1, marks=np.array([1], dtype=np.int64))
-        self.fill(found, own, once, saved.ctypes.data, 0, 1)
-        return found[0, 0]
+        member_start = start._replace(
+            momenta=start.momenta[member : member + 1], groups=start.groups[member : member + 1]
+        )
+        saved, group = np.array(loop_groups), np.empty((1, *member_start.groups.shape))
+        times = Times(0.0, elapsed, 1, 1, marks=np.array([1], dtype=np.int64))
+        self.fill(group, member_start, times, saved.ctypes.data, 0, 1)
+        return group[0, 0]
 
     def fill(
         self, out: NDArray[np.float64], start: Start, times: Times, loop_groups: int, first: int, last: int

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.state_at import StateAt
     from coadjoint.runs.times import Times
 
-# Arrays of the run's state that a solution keeps if the state is large; copying a small state would take longer than a
-# step.
+# Arrays that a solution copies from a large state of a run; a small state is shared, since copying takes a step's time.
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
 MAX_KEPT_NUMBERS = 2**20
 
@@ -154,7 +153,7 @@ class Solution:
     _corrected_groups: GroupCorrection
     _system: System | Batch | partial[System | Batch]
 
-    def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
+    def __init__(self, run: Run, saved_points: int, observed: Observed | None) -> None:
         loops, state = run.loops, run.state.arrays
         self.__dict__.update(
             method=run.method,
@@ -167,7 +166,7 @@ class Solution:
             _ending=run.ending,
             _saved=run.saved,
             _state=state if state.numbers.size <= MAX_KEPT_NUMBERS else state.subset(REPORTED_ARRAYS),
-            _saved_points=kept,
+            _saved_points=saved_points,
             _seconds=run.seconds,
             _times=run.times,
             _start=run.start,
@@ -178,7 +177,7 @@ class Solution:
             _initial=run.initial,
         )
         if observed is not None:
-            # Accounts may follow the coordinates; observed quantities do not use them.
+            # Observed quantities do not use the accounts that may follow the coordinates.
             series = observed.along(self.t, self._series("x"))
             self.__dict__["observed"] = {name: self._without_member_axis(values) for name, values in series.items()}
 
@@ -188,7 +187,7 @@ class Solution:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            # An attribute whose computation failed raises its own error.
+            # If the computation of an attribute failed, raise that error.
             if name in PICKLED_ATTRIBUTES or hasattr(type(self), name):
                 return object.__getattribute__(self, name)
             from coadjoint.keyword_hints import unknown_solution_attribute
@@ -200,8 +199,8 @@ class Solution:
 
     def __repr__(self) -> str:
         points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
-        crowd = "" if self.failed is None else f", {len(self.failed)} members"
-        return f"<solution of {self.system.name} by {self.method}: {points}, step {self.step:g}{crowd}>"
+        members = "" if self.failed is None else f", {len(self.failed)} members"
+        return f"<solution of {self.system.name} by {self.method}: {points}, step {self.step:g}{members}>"
 
     def _repr_html_(self) -> str:
         from coadjoint.runs.summary import table_of_run
@@ -227,10 +226,10 @@ class Solution:
     @cached_property
     def t(self) -> NDArray[np.float64]:
         """The saved times."""
-        found = self._times.saved_times[: self._saved_points]
+        times = self._times.saved_times[: self._saved_points]
         if self._ending is not None:
-            found[-1] = self._ending.t
-        return found
+            times[-1] = self._ending.t
+        return times
 
     @cached_property
     def x(self) -> NDArray[np.float64]:
@@ -284,21 +283,21 @@ class Solution:
 
         A force that keeps the Casimirs does not list them. Empty without forces.
         """
-        done, dim = self._series("x"), self._start.momenta.shape[1]
-        found: dict[str, dict[str, NDArray[np.float64]]] = {}
-        for place, (force, invariant) in enumerate(self._accounts):
-            found.setdefault(force, {})[invariant] = self._without_member_axis(done[..., dim + place])
-        return found
+        states, dim = self._series("x"), self._start.momenta.shape[1]
+        by_force: dict[str, dict[str, NDArray[np.float64]]] = {}
+        for column, (force, invariant) in enumerate(self._accounts):
+            by_force.setdefault(force, {})[invariant] = self._without_member_axis(states[..., dim + column])
+        return by_force
 
     @cached_property
     def attitude(self) -> NDArray[np.float64] | None:
         """Group elements (attitudes) at the saved times."""
         if self._start.representation is None:
             return None
-        found = self._corrected_groups(self._start, self._times, self._saved, self._saved_points)
+        groups = self._corrected_groups(self._start, self._times, self._saved, self._saved_points)
         if self._ending is not None:
-            found[-1] = self._ending.attitude
-        return found[:, 0] if self._start.single else found
+            groups[-1] = self._ending.attitude
+        return groups[:, 0] if self._start.single else groups
 
     @cached_property
     def stats(self) -> Statistics:
@@ -358,8 +357,7 @@ class Solution:
         if self.work:
             raise TypeError(
                 f"energy and Casimirs of {self.system.name} are changed by its forces; take balance(), the change "
-                "minus "
-                "the work of the forces, or change()"
+                "minus the work of the forces, or change()"
             )
         return self._deviations(0)
 
@@ -388,9 +386,9 @@ class Solution:
         if not self.work:
             return self._deviations(0)
         accounted = {invariant for _, invariant in self._accounts}
-        every = accounted == {"energy"}  # the forces keep all Casimirs
-        found = self._deviations(1 + len(self.casimirs))
-        return {name: drift for name, drift in found.items() if every or name in accounted}
+        all_kept = accounted == {"energy"}  # the forces keep all Casimirs
+        deviations = self._deviations(1 + len(self.casimirs))
+        return {name: drift for name, drift in deviations.items() if all_kept or name in accounted}
 
     def change(self) -> dict[str, Drift]:
         """Return the largest change of each invariant from its initial value, by forces and scheme.
@@ -429,15 +427,15 @@ class Solution:
         >>> sol.error_estimate <= 1e-6
         True
         """
-        found = self._error
-        if found is None:
+        error = self._error
+        if error is None:
             from coadjoint.analysis.end_error import error_at_end
 
-            found = self.__dict__["_error"] = error_at_end(self)
-        return float(found[0]) if self.failed is None else found
+            error = self.__dict__["_error"] = error_at_end(self)
+        return float(error[0]) if self.failed is None else error
 
     def _deviations(self, first: int) -> dict[str, Drift]:
-        # Balances have the initial values of their invariants.
+        # Balances have the initial values of the invariants.
         return {name: Drift(self._worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
 
     def spectrum(self) -> NDArray[Any]:
@@ -465,11 +463,11 @@ class Solution:
         if not isinstance(self.system, MatrixSystem):
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
         x = self.x.reshape(-1, *self.x.shape[1 if self._start.single else 2 :])
-        sound = np.isfinite(x).reshape(len(x), -1).all(axis=1)
-        values = self.system.spectrum(x[sound])
-        found = np.full((len(x), values.shape[-1]), np.nan, dtype=values.dtype)
-        found[sound] = values
-        return found.reshape(*self.x.shape[: 1 if self._start.single else 2], -1)
+        finite = np.isfinite(x).reshape(len(x), -1).all(axis=1)
+        values = self.system.spectrum(x[finite])
+        spectra = np.full((len(x), values.shape[-1]), np.nan, dtype=values.dtype)
+        spectra[finite] = values
+        return spectra.reshape(*self.x.shape[: 1 if self._start.single else 2], -1)
 
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
@@ -498,16 +496,16 @@ class Solution:
         >>> import coadjoint as co
         >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
         >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
-        >>> kept = sol.modified_energy(order=6)
-        >>> float(max(abs(kept - kept[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
+        >>> modified = sol.modified_energy(order=6)
+        >>> float(max(abs(modified - modified[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
         True
         """
         from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian
 
         h = self.step if self.t_span[1] > self.t_span[0] else -self.step
         if isinstance(self.system, Batch):
-            found = [modified_hamiltonian(member, self.method, order) for member in self.system]
-            return np.stack([H(self.x[:, m], h) for m, H in enumerate(found)], axis=1)
+            hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
+            return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
         return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
 
     def at(self, t: Any) -> StateAt:

@@ -76,8 +76,8 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
             )
         momenta, single = np.array(np.broadcast_to(momenta, (len(system), n)), order="C"), False
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
-        one = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else ""
-        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n}){one}")
+        hint = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else ""
+        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n}){hint}")
     if not are_finite(momenta):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
     if momenta.ndim == 1:
@@ -88,7 +88,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 
 def read_attitude(attitude: Any) -> Any:
-    """Return a flag or a name as it is, and group elements as an array of their own."""
+    """Return a flag or a name unchanged, and group elements as a new array."""
     return attitude if isinstance(attitude, bool | np.bool_ | str) else read_numbers(attitude, "attitude")
 
 
@@ -129,11 +129,11 @@ def with_group(
 def _check_elements(system: System | Batch, groups: NDArray[np.float64], representation: Any) -> None:
     first: Any = system[0] if isinstance(system, Batch) else system
     if isinstance(representation, str):
-        why = automorphism_violation(groups, unforced(first).algebra.structure_matrix)
+        violation = automorphism_violation(groups, unforced(first).algebra.structure_matrix)
     else:
-        why = group_element_violation(groups, representation)
-    if why is not None:
-        raise ValueError(f"attitude is no element of the group of {first.name}: {why}")
+        violation = group_element_violation(groups, representation)
+    if violation is not None:
+        raise ValueError(f"attitude is no element of the group of {first.name}: {violation}")
 
 
 @lru_cache(maxsize=4)
@@ -145,15 +145,15 @@ def _unit(size: int) -> NDArray[np.float64]:
 def _surely_regular(matrices: NDArray[np.float64]) -> bool:
     """Whether determinants prove that no matrix is singular, in a tenth of the time of a rank.
 
-    With entries of at most 1, singular values are at most d, so the least is >= |det| / d^(d - 1). A rank counts those
-    above 2 d^2 round-offs; a determinant is accurate to 2^(d - 1) d^(d + 2) round-offs. The bound exceeds both by far.
+    For entries of at most 1, singular values are at most d, so the least is >= |det| / d^(d - 1). A rank counts those
+    above 2 d^2 round-offs; a determinant is accurate to 2^(d - 1) d^(d + 2) round-offs. The bound exceeds both.
     """
     d = matrices.shape[-1]
     largest = max(map(abs, matrices.ravel().tolist())) if matrices.size <= SMALL_SIZE else 0.0
     if largest == 0.0:
         return False
-    least = min(map(abs, np.linalg.det(matrices.reshape(-1, d, d) / largest).tolist()))
-    return least > (2.0 * d) ** (d + 2) * UNIT_ROUNDOFF
+    smallest = min(map(abs, np.linalg.det(matrices.reshape(-1, d, d) / largest).tolist()))
+    return smallest > (2.0 * d) ** (d + 2) * UNIT_ROUNDOFF
 
 
 def _ranks(matrices: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -170,15 +170,15 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     """
     if not isinstance(system, Batch):
         return (_representation(system, method, attitude),)
-    found = tuple(_representation(member, method, attitude) for member in system)
-    shapes = [getattr(representation, "shape", ()) for representation in found]
+    representations = tuple(_representation(member, method, attitude) for member in system)
+    shapes = [getattr(representation, "shape", ()) for representation in representations]
     other = next((m for m, shape in enumerate(shapes) if shape != shapes[0]), None)
     if other is not None:
         raise ValueError(
             f"member {other} of the batch has a representation of shape {shapes[other]} and member 0 of {shapes[0]}; "
             "an attitude needs matrices of one size"
         )
-    return found
+    return representations
 
 
 def _representation(system: System, method: Method, attitude: Any) -> Representation:

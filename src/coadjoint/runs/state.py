@@ -16,9 +16,8 @@ from coadjoint.short_repr import short
 class RunState:
     """The state of a run after some of its steps, without the points saved so far.
 
-    A run resumed from a copy is bitwise equal to an uninterrupted one, given the same system, scheme, times and start.
-    States are equal if all their bits are. `arrays` follow `coadjoint.kernels.arrays.Layout`, members in the given
-    order.
+    A run resumed from a copy is bitwise equal to an uninterrupted one with the same system, scheme, times and start.
+    States are compared bitwise. `arrays` follow `coadjoint.kernels.arrays.Layout`, in the original order of members.
     """
 
     __slots__ = ("arrays", "number")
@@ -38,11 +37,11 @@ class RunState:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, RunState):
             return NotImplemented
-        one, two = self.arrays, other.arrays
+        arrays, other_arrays = self.arrays, other.arrays
         return (
             self.number == other.number
-            and one.offsets.shapes == two.offsets.shapes
-            and np.array_equal(one.numbers.view(np.int64), two.numbers.view(np.int64))
+            and arrays.offsets.shapes == other_arrays.offsets.shapes
+            and np.array_equal(arrays.numbers.view(np.int64), other_arrays.numbers.view(np.int64))
         )
 
     def __repr__(self) -> str:
@@ -78,10 +77,10 @@ class RunState:
     def check_fits(self, offsets: ArrayOffsets) -> None:
         """Raise ValueError unless the arrays have these shapes."""
         for name, shape in offsets.shapes.items():
-            own = self.arrays.offsets.shapes[name]
-            if own != shape:
+            stored = self.arrays.offsets.shapes[name]
+            if stored != shape:
                 raise ValueError(
-                    f"the state of the run has {name} of shape {own}, and this run needs {shape}; resume with "
+                    f"the state of the run has {name} of shape {stored}, and this run needs {shape}; resume with "
                     "the system, scheme, attitude and members of the original run"
                 )
 
@@ -100,7 +99,9 @@ def _offsets_of(mapping: Mapping[str, Any]) -> ArrayOffsets:
     described_arrays = kernel_interface().arrays["state"]
     names = set(mapping) - {"version", "number"}
     if names != set(described_arrays):
-        missing, unknown = (sorted(some) for some in (set(described_arrays) - names, names - set(described_arrays)))
+        missing, unknown = (
+            sorted(names_left) for names_left in (set(described_arrays) - names, names - set(described_arrays))
+        )
         raise ValueError(
             f"the state of a run must have the arrays {', '.join(described_arrays)}; "
             f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(map(short, unknown)) or 'none'}"
@@ -114,11 +115,11 @@ def _offsets_of(mapping: Mapping[str, Any]) -> ArrayOffsets:
     extent = Extent(*(sizes.get(axis, 0) for axis in Extent._fields))
     offsets = Layout(extent).state
     for name, shape in offsets.shapes.items():
-        given = np.asarray(mapping[name])
-        kind = np.dtype(np.int64 if name in offsets.int64_names else np.float64)
-        if given.shape != shape or given.dtype != kind:
+        values = np.asarray(mapping[name])
+        dtype = np.dtype(np.int64 if name in offsets.int64_names else np.float64)
+        if values.shape != shape or values.dtype != dtype:
             raise ValueError(
-                f"{name} of the state is {given.dtype} of shape {given.shape}; with the other arrays it must be "
-                f"{kind} of shape {shape}"
+                f"{name} of the state is {values.dtype} of shape {values.shape}; with the other arrays it must be "
+                f"{dtype} of shape {shape}"
             )
     return offsets

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MOST_STEPS = 10**7
-"""Limit on the steps recomputed by one call."""
+"""Largest number of steps recomputed by one call."""
 
 
 class StateAt(NamedTuple):
@@ -58,7 +58,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return (
             "{"
-            + ", ".join(f"{name}: {_shown(one)}" for name, one in list(value.items())[:4])
+            + ", ".join(f"{name}: {_shown(entry)}" for name, entry in list(value.items())[:4])
             + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
         )
     numbers = np.asarray(value)
@@ -67,12 +67,12 @@ def _shown(value: Any) -> str:
 
 def state_at(solution: Solution, t: Any) -> StateAt:
     """Return the states of a solution at times within its run, (k,) or a single one; see `Solution.at`."""
-    given = read_numbers(t, "t")
-    if given.ndim > 1 or not given.size:
-        raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
-    if not are_finite(given):
+    requested = read_numbers(t, "t")
+    if requested.ndim > 1 or not requested.size:
+        raise ValueError(f"t has the shape {requested.shape}; it must be a time, or a row of times")
+    if not are_finite(requested):
         raise ValueError(f"t is {short(t)}; every time must be finite")
-    wanted, direction = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    wanted, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     ends = _ends(solution)
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
@@ -101,20 +101,20 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         )
     order = np.lexsort((direction * wanted, before))
     edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
-    found = [
+    states = [
         _from_point(
             solution, j - 1, float(known[j]), count, wanted[order[low:high]], direction, direction * ends + near
         )
         for j, count, low, high in zip(pieces.tolist(), last, edges[:-1], edges[1:], strict=True)
     ]
-    place = 0 if given.ndim == 0 else np.argsort(order, kind="stable")
+    positions = 0 if requested.ndim == 0 else np.argsort(order, kind="stable")
 
-    def asked(series: Sequence[Any]) -> Any:
-        return None if series[0] is None else np.concatenate(series)[place]
+    def in_order(series: Sequence[Any]) -> Any:
+        return None if series[0] is None else np.concatenate(series)[positions]
 
-    casimirs = {name: asked([each.casimirs[name] for each in found]) for name in found[0].casimirs}
-    x, energy, attitude = (asked([getattr(each, name) for each in found]) for name in ("x", "energy", "attitude"))
-    return StateAt(float(given) if given.ndim == 0 else wanted, x, energy, casimirs, attitude)
+    casimirs = {name: in_order([state.casimirs[name] for state in states]) for name in states[0].casimirs}
+    x, energy, attitude = (in_order([getattr(state, name) for state in states]) for name in ("x", "energy", "attitude"))
+    return StateAt(float(requested) if requested.ndim == 0 else wanted, x, energy, casimirs, attitude)
 
 
 def _from_point(
@@ -131,24 +131,27 @@ def _from_point(
     times = Times(start, direction * solution.step, count, 1)
     low, high = sorted((start, times.end))
     t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
-    gone = direction * t_eval[:, None] > until
-    if gone[0].any():
-        # Members that have ended need any valid start; their results are discarded.
-        x, element = _where(gone[0], solution.x0, x), _where(gone[0], solution.attitude0, element)
+    past_end = direction * t_eval[:, None] > until
+    if past_end[0].any():
+        # Ended members need some valid start; their results are discarded.
+        x, element = _where(past_end[0], solution.x0, x), _where(past_end[0], solution.attitude0, element)
     try:
-        run = _prepared(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
+        run = _prepared_run(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
     except IntegrationError as error:
         run = error.partial
         # A failure after the end of a member is irrelevant.
-        if run.failed is None or len(run.t) < len(t_eval) or not gone[-1][run.failed].all():
+        if run.failed is None or len(run.t) < len(t_eval) or not past_end[-1][run.failed].all():
             raise
     # Multivalued invariants continue from the branch at the saved point, by whole periods.
-    turned = {name: values[name] - own[0] for name, own in run.casimirs.items()}
-    casimirs = {name: np.where(turned[name] == 0.0, own, own + turned[name]) for name, own in run.casimirs.items()}
+    offsets = {name: values[name] - computed[0] for name, computed in run.casimirs.items()}
+    casimirs = {
+        name: np.where(offsets[name] == 0.0, computed, computed + offsets[name])
+        for name, computed in run.casimirs.items()
+    }
     x, energy, attitude = run.x, run.energy, run.attitude
-    if gone.any():
-        x, energy, attitude = (_where(gone, np.nan, series) for series in (x, energy, attitude))
-        casimirs = {name: _where(gone, np.nan, series) for name, series in casimirs.items()}
+    if past_end.any():
+        x, energy, attitude = (_where(past_end, np.nan, series) for series in (x, energy, attitude))
+        casimirs = {name: _where(past_end, np.nan, series) for name, series in casimirs.items()}
     casimirs = {name: series[1:] for name, series in casimirs.items()}
     return StateAt(wanted, x[1:], energy[1:], casimirs, None if attitude is None else attitude[1:])
 
@@ -160,20 +163,20 @@ def _ends(solution: Solution) -> Floats:
     return solution.events.ends(len(solution.failed))
 
 
-def _where(chosen: NDArray[np.bool_], these: Any, others: Any) -> Any:
-    """Like np.where over members and trailing axes; None if `others` is None."""
-    if others is None:
+def _where(mask: NDArray[np.bool_], values: Any, otherwise: Any) -> Any:
+    """Like np.where over members and trailing axes; None if `otherwise` is None."""
+    if otherwise is None:
         return None
-    return np.where(chosen.reshape(chosen.shape + (1,) * (others.ndim - chosen.ndim)), these, others)
+    return np.where(mask.reshape(mask.shape + (1,) * (otherwise.ndim - mask.ndim)), values, otherwise)
 
 
-def _prepared(solution: Solution) -> PreparedRun:
+def _prepared_run(solution: Solution) -> PreparedRun:
     """Return the prepared run of a solution, cached; copies of the solution build their own."""
     from coadjoint.runs.prepared_run import PreparedRun
 
-    found: PreparedRun | None = solution.__dict__.get("_ready")
-    if found is None:
+    prepared: PreparedRun | None = solution.__dict__.get("_prepared_run")
+    if prepared is None:
         attitude: Any = {None: False, "coadjoint": "coadjoint"}.get(solution.carried, True)
-        found = PreparedRun(solution.system, solution.method, solution.step, attitude=attitude, watch=False)
-        solution.__dict__["_ready"] = found
-    return found
+        prepared = PreparedRun(solution.system, solution.method, solution.step, attitude=attitude, watch=False)
+        solution.__dict__["_prepared_run"] = prepared
+    return prepared

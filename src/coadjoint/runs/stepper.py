@@ -61,17 +61,17 @@ class Stepper:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
 
     def _prepared_with(self, attitude: bool | str) -> PreparedRun:
-        ready = self._prepared.get(attitude)
-        if ready is None:
+        prepared = self._prepared.get(attitude)
+        if prepared is None:
             options: Any = {"attitude": attitude, "watch": False, "threads": 1, "inputs": self._inputs}
-            ready = self._prepared[attitude] = PreparedRun(self.system, self.method, abs(self.h), **options)
-        return ready
+            prepared = self._prepared[attitude] = PreparedRun(self.system, self.method, abs(self.h), **options)
+        return prepared
 
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
-        ready = self._prepared_with(attitude)
-        values = ready.values_of(inputs)
-        start = ready.start(x, initial, values)
-        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, values=values)
+        prepared = self._prepared_with(attitude)
+        values = prepared.values_of(inputs)
+        start = prepared.start(x, initial, values)
+        return prepared.follow(Times(read_number(t, "t"), self.h, 1, 1), start, values=values)
 
     def __call__(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the state after one step.
@@ -165,8 +165,8 @@ class Stepper:
             Group element.
         """
         kind = self._matrices(attitude)
-        given = not isinstance(kind, bool | str)
-        sol = self._advance(x, t, given or kind, kind if given else None, inputs)
+        has_element = not isinstance(kind, bool | str)
+        sol = self._advance(x, t, has_element or kind, kind if has_element else None, inputs)
         assert sol.attitude is not None
         return np.asarray(sol.attitude[-1])
 
@@ -218,12 +218,12 @@ class Stepper:
 
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
         """Return the scheme and the system of a step with these inputs, for evaluation in Python."""
-        ready = self._prepared_with(False)
-        values = ready.values_of(inputs)
+        prepared = self._prepared_with(False)
+        values = prepared.values_of(inputs)
         if values is not None and values.ndim > 1:
             raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")
-        system = ready.system_at(values)
-        return effective_scheme(system, ready.method), system
+        system = prepared.system_at(values)
+        return effective_scheme(system, prepared.method), system
 
     def _validated_point(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)

@@ -15,7 +15,7 @@ MAX_CASIMIRS_SHOWN = 4
 
 
 def is_driven(system: Any) -> bool:
-    """Whether the Hamiltonian depends on time, so that a change of the energy is no drift."""
+    """Whether the Hamiltonian depends on time; a change of the energy is then not a drift."""
     first = system[0] if isinstance(system, Batch) else system
     return bool(getattr(first.hamiltonian, "timed", False))
 
@@ -31,7 +31,7 @@ def table_of_run(solution: Solution) -> str:
     (True, True)
     """
     rows: dict[str, Any] = {
-        "time": f"{solution.t_span[0]:g} to {solution.t_span[1]:g}, {len(solution.t)} points are kept",
+        "time": f"{solution.t_span[0]:g} to {solution.t_span[1]:g}, {len(solution.t)} saved points",
         "step": f"{solution.step:g}, {solution.stats.steps} of them in {solution.stats.seconds:.3g} s",
     }
     if solution.failed is not None:
@@ -39,8 +39,8 @@ def table_of_run(solution: Solution) -> str:
         rows["members"] = f"{len(solution.failed)}" + (f", of which {count} have failed" if count else "")
     changes = solution.change()
     energy = changes.pop("energy")
-    moved = is_driven(solution.system) or bool(solution.work)
-    rows[f"{'change' if moved else 'drift'} of energy"] = f"{energy:.2g}"
+    driven = is_driven(solution.system) or bool(solution.work)
+    rows[f"{'change' if driven else 'drift'} of energy"] = f"{energy:.2g}"
     worst = sorted(changes, key=lambda name: -float(changes[name]))
     for name in worst[:MAX_CASIMIRS_SHOWN]:
         rows[f"{'change' if solution.work else 'drift'} of {name}"] = f"{changes[name]:.2g}"

@@ -42,17 +42,17 @@ def summarize_system(name: str) -> dict[str, Any]:
 
     Examples
     --------
-    >>> told = summarize_system("rigid_body")
-    >>> told["scheme"], told["command"]
+    >>> summary = summarize_system("rigid_body")
+    >>> summary["scheme"], summary["command"]
     ('Splitting(order=4...)', 'coadjoint gallery --out gallery rigid_body')
     """
-    told = description(name)
+    summary = description(name)
     gallery_entry = gallery_entry_of(name)
     system = importlib.import_module("coadjoint.systems").get(name)
-    told["scheme"] = str(suggested_scheme(system))
-    told["step"] = None if gallery_entry is None else gallery_entry.step
-    told["command"] = None if gallery_entry is None else f"coadjoint gallery --out gallery {name}"
-    return told
+    summary["scheme"] = str(suggested_scheme(system))
+    summary["step"] = None if gallery_entry is None else gallery_entry.step
+    summary["command"] = None if gallery_entry is None else f"coadjoint gallery --out gallery {name}"
+    return summary
 
 
 def system_text(told: Mapping[str, Any]) -> str:
@@ -76,35 +76,35 @@ def system_text(told: Mapping[str, Any]) -> str:
     return "\n".join(_lines(told))
 
 
-def _lines(told: Mapping[str, Any]) -> Iterator[str]:
-    given = ", ".join(f"{key}={_shown(p['default'])}" for key, p in told["parameters"].items())
-    yield from textwrap.wrap(f"{told['name']}({given})", LINE_WIDTH, subsequent_indent="    ")
-    yield from textwrap.wrap(told["summary"], LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
-    for text in told["equations"]:
+def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    parameters = ", ".join(f"{key}={_shown(p['default'])}" for key, p in summary["parameters"].items())
+    yield from textwrap.wrap(f"{summary['name']}({parameters})", LINE_WIDTH, subsequent_indent="    ")
+    yield from textwrap.wrap(summary["summary"], LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
+    for text in summary["equations"]:
         yield ""
         yield from textwrap.wrap(text, LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
     yield ""
-    for key, parameter in told["parameters"].items():
+    for key, parameter in summary["parameters"].items():
         yield from _entry(key, f"{parameter['meaning']} Default: {_shown(parameter['default'])}.")
     yield ""
-    algebra = "none: J(x) is not linear in x" if told["algebra"] is None else told["algebra"]
-    yield from _entry("algebra", f"{algebra}; dimension {told['dimension']}, rank {told['rank']}")
-    yield from _entry("sign", f"{told['sign']:+d}")
-    if len(told["coordinates"]) <= MOST_NAMED:
-        yield from _entry("coordinates", ", ".join(told["coordinates"]))
-    for kind, none in (("casimirs", "none is known"), ("integrals", "none beside H and the Casimirs is known")):
-        found = told[kind]
-        yield from _entry(kind, "; ".join(_named(key, formula) for key, formula in found.items()) or none)
-    if told["state"]:
-        yield from _entry("system", told["state"])
-    yield from _entry("closed form", "exact(x0, t)" if told["exact"] else "none is known for these parameters")
-    yield from _entry("attitude", ATTITUDES[told["attitude"]])
-    step = "" if told["step"] is None else f", step {told['step']:g} for the motion of the gallery"
-    yield from _entry("begin with", told["scheme"] + step)
-    if told["source"]:
-        yield from _entry("source", told["source"])
-    if told["command"]:
-        yield from _entry("see it", told["command"])
+    algebra = "none: J(x) is not linear in x" if summary["algebra"] is None else summary["algebra"]
+    yield from _entry("algebra", f"{algebra}; dimension {summary['dimension']}, rank {summary['rank']}")
+    yield from _entry("sign", f"{summary['sign']:+d}")
+    if len(summary["coordinates"]) <= MOST_NAMED:
+        yield from _entry("coordinates", ", ".join(summary["coordinates"]))
+    for kind, missing in (("casimirs", "none is known"), ("integrals", "none beside H and the Casimirs is known")):
+        formulas = summary[kind]
+        yield from _entry(kind, "; ".join(_named(key, formula) for key, formula in formulas.items()) or missing)
+    if summary["state"]:
+        yield from _entry("system", summary["state"])
+    yield from _entry("closed form", "exact(x0, t)" if summary["exact"] else "none is known for these parameters")
+    yield from _entry("attitude", ATTITUDES[summary["attitude"]])
+    step = "" if summary["step"] is None else f", step {summary['step']:g} for the motion of the gallery"
+    yield from _entry("begin with", summary["scheme"] + step)
+    if summary["source"]:
+        yield from _entry("source", summary["source"])
+    if summary["command"]:
+        yield from _entry("see it", summary["command"])
 
 
 def _entry(name: str, text: str) -> list[str]:

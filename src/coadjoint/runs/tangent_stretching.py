@@ -1,4 +1,4 @@
-"""Stretching of tangent vectors along a run, in the compiled loop or step by step by `Method.tangent`."""
+"""Stretching of tangent vectors along a run, in compiled loops or step by step by `Method.tangent`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.kernels.tangents import Frame, stretch_logarithms
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.batch_loops import in_rounds
+from coadjoint.runs.batch_rows import MemberTables
+from coadjoint.runs.loops import Loops, SystemLoops, as_rows
 from coadjoint.runs.run import Run
+from coadjoint.runs.shifted_attitude import uncorrected_groups
 from coadjoint.runs.start import Start
-from coadjoint.runs.tangent_loops import energy_loops
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -28,9 +32,9 @@ _warned_types: set[type] = set()
 class Stretching(NamedTuple):
     """Result of `stretching`.
 
-    `logarithms` (points, members, k) holds the logarithm of the stretching factor of each vector from the start; NaN
-    after a failure. `by` is "compiled", or "formula", "complex step" or "differences" for tangents in Python. `run` has
-    the failures.
+    `logarithms` (points, members, k) are those of the stretching factors of the vectors since the start; NaN after a
+    failure. `by` is "compiled", or "formula", "complex step" or "differences" for tangents in Python. `run` has the
+    failures.
     """
 
     logarithms: NDArray[np.float64]
@@ -48,10 +52,10 @@ def stretching(
     """
     systems = list(system) if isinstance(system, Batch) else [system]
     prepared = []
-    for m, one in enumerate(systems):
+    for m, member in enumerate(systems):
         try:
-            method.properties(one)
-            prepared.append(method.tangent_loop(one, times.h, frame))
+            method.properties(member)
+            prepared.append(method.tangent_loop(member, times.h, frame))
         except (TypeError, ValueError) as error:
             if not isinstance(system, Batch):
                 raise
@@ -66,9 +70,9 @@ def stretching(
             logarithms[point] = 0.0
             continue
         run.advance(until=number)
-        at(f"step {number} of {times.steps}", number / times.steps)
-        going = run.state["status"] == 0
-        logarithms[point, going] = stretch_logarithms(run.state["memory"][going], len(frame.vectors))
+        note_progress(f"step {number} of {times.steps}", number / times.steps)
+        running = run.state["status"] == 0
+        logarithms[point, running] = stretch_logarithms(run.state["memory"][running], len(frame.vectors))
     return Stretching(logarithms, "compiled", run)
 
 
@@ -77,9 +81,7 @@ def _step_by_step(
 ) -> Stretching:
     """Take the steps in the loop of the scheme, then evaluate their tangents in Python."""
     numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
-    check_available_memory(
-        8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,"
-    )
+    check_available_memory(8 * numbers, f"the states of {short(times.steps)} steps, for tangents in Python,")
     _warn_once(type(method))
     every_step = times.with_saved_steps(np.arange(times.steps + 1))
     loops = energy_loops(systems, method, times.h, [None] * len(systems))
@@ -88,9 +90,9 @@ def _step_by_step(
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for m in range(len(start.momenta)):
-        own = systems[m if len(systems) > 1 else 0]
+        member = systems[m if len(systems) > 1 else 0]
         states = run.saved["x"][: int(ends[m]) + 1, m]
-        failed = _follow(own, method, times, states, frame, logarithms[:, m])
+        failed = _follow(member, method, times, states, frame, logarithms[:, m])
         if failed:
             run.mark_failed(m, failed, "PARALLEL")
     by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
@@ -98,14 +100,14 @@ def _step_by_step(
 
 
 def _follow(
-    system: System, method: Method, times: Times, states: NDArray[Any], frame: Frame, found: NDArray[np.float64]
+    system: System, method: Method, times: Times, states: NDArray[Any], frame: Frame, logarithms: NDArray[np.float64]
 ) -> int:
     """Fill in the logarithms of one member; return the step after which vectors are dependent, or 0."""
-    total, owed = np.zeros(len(frame.vectors)), np.zeros(len(frame.vectors))
+    total, remainder = np.zeros(len(frame.vectors)), np.zeros(len(frame.vectors))
     vectors = frame.vectors.T.copy()
     saved = {number: point for point, number in enumerate(times.saved.tolist())}
     for k in range(len(states)):
-        at(f"step {k} of {len(states)}", k / len(states))
+        note_progress(f"step {k} of {len(states)}", k / len(states))
         if k:
             before = float(times.t0 + (k - 1) * times.h)
             vectors = method.tangent(system, states[k - 1], before, times.h)[1] @ vectors
@@ -113,20 +115,20 @@ def _follow(
             lengths = make_orthonormal(vectors)
             if lengths is None:
                 return k
-            more = np.log(lengths) + owed
-            owed = more - ((total + more) - total)
-            total = total + more
+            increment = np.log(lengths) + remainder
+            remainder = increment - ((total + increment) - total)
+            total = total + increment
         if k in saved:
             lengths = make_orthonormal(vectors.copy())
-            found[saved[k]] = np.nan if lengths is None else total + (owed + np.log(lengths))
+            logarithms[saved[k]] = np.nan if lengths is None else total + (remainder + np.log(lengths))
     return 0
 
 
 def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Orthonormalize the columns of (n, k) in place by modified Gram-Schmidt.
 
-    Return the length of each column after the projections, (k,); None if a column depends on those before it or is not
-    finite.
+    Return the length of each column after the projections, (k,); None if a column is not finite or depends on the
+    previous ones.
 
     Examples
     --------
@@ -137,14 +139,14 @@ def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None
     # cumsum adds in the order of the indices on every machine.
     lengths = np.sqrt(np.cumsum(vectors**2, axis=0)[-1])
     for r in range(vectors.shape[1]):
-        own = vectors[:, r]
-        length = np.sqrt(np.cumsum(own**2)[-1])
+        vector = vectors[:, r]
+        length = np.sqrt(np.cumsum(vector**2)[-1])
         if not (length > NEARLY_DEPENDENT * lengths[r] and np.isfinite(length)):
             return None
         lengths[r] = length
-        own /= length
-        others = vectors[:, r + 1 :]
-        others -= own[:, None] * np.cumsum(own[:, None] * others, axis=0)[-1]
+        vector /= length
+        later = vectors[:, r + 1 :]
+        later -= vector[:, None] * np.cumsum(vector[:, None] * later, axis=0)[-1]
     return np.asarray(lengths)
 
 
@@ -158,3 +160,38 @@ def _warn_once(scheme: type) -> None:
         RuntimeWarning,
         stacklevel=2,
     )
+
+
+def energy_loops(systems: Sequence[System], method: Method, h: float, prepared: Sequence[CompiledLoop | None]) -> Loops:
+    """Return loops that track the energy only, for one system or one for each member.
+
+    `prepared` are those of `Method.tangent_loop`; None uses the loop without tangent vectors.
+    """
+    loops = [SystemLoops(member, method, h, None, {}, loop) for member, loop in zip(systems, prepared, strict=True)]
+    return loops[0] if len(loops) == 1 else IndividualLoops(loops)
+
+
+class IndividualLoops(Loops):
+    """Loops of members with individual tables, one batch for each member."""
+
+    corrected_groups = staticmethod(uncorrected_groups)
+
+    def __init__(self, members: Sequence[SystemLoops]) -> None:
+        self._members = members
+        self.names, self.size, self.memory = members[0].names, members[0].size, members[0].memory
+
+    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
+        """Return rounds of batches of one member each."""
+        return in_rounds([loops.member_batch(m, m + 1, m) for m, loops in enumerate(self._members)], workers)
+
+    def pieces(self, watch: Any = None) -> MemberTables:
+        """Return the tables of each member."""
+        return [(loops.pieces(watch)[0][0], np.array([m])) for m, loops in enumerate(self._members)]
+
+    def raised(self) -> BaseException | None:
+        """Return and clear the exception raised by a user function in the loop of any member."""
+        return next((error for loops in self._members if (error := loops.raised())), None)
+
+    def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the group elements unchanged; none are computed."""
+        return as_rows(groups)

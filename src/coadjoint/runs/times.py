@@ -14,11 +14,10 @@ from coadjoint.validation import read_integer, read_number, read_numbers
 
 
 class Times(NamedTuple):
-    """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
+    """Start, signed step, number of steps, and the saved steps: every `save_every`-th, or `marks`.
 
-    The first `passed` saved steps are skipped, since a resumed run has taken them before; at most `max_points` of the
-    others are in memory at once. With output times `between`, `elapsed` after the start, marks are the steps that end
-    there, whole or partial.
+    A resumed run skips the first `passed` saved steps; at most `max_points` saved points are in memory at once. With
+    output times `between`, at `elapsed` after the start, `marks` are the whole or partial steps that end there.
     """
 
     t0: float
@@ -79,8 +78,8 @@ class Times(NamedTuple):
         array([0, 3, 4])
         """
         marks = np.array(numbers)
-        whole = marks.ndim == 1 and (marks.dtype.kind in "iu" or not len(marks))
-        if not whole or np.any(np.diff(marks) <= 0) or np.any((marks < 0) | (marks > self.steps)):
+        integers = marks.ndim == 1 and (marks.dtype.kind in "iu" or not len(marks))
+        if not integers or np.any(np.diff(marks) <= 0) or np.any((marks < 0) | (marks > self.steps)):
             raise ValueError(
                 f"the steps to be saved are {short(numbers)}; they must be whole numbers from 0 to {self.steps}, "
                 "each larger than the one before"

@@ -26,12 +26,12 @@ class Batch:
         rule = "give a list of systems, one for each member"
         if isinstance(systems, (*KINDS, Batch)):
             raise TypeError(f"the systems of a batch are {short(systems)}; {rule}")
-        self.systems: tuple[Any, ...] = read_list(systems, "what batch was given", rule)
+        self.systems: tuple[Any, ...] = read_list(systems, "systems", rule)
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
         for m, system in enumerate(self.systems):
-            moved = system.system if isinstance(system, ForcedSystem) else system
-            if not isinstance(system, KINDS) or not isinstance(moved, (LiePoissonSystem, PoissonSystem)):
+            unforced = system.system if isinstance(system, ForcedSystem) else system
+            if not isinstance(system, KINDS) or not isinstance(unforced, (LiePoissonSystem, PoissonSystem)):
                 raise TypeError(
                     f"member {m} of the batch is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem"
                 )
@@ -41,14 +41,14 @@ class Batch:
         self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
 
     def among(self, first: int, last: int) -> Batch:
-        """Return the batch of members `first` to `last` - 1, each with the noise of its number in the whole batch."""
-        found: Batch = object.__new__(Batch)
-        found.systems = tuple(
+        """Return the batch of members `first` to `last` - 1; noise keeps the numbering of this batch."""
+        part: Batch = object.__new__(Batch)
+        part.systems = tuple(
             system.numbered_from(first) if isinstance(system, ForcedSystem) else system
             for system in self.systems[first:last]
         )
-        found.dim, found.sign = self.dim, self.sign
-        return found
+        part.dim, part.sign = self.dim, self.sign
+        return part
 
     @property
     def name(self) -> str:
@@ -82,27 +82,31 @@ def _difference(first: Any, other: Any) -> str:
         inner = _difference(first.system, other.system)
         if inner or first.labels != other.labels:
             return inner or f"has the forces {', '.join(other.labels)} and member 0 has {', '.join(first.labels)}"
-        kept = [[force.casimirs for force in system.forces] for system in (first, other)]
-        return "" if kept[0] == kept[1] else "has forces that keep other Casimirs than those of member 0"
+        kept_casimirs = [[force.casimirs for force in system.forces] for system in (first, other)]
+        if kept_casimirs[0] != kept_casimirs[1]:
+            return "has forces that keep other Casimirs than those of member 0"
+        return ""
     if first.algebra is not None and other.algebra is not first.algebra:
-        bracket = _own_bracket(first.algebra, other.algebra)
-        if bracket:
-            return bracket
-    for mine, theirs in zip_longest(first.casimirs, other.casimirs):
-        if mine != theirs and set(first.casimirs) != set(other.casimirs):
+        difference = _bracket_difference(first.algebra, other.algebra)
+        if difference:
+            return difference
+    for own_name, other_name in zip_longest(first.casimirs, other.casimirs):
+        if own_name != other_name and set(first.casimirs) != set(other.casimirs):
             return f"has the Casimirs {short(list(other.casimirs))} and member 0 has {short(list(first.casimirs))}"
     return ""
 
 
-def _own_bracket(first: Any, other: Any) -> str:
+def _bracket_difference(first: Any, other: Any) -> str:
     """Describe the first bracket component that is zero in one of two algebras and not in the other; empty if none."""
-    mine, theirs = (list(zip(*(a.triples[side].tolist() for side in range(3)), strict=True)) for a in (first, other))
-    if mine == theirs:
+    entries, other_entries = (
+        list(zip(*(a.triples[side].tolist() for side in range(3)), strict=True)) for a in (first, other)
+    )
+    if entries == other_entries:
         return ""
-    i, j, k = min(set(mine).symmetric_difference(theirs))
+    i, j, k = min(set(entries).symmetric_difference(other_entries))
     e = first.basis
-    has, misses = ("member 0 has", "it has not") if (i, j, k) in set(mine) else ("it has", "member 0 has not")
-    return f"has another algebra: [{e[i]}, {e[j]}] with a component along {e[k]}, which {has} and {misses}"
+    owner = "member 0" if (i, j, k) in set(entries) else "it"
+    return f"has another algebra: only in {owner} has [{e[i]}, {e[j]}] a component along {e[k]}"
 
 
 def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
@@ -122,7 +126,7 @@ def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
     Returns
     -------
     Batch
-        Takes the place of the system in `integrate`; x0 has shape (members, n), or (n,) if shared by all.
+        For `integrate` in place of a system; x0 has shape (members, n), or (n,) if shared by all.
 
     Raises
     ------

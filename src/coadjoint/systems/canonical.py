@@ -1,4 +1,4 @@
-"""Canonical variables (q, p) beside g* as the dual of a Lie algebra: a Heisenberg algebra at central coordinate 1."""
+"""Canonical variables (q, p) added to a Lie algebra, by a Heisenberg algebra at central coordinate 1."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.heisenberg import heisenberg
+from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import direct_sum
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.validation import read_finite
@@ -29,9 +29,11 @@ def with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
     >>> co.LiePoissonSystem(g, H).vector_field(canonical_state(0.25, 0.5, [1.0, 2.0, 3.0]))
     array([ 0.5 , -0.25,  0.  ,  0.  ,  0.  ,  0.  ])
     """
-    both = direct_sum(heisenberg(pairs), g)
-    casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in both.casimirs_known.items()}
-    return LieAlgebra._from_valid(both.triples, both.dim, both.basis, both.name, both.representation, casimirs)
+    algebra = direct_sum(heisenberg(pairs), g)
+    casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in algebra.casimirs_known.items()}
+    return LieAlgebra._from_valid(
+        algebra.triples, algebra.dim, algebra.basis, algebra.name, algebra.representation, casimirs
+    )
 
 
 def canonical_state(q: Any, p: Any, x: Any = ()) -> npt.NDArray[np.float64]:

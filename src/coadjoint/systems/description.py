@@ -1,4 +1,4 @@
-"""Descriptions of ready-made systems, as plain numbers and text."""
+"""Descriptions of systems: names of coordinates, plain numbers and text, HTML tables for notebooks."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.short_repr import html_table, short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
@@ -51,15 +52,15 @@ def description(name: str) -> dict[str, Any]:
     builder = ready_made_systems()[name]
     sections = _sections(inspect.getdoc(builder) or "")
     equations = sections[""].partition("\n\n")[2]
-    words = documented_parameters(builder)
-    gallery_entry = gallery_entry_of(name)
-    coordinates = () if gallery_entry is None else gallery_entry.names(system.dim)
+    documented = documented_parameters(builder)
+    entry = gallery_entry_of(name)
+    coordinates = () if entry is None else entry.names(system.dim)
     return {
         "name": name,
         "summary": summary_of(builder),
         "equations": [_line(text) for text in equations.split("\n\n") if text.strip()],
         "parameters": {
-            key: {"default": _plain(value.default), **words.get(key, {"kind": "", "meaning": ""})}
+            key: {"default": _plain(value.default), **documented.get(key, {"kind": "", "meaning": ""})}
             for key, value in inspect.signature(builder).parameters.items()
         },
         "state": _line(sections.get("Returns", "").partition("\n")[2]),
@@ -74,8 +75,8 @@ def description(name: str) -> dict[str, Any]:
         "attitude": _attitude(system),
         "coordinates": list(coordinates) or [f"x{i + 1}" for i in range(system.dim)],
         "gallery": None
-        if gallery_entry is None
-        else {"caption": gallery_entry.caption, "t_span": list(gallery_entry.t_span), "step": gallery_entry.step},
+        if entry is None
+        else {"caption": entry.caption, "t_span": list(entry.t_span), "step": entry.step},
     }
 
 
@@ -103,13 +104,13 @@ def _sections(text: str) -> dict[str, str]:
 
 def _entries(text: str) -> dict[str, dict[str, str]]:
     """Parse a Parameters section: name to kind and meaning; one entry may name several."""
-    found: dict[str, dict[str, str]] = {}
+    parameters: dict[str, dict[str, str]] = {}
     for entry in re.split(r"\n(?=\S)", text):
         head, _, meaning = entry.partition("\n")
         names, _, kind = head.partition(" : ")
         for name in names.split(","):
-            found[name.strip()] = {"kind": kind.strip(), "meaning": _line(meaning)}
-    return found
+            parameters[name.strip()] = {"kind": kind.strip(), "meaning": _line(meaning)}
+    return parameters
 
 
 def _line(text: str) -> str:
@@ -127,7 +128,7 @@ def _formula(value: Any, coordinates: tuple[str, ...]) -> str | None:
         value = value.to_polynomial() if value.dim is not None and value.dim <= 64 else None
     if not isinstance(value, Polynomial):
         return None
-    named = re.sub(r"x(\d+)", lambda found: coordinates[int(found[1]) - 1] if coordinates else found[0], str(value))
+    named = re.sub(r"x(\d+)", lambda match: coordinates[int(match[1]) - 1] if coordinates else match[0], str(value))
     return short_formula(named)
 
 
@@ -158,3 +159,60 @@ def _rank(system: Any) -> int:
     if hasattr(system.algebra, "generic_rank"):
         return int(system.algebra.generic_rank())
     return int(np.linalg.matrix_rank(system.structure_matrix(np.cos(1.0 + np.arange(system.dim)))))
+
+
+def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
+    """Return `count` coordinate names as plain text: those of the system, else of the basis, else x1, x2, ...
+
+    Examples
+    --------
+    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
+    >>> coordinate_names(rigid_body((1, 2, 3)), 3)
+    ('x1', 'x2', 'x3')
+    """
+    entry = gallery_entry_of(system.name)
+    names = () if entry is None else entry.names(count)
+    if names:
+        return names
+    basis = getattr(system.algebra, "basis", ())
+    if len(basis) != count:
+        return tuple(f"x{i + 1}" for i in range(count))
+    # e1, e2, ... are default names of basis elements; the coordinate of e_i is x_i.
+    return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
+
+
+MAX_SHOWN_ENTRIES = 6
+"""Number of Casimirs and coordinates in a table, and of coordinates of a Hamiltonian shown as a polynomial."""
+
+
+def _energy(H: Any) -> str:
+    """Return a Hamiltonian as text: a quadratic one of few coordinates as a polynomial."""
+    return short(H.to_polynomial() if isinstance(H, Quadratic) and (H.dim or 0) <= MAX_SHOWN_ENTRIES else H, 200)
+
+
+def system_table(system: Any, **more: str) -> str:
+    """Return an HTML table of a system: dimension, algebra, Hamiltonian, Casimirs, parameters, and further rows `more`.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> "x1^2 + x2^2 + x3^2" in system_table(co.systems.rigid_body((1, 2, 3)))
+    True
+    """
+    base = getattr(system, "system", system)
+    names = coordinate_names(base, system.dim)
+    casimirs = base.casimirs
+    listed = [f"{name} = {short(casimir, 100)}" for name, casimir in list(casimirs.items())[:MAX_SHOWN_ENTRIES]]
+    rest = [f"and {len(casimirs) - MAX_SHOWN_ENTRIES} more"] if len(casimirs) > MAX_SHOWN_ENTRIES else []
+    shown = [*names[:MAX_SHOWN_ENTRIES], *(["..."] if system.dim > MAX_SHOWN_ENTRIES else [])]
+    rows: dict[str, Any] = {
+        "coordinates": f"{system.dim}: {', '.join(shown)}",
+        "algebra": getattr(base.algebra, "name", None) or ("none" if base.algebra is None else "without a name"),
+        "Hamiltonian": _energy(system.hamiltonian),
+        "sign": f"{system.sign:+d}",
+        "Casimirs": ", ".join([*listed, *rest]) or "none is known",
+    }
+    parameters = getattr(base, "parameters", None)
+    if parameters:
+        rows["parameters"] = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items())
+    return html_table(system.name, {**rows, **more})

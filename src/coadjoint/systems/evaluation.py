@@ -33,11 +33,11 @@ def ignore_overflow(method: MethodT) -> MethodT:
     quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")(method)
 
     @functools.wraps(method)
-    def evaluated(*given: Any, **named: Any) -> Any:
+    def evaluated(*args: Any, **kwargs: Any) -> Any:
         try:
-            return quiet(*given, **named)
+            return quiet(*args, **kwargs)
         except OverflowError as reason:
-            raise OverflowError(f"a number there is too large for float64 ({reason})") from None
+            raise OverflowError(f"a number is too large for float64 ({reason})") from None
 
     return cast(MethodT, evaluated)
 
@@ -58,7 +58,7 @@ def vectorized_over_states(method: MethodT) -> MethodT:
     """
 
     @functools.wraps(method)
-    def of_all(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+    def vectorized(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         array: npt.NDArray[Any] = x if type(x) is np.ndarray else to_array(x, "x", "iufc")
         if array.ndim < 2 or len(getattr(self, "shape", ())) > 1:  # one state, or matrices
             return method(self, x, t)
@@ -69,16 +69,18 @@ def vectorized_over_states(method: MethodT) -> MethodT:
         times = read_numbers(t, "t")
         if times.ndim > 1 or (times.ndim == 1 and len(times) != lead[0]):
             raise ValueError(f"t has shape {times.shape}; give one time, or one for each of {lead[0]} states")
-        each = np.broadcast_to(times if times.ndim == 0 else times.reshape(-1, *[1] * (len(lead) - 1)), lead).ravel()
+        state_times = np.broadcast_to(
+            times if times.ndim == 0 else times.reshape(-1, *[1] * (len(lead) - 1)), lead
+        ).ravel()
         rows = array.reshape(-1, array.shape[-1])
-        found = [method(self, row, float(time)) for row, time in zip(rows, each, strict=True)]
-        if not found:  # without states, return an empty array of the right shape
-            like = np.asarray(method(self, np.zeros(array.shape[-1])))
-            return np.empty((*lead, *like.shape))
-        values = np.asarray(found)
+        results = [method(self, row, float(time)) for row, time in zip(rows, state_times, strict=True)]
+        if not results:  # without states, return an empty array of the right shape
+            example = np.asarray(method(self, np.zeros(array.shape[-1])))
+            return np.empty((*lead, *example.shape))
+        values = np.asarray(results)
         return values.reshape(*lead, *values.shape[1:])
 
-    return cast(MethodT, of_all)
+    return cast(MethodT, vectorized)
 
 
 def lossless_coefficients(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -100,9 +102,9 @@ def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> n
     return sums
 
 
-def checked_name(name: Any, otherwise: str) -> str:
-    """Return the validated name, or `otherwise` if it is None."""
-    return otherwise if name is None else read_title(name, "name of a system")
+def checked_name(name: Any, default: str) -> str:
+    """Return the validated name, or `default` if it is None."""
+    return default if name is None else read_title(name, "name of a system")
 
 
 def checked_sign(sign: int, what: str = "sign") -> int:

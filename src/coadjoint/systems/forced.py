@@ -13,7 +13,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, point, vectorized_over_states
 from coadjoint.systems.forces.base import Force
-from coadjoint.validation import read_list, read_number, read_numbers, title, to_array
+from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
 
 class ForcedSystem:
@@ -57,16 +57,16 @@ class ForcedSystem:
         from coadjoint.systems.system_checks import check_one_system
 
         check_one_system(system)
-        forces = read_list(forces, "what was given as forces", "give a list of forces of co.forces")
+        forces = read_list(forces, "forces", "give a list of forces of co.forces")
         if not forces:
             raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")
         for force in forces:
             if not isinstance(force, Force):
                 raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
             force.check(system)
-        drawn = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
-        if len(set(drawn)) < len(drawn):
-            raise ValueError("two forces draw the same noise; give each a seed of its own")
+        streams = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
+        if len(set(streams)) < len(streams):
+            raise ValueError("two forces have the same seed and stream, and so the same noise; give each its own seed")
         if not getattr(system, "linear_stream", True):
             # the kernels compute the energy of matrices from their stream
             raise ValueError(f"the energy of {system.name} is a user function; forces need a system without energy=")
@@ -91,17 +91,17 @@ class ForcedSystem:
         if not first or not any(force.random for force in self.forces):
             return self
         forces: list[Any] = list(self.forces)
-        moved = [replace(force, stream=force.stream + first) if force.random else force for force in forces]
-        return ForcedSystem(self.system, moved)
+        renumbered = [replace(force, stream=force.stream + first) if force.random else force for force in forces]
+        return ForcedSystem(self.system, renumbered)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the forces, numbered from the second of a type on."""
-        found: list[str] = []
+        labels: list[str] = []
         for k, force in enumerate(self.forces):
             earlier = sum(other.label == force.label for other in self.forces[:k])
-            found.append(f"{force.label} {earlier + 1}" if earlier else force.label)
-        return tuple(found)
+            labels.append(f"{force.label} {earlier + 1}" if earlier else force.label)
+        return tuple(labels)
 
     @property
     def reversible(self) -> bool:
@@ -121,7 +121,7 @@ class ForcedSystem:
     @property
     def name(self) -> str:
         """Name of the Hamiltonian part and of the forces."""
-        return title(f"{self.system.name} with {', '.join(self.labels)}")
+        return truncate_title(f"{self.system.name} with {', '.join(self.labels)}")
 
     @property
     def algebra(self) -> Any:
@@ -175,8 +175,8 @@ class ForcedSystem:
             A force is random.
         """
         y, t = self._numbers(x), read_number(t, "t")
-        found = sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
-        return np.asarray(self.system.from_vector(found) if to_array(x, "x", "iufc").ndim > 1 else found)
+        field = sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
+        return np.asarray(self.system.from_vector(field) if to_array(x, "x", "iufc").ndim > 1 else field)
 
     def _numbers(self, x: Any) -> npt.NDArray[Any]:
         """Return a state as a vector; a matrix by its entries."""
@@ -222,14 +222,14 @@ class ForcedSystem:
         {'LinearDamping': -0.5}
         """
         y, t = self._numbers(x), read_number(t, "t")
-        slope = self.hamiltonian.gradient(y, t)
+        gradient = self.hamiltonian.gradient(y, t)
         pairs = zip(self.labels, self.forces, strict=True)
-        return {label: float(slope @ force.field(self.system, y, t)) for label, force in pairs}
+        return {label: float(gradient @ force.field(self.system, y, t)) for label, force in pairs}
 
     def __repr__(self) -> str:
         return f"<{short(self.system, 200)} with {', '.join(map(str, self.forces))}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.html_table import system_table
+        from coadjoint.systems.description import system_table
 
         return system_table(self, forces=", ".join(map(str, self.forces)))

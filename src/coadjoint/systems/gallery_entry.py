@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -97,16 +98,16 @@ class GalleryEntry:
     quantity: str = "momentum"
 
     def __post_init__(self) -> None:
-        keep = object.__setattr__
-        keep(self, "t_span", tuple(read_number(t, "a time of t_span") for t in _listed(self.t_span, "t_span")))
-        keep(self, "step", read_positive(self.step, "step"))
-        keep(self, "save_every", read_integer(self.save_every, "save_every"))
-        keep(self, "attitude", read_bool(self.attitude, "attitude"))
-        pictures = _listed(self.pictures, "pictures")
+        set_field = object.__setattr__
+        set_field(self, "t_span", tuple(read_number(t, "a time of t_span") for t in _as_tuple(self.t_span, "t_span")))
+        set_field(self, "step", read_positive(self.step, "step"))
+        set_field(self, "save_every", read_integer(self.save_every, "save_every"))
+        set_field(self, "attitude", read_bool(self.attitude, "attitude"))
+        pictures = _as_tuple(self.pictures, "pictures")
         for picture in (*pictures, self.components):
             if not isinstance(picture, Picture):
                 raise TypeError(f"a picture is {short(picture)}; give a Picture, such as Picture('body axis', axis=1)")
-        keep(self, "pictures", pictures)
+        set_field(self, "pictures", pictures)
         for text, what in ((self.caption, "caption"), (self.quantity, "quantity")):
             if not isinstance(text, str) or not text:
                 raise TypeError(f"{what} is {short(text)}; give a string")
@@ -118,9 +119,9 @@ class GalleryEntry:
         -------
         ndarray, shape (n,) or (members, n)
         """
-        argument = self.x0() if callable(self.x0) else self.x0
+        x0 = self.x0() if callable(self.x0) else self.x0
         # Complex matrices are validated by the run.
-        return np.array(argument) if np.iscomplexobj(argument) else read_finite(argument, "x0")
+        return np.array(x0) if np.iscomplexobj(x0) else read_finite(x0, "x0")
 
     def names(self, dim: int) -> tuple[str, ...]:
         """Return the names of `dim` coordinates; empty if they have none.
@@ -134,9 +135,24 @@ class GalleryEntry:
         -------
         tuple of str
         """
-        argument = tuple(self.coordinates(dim)) if callable(self.coordinates) else tuple(self.coordinates)
-        return argument if len(argument) == dim else ()
+        names = tuple(self.coordinates(dim)) if callable(self.coordinates) else tuple(self.coordinates)
+        return names if len(names) == dim else ()
 
 
-def _listed(argument: Any, what: str) -> tuple[Any, ...]:
+def _as_tuple(argument: Any, what: str) -> tuple[Any, ...]:
     return read_list(argument, what, "give a list")
+
+
+def points_on_sphere(count: int, radius: float = 1.0) -> npt.NDArray[np.float64]:
+    """Return `count` points, (count, 3), distributed about evenly on a sphere, along a spiral of the golden angle.
+
+    Examples
+    --------
+    >>> np.linalg.norm(points_on_sphere(5, 2.0), axis=1)
+    array([2., 2., 2., 2., 2.])
+    """
+    k = np.arange(count)
+    height = 1.0 - (2.0 * k + 1.0) / count
+    angle = math.pi * (3.0 - math.sqrt(5.0)) * k
+    distance = np.sqrt(1.0 - height**2)
+    return radius * np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=-1)

@@ -32,8 +32,7 @@ from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
-from coadjoint.systems.integral_checks import checked_integrals
-from coadjoint.systems.recorded_casimirs import checked_casimirs, known_or_found_casimirs
+from coadjoint.systems.recorded_invariants import checked_casimirs, checked_integrals, known_or_found_casimirs
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
@@ -133,47 +132,47 @@ class LiePoissonSystem:
     ) -> None:
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
-        keep = object.__setattr__
-        keep(self, "algebra", algebra)
-        keep(self, "sign", checked_sign(sign))
-        keep(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
+        set_field = object.__setattr__
+        set_field(self, "algebra", algebra)
+        set_field(self, "sign", checked_sign(sign))
+        set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
         self._check_pieces()
         i, j, k, c = algebra.triples
         check_available_memory(
             BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
         )
         # J(x) u: row i gets c x_k u_j, and, by antisymmetry, row j gets -c x_k u_i.
-        keep(self, "_rows", np.concatenate([i, j]))
-        keep(self, "_factors", np.concatenate([j, i]))
-        keep(self, "_states", np.concatenate([k, k]))
-        keep(self, "_constants", np.concatenate([c, -c]))
+        set_field(self, "_rows", np.concatenate([i, j]))
+        set_field(self, "_factors", np.concatenate([j, i]))
+        set_field(self, "_states", np.concatenate([k, k]))
+        set_field(self, "_constants", np.concatenate([c, -c]))
         if casimirs is None:
-            keep(self, "_casimirs", None)
+            set_field(self, "_casimirs", None)
         else:
-            keep(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
-        sums = self._product, self._absolute_product
-        known = {} if integrals is None else integrals
-        keep(self, "_integrals", checked_integrals(known, self.hamiltonian, algebra.dim, *sums))
+            set_field(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
+        products = self._product, self._absolute_product
+        given_integrals = {} if integrals is None else integrals
+        set_field(self, "_integrals", checked_integrals(given_integrals, self.hamiltonian, algebra.dim, *products))
         if representation is None:
-            keep(self, "representation", algebra.representation)
+            set_field(self, "representation", algebra.representation)
         else:
             checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
-            keep(self, "representation", checked)
-        keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
-        keep(self, "_parameters", checked_parameters(parameters))
-        keep(self, "_exact", checked_closed_form(exact))
-        keep(self, "_layout", checked_layout(layout))
+            set_field(self, "representation", checked)
+        set_field(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
+        set_field(self, "_parameters", checked_parameters(parameters))
+        set_field(self, "_exact", checked_closed_form(exact))
+        set_field(self, "_layout", checked_layout(layout))
 
     def _check_pieces(self) -> None:
-        splits = (one for one in summands_of(self.hamiltonian) if isinstance(one, SplitHamiltonian))
-        pieces = [chosen for one in splits for chosen in one.coordinates]
+        splits = (summand for summand in summands_of(self.hamiltonian) if isinstance(summand, SplitHamiltonian))
+        pieces = [chosen for summand in splits for chosen in summand.coordinates]
         i, j, _, _ = self.algebra.triples
         for number, chosen in enumerate(pieces):
-            inside = np.zeros(self.dim, dtype=bool)
-            inside[list(chosen)] = True
-            clash = np.flatnonzero(inside[i] & inside[j])
-            if clash.size:
-                a, b = int(i[clash[0]]), int(j[clash[0]])
+            in_piece = np.zeros(self.dim, dtype=bool)
+            in_piece[list(chosen)] = True
+            conflicts = np.flatnonzero(in_piece[i] & in_piece[j])
+            if conflicts.size:
+                a, b = int(i[conflicts[0]]), int(j[conflicts[0]])
                 raise ValueError(
                     f"piece {number} has the coordinates {a} and {b}, whose basis elements {self.algebra.basis[a]} "
                     f"and {self.algebra.basis[b]} do not commute; put them in different pieces"
@@ -300,8 +299,8 @@ class LiePoissonSystem:
             The Hamiltonian has no second derivatives.
         """
         y = point(x, self.dim)
-        moving = self.algebra.coadjoint(self.hamiltonian.gradient(y, t))
-        return self.sign * (moving + self.algebra.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
+        bracket_part = self.algebra.coadjoint(self.hamiltonian.gradient(y, t))
+        return self.sign * (bracket_part + self.algebra.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Return the closed-form solution, if known.
@@ -343,10 +342,10 @@ class LiePoissonSystem:
         return ForcedSystem(self, forces)
 
     def __repr__(self) -> str:
-        where = self.algebra.name or f"an algebra of dimension {self.dim}"
-        return f"<{self.name}: {self.hamiltonian!r} on {where}, sign={self.sign:+d}>"
+        algebra = self.algebra.name or f"an algebra of dimension {self.dim}"
+        return f"<{self.name}: {self.hamiltonian!r} on {algebra}, sign={self.sign:+d}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.html_table import system_table
+        from coadjoint.systems.description import system_table
 
         return system_table(self)

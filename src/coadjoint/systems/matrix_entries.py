@@ -25,8 +25,8 @@ def real_array(argument: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
         return floats
     exact = np.empty(array.shape, dtype=object)
     # NumPy integers in an array of objects would overflow silently.
-    for place, entry in np.ndenumerate(array):
-        exact[place] = entry.item() if isinstance(entry, np.generic) else entry
+    for index, entry in np.ndenumerate(array):
+        exact[index] = entry.item() if isinstance(entry, np.generic) else entry
     return exact
 
 
@@ -48,22 +48,22 @@ def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt
     bad = np.flatnonzero(~np.isfinite(entries))
     if bad.size:
         raise ValueError(f"M[{rows[bad[0]]}, {csr.indices[bad[0]]}] is {entries[bad[0]]}; give finite numbers")
-    turned = csr.transpose().tocsr()
-    pairs = ((turned.indptr, csr.indptr), (turned.indices, csr.indices), (turned.data, csr.data))
-    return n, rows, csr.indices, entries, all(np.array_equal(one, other) for one, other in pairs)
+    transposed = csr.transpose().tocsr()
+    pairs = ((transposed.indptr, csr.indptr), (transposed.indices, csr.indices), (transposed.data, csr.data))
+    return n, rows, csr.indices, entries, all(np.array_equal(a, b) for a, b in pairs)
 
 
 def check_symmetric(n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> None:
     """Raise ValueError for asymmetry beyond 64 u of the largest entry, the round-off of a computed symmetric matrix."""
     above, below = rows < columns, rows > columns
     upper, lower = rows[above] * n + columns[above], columns[below] * n + rows[below]
-    places = distinct(np.concatenate([upper, lower]))
-    first, second = np.zeros(places.size), np.zeros(places.size)
-    first[np.searchsorted(places, upper)] = values[above]
-    second[np.searchsorted(places, lower)] = values[below]
+    positions = distinct(np.concatenate([upper, lower]))
+    first, second = np.zeros(positions.size), np.zeros(positions.size)
+    first[np.searchsorted(positions, upper)] = values[above]
+    second[np.searchsorted(positions, lower)] = values[below]
     bad = np.flatnonzero(np.abs(first - second) > 64 * UNIT_ROUNDOFF * np.abs(values).max(initial=0.0))
     if bad.size:
-        i, j = divmod(int(places[bad[0]]), n)
+        i, j = divmod(int(positions[bad[0]]), n)
         raise ValueError(
             f"M is not symmetric: M[{i}, {j}] = {first[bad[0]]:g} but M[{j}, {i}] = {second[bad[0]]:g}; "
             "give both the same value"

@@ -17,7 +17,7 @@ from coadjoint.systems.evaluation import checked_name, checked_sign, ignore_over
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.recorded_casimirs import checked_casimirs
+from coadjoint.systems.recorded_invariants import checked_casimirs
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
 from coadjoint.validation import read_integer, read_numbers
 
@@ -113,15 +113,15 @@ class PoissonSystem:
         check_available_memory(
             BYTES_PER_PRODUCT * n**2, f"a Poisson system of dimension {short(n)}, whose J(x) is dense,"
         )
-        keep = object.__setattr__
-        keep(self, "sign", checked_sign(sign))
-        keep(self, "dim", n)
-        keep(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
-        keep(self, "structure_function", structure_matrix)
-        keep(self, "derivative_function", derivative)
-        keep(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
-        keep(self, "_parameters", checked_parameters(parameters))
-        keep(self, "_exact", checked_closed_form(exact))
+        set_field = object.__setattr__
+        set_field(self, "sign", checked_sign(sign))
+        set_field(self, "dim", n)
+        set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
+        set_field(self, "structure_function", structure_matrix)
+        set_field(self, "derivative_function", derivative)
+        set_field(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
+        set_field(self, "_parameters", checked_parameters(parameters))
+        set_field(self, "_exact", checked_closed_form(exact))
         for x in sample_points(self.dim):
             self._check_skew(x)
         if derivative is not None:
@@ -130,7 +130,7 @@ class PoissonSystem:
             check_derivative(
                 structure_matrix, derivative, names=names, shapes=(shape, (*shape, self.dim)), n=self.dim, timed=False
             )
-        keep(
+        set_field(
             self,
             "_casimirs",
             checked_casimirs({} if casimirs is None else casimirs, self.dim, self._product, self._absolute_product),
@@ -138,7 +138,7 @@ class PoissonSystem:
 
     def _check_skew(self, x: npt.NDArray[np.float64]) -> None:
         with np.errstate(all="ignore"):
-            J = read_numbers(self.structure_function(x), "what structure_matrix returns")
+            J = read_numbers(self.structure_function(x), "the value of structure_matrix")
         if J.shape != (self.dim, self.dim):
             raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})")
         size = np.abs(J).max(initial=0.0)
@@ -226,8 +226,8 @@ class PoissonSystem:
         if self.derivative_function is None:
             raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=")
         y = point(x, self.dim)
-        turned = np.einsum("ijk,j->ik", np.asarray(self.derivative_function(y)), self.hamiltonian.gradient(y, t))
-        return self.sign * (turned + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
+        bracket_part = np.einsum("ijk,j->ik", np.asarray(self.derivative_function(y)), self.hamiltonian.gradient(y, t))
+        return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Return the closed-form solution, if known; see `LiePoissonSystem.exact`."""
@@ -241,6 +241,6 @@ class PoissonSystem:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.systems.html_table import system_table
+        from coadjoint.systems.description import system_table
 
         return system_table(self)

@@ -52,11 +52,11 @@ def ready_made(function: Any = None, *, gallery_entry: GalleryEntry | None = Non
         raise TypeError(f"gallery_entry is {short(gallery_entry)}; give a coadjoint.systems.gallery_entry.GalleryEntry")
 
     def register(builder: Builder) -> Builder:
-        made = suggest_keywords(builder)
-        _REGISTRY[made.__name__] = made
+        wrapped = suggest_keywords(builder)
+        _REGISTRY[wrapped.__name__] = wrapped
         if gallery_entry is not None:
-            _GALLERY_ENTRIES[made.__name__] = gallery_entry
-        return made
+            _GALLERY_ENTRIES[wrapped.__name__] = gallery_entry
+        return wrapped
 
     return register if function is None else register(function)
 

@@ -105,8 +105,8 @@ def as_vector_system(system: Any) -> Any:
     return system.in_numbers if isinstance(system, MatrixSystem) else system
 
 
-def check_vector_states(system: Any, instead: str = "take a scheme for these, IsospectralGauss") -> None:
-    """Raise an error unless given a single system with vector states; `instead` is the advice for matrix systems."""
+def check_vector_states(system: Any, advice: str = "use IsospectralGauss") -> None:
+    """Raise an error unless given a single system with vector states; `advice` ends the message for matrix systems."""
     check_one_system(system)
     if isinstance(system, MatrixSystem):
-        raise ValueError(f"{system.name} moves matrices in {system.algebra}; {instead}")
+        raise ValueError(f"{system.name} has matrix states, in {system.algebra}; {advice}")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.invariants.logarithmic import Forms
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -37,8 +37,8 @@ class MultipleOf:
 
     def __call__(self, *arguments: Any) -> Any:
         """Return the multiple of the value at x, or at x and t."""
-        found = self.function(*arguments)
-        return self.factor * (found if self.scalar else np.asarray(found))
+        value = self.function(*arguments)
+        return self.factor * (value if self.scalar else np.asarray(value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +95,9 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
         except (TypeError, ValueError):
             raise TypeError(f"{name} has no signature; give a function of (x) or (x, t)") from None
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        places = [p for p in signature.parameters.values() if p.kind in positional]
-        required = [p for p in places if p.default is inspect.Parameter.empty]
-        count = 2 if len(places) > 1 and len(required) < 2 and places[1].name == "t" else len(required)
+        parameters = [p for p in signature.parameters.values() if p.kind in positional]
+        required = [p for p in parameters if p.default is inspect.Parameter.empty]
+        count = 2 if len(parameters) > 1 and len(required) < 2 and parameters[1].name == "t" else len(required)
         if any(
             p.kind is inspect.Parameter.KEYWORD_ONLY and p.default is p.empty for p in signature.parameters.values()
         ):
@@ -183,20 +183,20 @@ def check_derivative(
     The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
     u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits. Non-finite points are skipped.
     """
-    seen, failure = False, ""
+    evaluated, failure = False, ""
     for x in sample_points(1 if n is None else n):
-        at = x if n is not None else float(x[0])
-        value, slope = evaluate(function, at, timed), evaluate(derivative, at, timed)
+        argument = x if n is not None else float(x[0])
+        value, slope = evaluate(function, argument, timed), evaluate(derivative, argument, timed)
         if isinstance(value, Exception) or isinstance(slope, Exception):
             failure = f"{names[0]}: {value}" if isinstance(value, Exception) else f"{names[1]}: {slope}"
             continue
-        seen = True
+        evaluated = True
         for name, result, shape in zip(names, (value, slope), shapes, strict=True):
             if result.shape != shape:
                 raise ValueError(f"{name} returns shape {result.shape} at a sample point; it must return {shape}")
         if np.all(np.isfinite(value)) and np.all(np.isfinite(slope)):
             _compare(function, value, slope, x, names, n, timed)
-    if not seen:
+    if not evaluated:
         raise ValueError(f"{names[0]} or {names[1]} fails at every sample point ({failure}); correct the function")
 
 
@@ -223,14 +223,14 @@ def _compare(
         size = max(size, np.abs(right).max(initial=0.0), np.abs(left).max(initial=0.0))
         differences.append((right - left) / (2.0 * h))
     coarse, fine = differences
-    stated = slope @ direction if n is not None else slope * direction[0]
+    declared = slope @ direction if n is not None else slope * direction[0]
     if not (np.all(np.isfinite(coarse)) and np.all(np.isfinite(fine))):
         return
     tolerance = 16.0 * np.abs(coarse - fine).max(initial=0.0) + 2.0**10 * UNIT_ROUNDOFF * size / step
-    error = np.abs(fine - stated).max(initial=0.0)
+    error = np.abs(fine - declared).max(initial=0.0)
     if error > tolerance:
-        where = np.unravel_index(np.argmax(np.abs(fine - stated)), np.shape(fine)) if np.ndim(fine) else ()
+        index = np.unravel_index(np.argmax(np.abs(fine - declared)), np.shape(fine)) if np.ndim(fine) else ()
         raise ValueError(
-            f"{names[1]} contradicts {names[0]}: along a sample direction it gives {float(stated[where]):.6g}, "
-            f"but the central difference of {names[0]} is {float(fine[where]):.6g}; correct the one that is wrong"
+            f"{names[1]} contradicts {names[0]}: along a sample direction it gives {float(declared[index]):.6g}, "
+            f"but the central difference of {names[0]} is {float(fine[index]):.6g}; correct the one that is wrong"
         )

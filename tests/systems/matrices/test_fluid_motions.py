@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.matrices.hoppe_yau import generators
+from coadjoint.systems.matrices.spherical_modes import generators
 
 REFERENCE = json.loads(Path(__file__).with_name("zeitlin_reference.json").read_text())
 SPHERE, TORUS = co.systems.sphere_euler(N=8), co.systems.torus_euler(N=7)

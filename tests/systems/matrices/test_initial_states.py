@@ -324,7 +324,7 @@ def test_fields_of_the_torus_in_netcdf(ways, tmp_path):
 @pytest.mark.parametrize(
     ("latitude", "longitude", "said"),
     [
-        (np.linspace(75, -75, 9), np.arange(0, 360, 20.0), "those of no known grid"),
+        (np.linspace(75, -75, 9), np.arange(0, 360, 20.0), "no known grid"),
         (np.linspace(90, -90, 9), np.linspace(0, 360, 19), "without its end point"),
         (np.linspace(90, -90, 9), np.arange(0, 180, 20.0), "not equally spaced over 2 pi"),
     ],

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.matrices.hoppe_yau import generators
+from coadjoint.systems.matrices.spherical_modes import generators
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 

@@ -50,11 +50,11 @@ def summands(triples: Triples, dim: int) -> Iterator[tuple[Integers, Triples]]:
     """
     i, j, k, _ = triples
     label = connected(dim, np.concatenate([i, i]), np.concatenate([j, k]))
-    place = np.zeros(dim, dtype=np.int64)
+    local_index = np.zeros(dim, dtype=np.int64)
     order, _ = groups(label[i])
     owner = label[i][order]
     for members in parts(label):
-        place[members] = np.arange(members.size)
+        local_index[members] = np.arange(members.size)
         rows = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
-        found = triples.rows(np.sort(rows))
-        yield members, Triples(place[found.i], place[found.j], place[found.k], found.c)
+        summand = triples.rows(np.sort(rows))
+        yield members, Triples(local_index[summand.i], local_index[summand.j], local_index[summand.k], summand.c)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact.numbers import exact_number
+from coadjoint.algebra.exact.numbers import exact_number, fraction
 from coadjoint.short_repr import short
 from coadjoint.validation import read_number, reject_lossy_conversion
 
@@ -82,10 +82,10 @@ class Span:
             combination: Vector = {number: scale}
             add_multiple(combination, -scale, used)
             row: Vector = {i: value * scale for i, value in rest.items()}
-            for other, coordinates in self._rows.values():
-                factor = other.get(pivot, 0)
+            for earlier_row, coordinates in self._rows.values():
+                factor = earlier_row.get(pivot, 0)
                 if factor:
-                    add_multiple(other, -factor, row)
+                    add_multiple(earlier_row, -factor, row)
                     add_multiple(coordinates, -factor, combination)
             self._rows[pivot] = row, combination
 
@@ -102,7 +102,7 @@ class Span:
     def combination(self, vector: Mapping[int, Number]) -> Vector | None:
         """Return the coefficients of a vector in the given ones, by their number; None if it is outside the span."""
         rest, used = self._reduced(vector)
-        return None if rest else {i: _simple(used[i]) for i in sorted(used)}
+        return None if rest else {i: fraction(used[i]) for i in sorted(used)}
 
     def remainder(self, vector: Mapping[int, Number]) -> Vector:
         """Return the representative of a vector modulo the span that is zero at the pivots."""
@@ -112,7 +112,3 @@ class Span:
     def pivots(self) -> frozenset[int]:
         """Pivot indices, one per vector."""
         return frozenset(self._rows)
-
-
-def _simple(value: Number) -> Number:
-    return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value

@@ -14,7 +14,7 @@ Word = tuple[Any, ...]
 Series = list[dict[Word, Any]]
 
 
-def one(highest: int) -> Series:
+def unit_series(highest: int) -> Series:
     """Return the series 1 truncated at a weight."""
     return [{(): 1}, *({} for _ in range(highest))]
 
@@ -22,22 +22,22 @@ def one(highest: int) -> Series:
 def product(left: Series, right: Series) -> Series:
     """Return the product of two series, truncated at their common weight."""
     result: Series = [{} for _ in left]
-    for i, some in enumerate(left):
-        for j, others in enumerate(right[: len(left) - i]):
-            found = result[i + j]
-            for a, x in some.items():
-                for b, y in others.items():
+    for i, left_words in enumerate(left):
+        for j, right_words in enumerate(right[: len(left) - i]):
+            target = result[i + j]
+            for a, x in left_words.items():
+                for b, y in right_words.items():
                     word = a + b
-                    found[word] = found[word] + x * y if word in found else x * y
+                    target[word] = target[word] + x * y if word in target else x * y
     return result
 
 
 def exponential(exponent: Series) -> Series:
     """Return exp of a series without a constant term."""
-    result = power = one(len(exponent) - 1)
+    result = power = unit_series(len(exponent) - 1)
     for k in range(1, len(exponent)):
         power = _scaled(product(power, exponent), 1, k)
-        result = plus(result, power)
+        result = add_series(result, power)
     return result
 
 
@@ -45,23 +45,23 @@ def logarithm(series: Series) -> Series:
     """Return log of a series with constant term 1."""
     rest = [{}, *series[1:]]
     result: Series = [{} for _ in series]
-    power = one(len(series) - 1)
+    power = unit_series(len(series) - 1)
     for k in range(1, len(series)):
         power = product(power, rest)
-        result = plus(result, _scaled(power, 1 if k % 2 else -1, k))
+        result = add_series(result, _scaled(power, 1 if k % 2 else -1, k))
     return result
 
 
-def _scaled(series: Series, above: int, below: int) -> Series:
-    return [{word: above * value / below for word, value in some.items()} for some in series]
+def _scaled(series: Series, numerator: int, denominator: int) -> Series:
+    return [{word: numerator * value / denominator for word, value in words.items()} for words in series]
 
 
-def plus(left: Series, right: Series) -> Series:
+def add_series(left: Series, right: Series) -> Series:
     """Return the sum of two series."""
-    result = [dict(some) for some in left]
-    for found, others in zip(result, right, strict=True):
-        for word, value in others.items():
-            found[word] = found[word] + value if word in found else value
+    result = [dict(words) for words in left]
+    for target, addend in zip(result, right, strict=True):
+        for word, value in addend.items():
+            target[word] = target[word] + value if word in target else value
     return result
 
 
@@ -79,10 +79,10 @@ def lyndon_words(weights: Mapping[Any, int], weight: int) -> list[Word]:
     return [word for word in words(weight) if all(word < word[k:] for k in range(1, len(word)))]
 
 
-def factors(word: Word) -> tuple[Word, Word]:
+def standard_factorization(word: Word) -> tuple[Word, Word]:
     """Return the standard factorization of a Lyndon word: the prefix, and the smallest proper suffix."""
-    place = min(range(1, len(word)), key=lambda k: word[k:])
-    return word[:place], word[place:]
+    split = min(range(1, len(word)), key=lambda k: word[k:])
+    return word[:split], word[split:]
 
 
 @lru_cache(maxsize=4096)
@@ -91,7 +91,7 @@ def expand_bracket(word: Word) -> Mapping[Word, int]:
     if len(word) == 1:
         return {word: 1}
     result: dict[Word, int] = {}
-    left, right = (expand_bracket(half) for half in factors(word))
+    left, right = (expand_bracket(half) for half in standard_factorization(word))
     for a, x in left.items():
         for b, y in right.items():
             for joined, value in ((a + b, x * y), (b + a, -x * y)):
@@ -105,11 +105,11 @@ def lie_coordinates(element: Mapping[Word, Any], words: Sequence[Word]) -> tuple
     Returns the coordinates by Lyndon word, and the remaining coefficients, zero up to rounding for a Lie element.
     """
     rest = dict(element)
-    found = {}
+    coordinates = {}
     for word in words:
         if word in rest:
-            found[word] = value = rest[word]
-            for other, factor in expand_bracket(word).items():
-                rest[other] = rest.get(other, 0) - factor * value
+            coordinates[word] = value = rest[word]
+            for expanded, factor in expand_bracket(word).items():
+                rest[expanded] = rest.get(expanded, 0) - factor * value
             del rest[word]
-    return found, rest
+    return coordinates, rest

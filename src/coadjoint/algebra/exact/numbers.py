@@ -1,4 +1,4 @@
-"""Exact conversions between floats, Python integers and fractions, and python-flint rationals."""
+"""Exact conversions between floats, Python integers, fractions and python-flint rationals; number literals."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Constant = int | float | Fraction
+
+PLAIN_NUMBER = r"(?:\d+\.?\d*|\.\d+)"
+NUMBER = rf"{PLAIN_NUMBER}(?:[eE][+-]?\d+)?"
+MAX_DIGITS = 400
 TOO_LARGE = "is too large for float64, or has too many digits"
 
 
 def exact_number(value: Any) -> Any:
     """Convert a finite float or any rational number exactly to int or Fraction; return other numbers unchanged.
 
-    Products with Fraction or mpmath numbers then stay exact or keep their precision.
+    Products with Fraction or mpmath numbers then stay exact or retain their precision.
 
     Examples
     --------
@@ -33,8 +38,8 @@ def exact_number(value: Any) -> Any:
 
 def fraction(value: Any) -> int | Fraction:
     """Convert a rational number, such as one of NumPy or python-flint, to int or Fraction."""
-    above, below = int(value.numerator), int(value.denominator)
-    return above if below == 1 else Fraction(above, below)
+    numerator, denominator = int(value.numerator), int(value.denominator)
+    return numerator if denominator == 1 else Fraction(numerator, denominator)
 
 
 def rational(value: Any) -> Any:
@@ -84,3 +89,36 @@ def is_finite(value: int | float | Fraction) -> bool:
 def fits(value: int | float | Fraction) -> bool:
     """Return whether a number is finite in float64 and, if exact, has a reasonable number of digits."""
     return is_finite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)
+
+
+def parse_number(literal: str) -> Constant:
+    """Parse a number: int if it consists of digits, else float."""
+    if not literal.isdigit():
+        return checked(float(literal))
+    if len(literal) > MAX_DIGITS:
+        raise ValueError(f"a number of {len(literal)} digits {TOO_LARGE}")
+    return checked(int(literal))
+
+
+def quotient(numerator: Constant, denominator: Constant) -> Constant:
+    """Return numerator/denominator: exact if both are, else a float.
+
+    Examples
+    --------
+    >>> quotient(1, 3), quotient(1.0, 4)
+    (Fraction(1, 3), 0.25)
+    """
+    exact = not isinstance(numerator, float) and not isinstance(denominator, float)
+    return Fraction(numerator) / Fraction(denominator) if exact else checked(float(numerator) / float(denominator))
+
+
+def checked(value: Constant) -> Any:
+    """Return a number, or raise a ValueError if it is beyond float64."""
+    if not fits(value):
+        raise too_large()
+    return value
+
+
+def too_large() -> ValueError:
+    """Return the error for a number beyond float64."""
+    return ValueError(f"a number {TOO_LARGE}")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact.numerical_rank import rank_from_gap
+from coadjoint.algebra.exact.ranks import rank_from_gap
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, groups
 from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -16,16 +16,16 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 MIN_PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
 
 
-def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float]:
+def _row_echelon_form(basis: Floats, error: float) -> tuple[list[int], Floats, float]:
     """Return pivots, reduced row echelon form and its error, for orthonormal rows known to `error`."""
     rows = basis.copy()
-    found: list[int] = []
+    pivot_columns: list[int] = []
     for column in range(rows.shape[1]):
-        rank = len(found)
+        rank = len(pivot_columns)
         if rank == len(rows):
             break
-        at = rank + int(np.argmax(np.abs(rows[rank:, column])))
-        size = abs(rows[at, column])
+        pivot_row = rank + int(np.argmax(np.abs(rows[rank:, column])))
+        size = abs(rows[pivot_row, column])
         if size <= error:
             continue
         if size < MIN_PIVOT:
@@ -33,19 +33,19 @@ def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float
                 f"a leading coefficient {size:.3g} of a Casimir is neither round-off (below {error:.3g}) nor above "
                 f"{MIN_PIVOT:.3g}; give constants that are rational or more exact"
             )
-        rows[[rank, at]] = rows[[at, rank]]
+        rows[[rank, pivot_row]] = rows[[pivot_row, rank]]
         rows[rank] /= rows[rank, column]
-        others = np.arange(len(rows)) != rank
-        rows[others] -= np.outer(rows[others, column], rows[rank])
-        found.append(column)
+        other_rows = np.arange(len(rows)) != rank
+        rows[other_rows] -= np.outer(rows[other_rows, column], rows[rank])
+        pivot_columns.append(column)
         error *= max(1.0, 1.0 / size)
-    return found, rows, error
+    return pivot_columns, rows, error
 
 
-def _cleaned(row: Floats, error: float) -> Floats:
+def _snap_to_integers(row: Floats, error: float) -> Floats:
     """Round coefficients that are within their error of a whole number (often zero) to it."""
-    whole = np.round(row)
-    return np.where(np.abs(row - whole) <= error * np.maximum(1.0, np.abs(whole)), whole, row)
+    nearest = np.round(row)
+    return np.where(np.abs(row - nearest) <= error * np.maximum(1.0, np.abs(nearest)), nearest, row)
 
 
 def _block_kernel(linear_equations: Equations) -> list[Vector]:
@@ -68,10 +68,10 @@ def _block_kernel(linear_equations: Equations) -> list[Vector]:
     if rank == linear_equations.unknowns:
         return []
     error = roundoff / singular[rank - 1] if rank else DEFECT_FACTOR * UNIT_ROUNDOFF
-    found, rows, error = _leading_form(basis[rank:], error)
+    pivot_columns, rows, error = _row_echelon_form(basis[rank:], error)
     vectors: list[Vector] = []
-    for pivot, coefficients in zip(found, rows, strict=True):
-        clean = _cleaned(coefficients, error)
+    for pivot, coefficients in zip(pivot_columns, rows, strict=True):
+        clean = _snap_to_integers(coefficients, error)
         clean[:pivot] = 0.0
         residual = np.add.reduceat((linear_equations.values * clean[linear_equations.columns])[order], starts)
         allowed = error * float(np.abs(linear_equations.values).max()) * float(np.abs(clean).sum()) + roundoff
@@ -80,7 +80,7 @@ def _block_kernel(linear_equations: Equations) -> list[Vector]:
                 f"a Casimir found in floats has the residual {np.abs(residual).max():.3g} in J(x) grad C(x) = 0, above "
                 f"the {allowed:.3g} of round-off"
             )
-        vectors.append({at: float(clean[at]) for at in np.flatnonzero(clean).tolist()})
+        vectors.append({index: float(clean[index]) for index in np.flatnonzero(clean).tolist()})
     return vectors
 
 
@@ -90,14 +90,15 @@ def kernel(linear_equations: Equations, largest: int) -> list[Vector]:
     With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
     zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
     """
-    found: list[Vector] = []
+    solutions: list[Vector] = []
     for unknowns, part in blocks(linear_equations):
         if not part.values.size:
-            found += [{int(column): 1.0} for column in unknowns]
+            solutions += [{int(column): 1.0} for column in unknowns]
             continue
         check_block(part, largest)
-        found += [{int(unknowns[at]): value for at, value in vector.items()} for vector in _block_kernel(part)]
-    return sorted(found, key=lambda vector: next(iter(vector)))
+        for vector in _block_kernel(part):
+            solutions.append({int(unknowns[index]): value for index, value in vector.items()})
+    return sorted(solutions, key=lambda vector: next(iter(vector)))
 
 
 def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
@@ -108,4 +109,4 @@ def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
     _, singular, basis = np.linalg.svd(matrix, full_matrices=False)
     roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * float(np.linalg.norm(matrix))
     rank = rank_from_gap(singular, roundoff, "the products of Casimirs")
-    return _leading_form(basis[:rank], roundoff / singular[rank - 1])[0]
+    return _row_echelon_form(basis[:rank], roundoff / singular[rank - 1])[0]

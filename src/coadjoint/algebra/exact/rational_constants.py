@@ -39,24 +39,24 @@ def clear_denominators(values: list[Fraction]) -> NDArray[Any]:
     return exact_numbers(value.numerator * (common // value.denominator) for value in values)
 
 
-def jacobi_exact(triples: Triples, whole: NDArray[Any], dim: int) -> bool:
-    """Return whether the integer constants `whole` fulfil the Jacobi identity exactly.
+def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
+    """Return whether integer constants fulfil the Jacobi identity exactly.
 
     The trilinear form is evaluated at two seeded random triples of vectors with entries below 2^62; if it is not
     identically zero, both vanish with probability <= (3/2^62)^2 < 2^-120 (Schwartz and Zippel). Small constants pass by
     `check_jacobi`.
     """
     i, j, k, c = triples
-    if whole.size == 0:
+    if integers.size == 0:
         return True
-    largest = max(map(abs, whole.tolist()))
+    largest = max(map(abs, integers.tolist()))
     # 64 u times the sum of at most 3 n products is below 1 (u = 2^-53)
-    if 3 * dim * largest**2 < 2**47 and all(a == b for a, b in zip(whole.tolist(), c.tolist(), strict=True)):
+    if 3 * dim * largest**2 < 2**47 and all(a == b for a, b in zip(integers.tolist(), c.tolist(), strict=True)):
         return True
 
     def bracket(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
         result = np.zeros(dim, dtype=object)
-        np.add.at(result, k, whole * (u[i] * v[j] - u[j] * v[i]))
+        np.add.at(result, k, integers * (u[i] * v[j] - u[j] * v[i]))
         return result
 
     rng = np.random.default_rng(0)
@@ -73,13 +73,13 @@ def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
     Every constant must be the float nearest to a simple fraction (`as_fraction`), and the fractions must fulfil the
     Jacobi identity exactly. A common factor changes neither Casimirs nor ranks.
     """
-    different, place = np.unique(triples.c, return_inverse=True)
-    fractions = [as_fraction(value) for value in different.tolist()]
+    distinct, inverse = np.unique(triples.c, return_inverse=True)
+    fractions = [as_fraction(value) for value in distinct.tolist()]
     known = [value for value in fractions if value is not None]
     if len(known) < len(fractions):
         return None
-    whole = clear_denominators(known)[place]
-    return whole if jacobi_exact(triples, whole, dim) else None
+    integers = clear_denominators(known)[inverse]
+    return integers if jacobi_exact(triples, integers, dim) else None
 
 
 def dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
@@ -90,6 +90,6 @@ def dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
     >>> dyadic_constants(Triples(*np.array([[0, 1], [2, 2], [0, 1]]), np.array([1.0, 0.375])), 3)
     array([8, 3], dtype=object)
     """
-    different, place = np.unique(triples.c, return_inverse=True)
-    whole = clear_denominators([Fraction(value) for value in different.tolist()])[place]
-    return whole if jacobi_exact(triples, whole, dim) else None
+    distinct, inverse = np.unique(triples.c, return_inverse=True)
+    integers = clear_denominators([Fraction(value) for value in distinct.tolist()])[inverse]
+    return integers if jacobi_exact(triples, integers, dim) else None

@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint import long_operations as waiting
-from coadjoint.algebra.exact.modular import random_prime, residues
 from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.exact.ranks import random_prime, residues
 from coadjoint.algebra.exact.sparse_sums import groups
 from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
+from coadjoint.long_operations import note_progress
 
 if TYPE_CHECKING:
     from flint import nmod_mat
 
 
-def _leading_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
+def _row_echelon_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
     """Return pivots and rows of the reduced row echelon form."""
     reduced, rank = rows.rref()
     width = reduced.ncols()
     flat = [int(value) for value in reduced.entries()[: rank * width]]
-    found = [flat[at * width : (at + 1) * width] for at in range(rank)]
-    return tuple(next(at for at, value in enumerate(row) if value) for row in found), found
+    echelon = [flat[index * width : (index + 1) * width] for index in range(rank)]
+    return tuple(next(index for index, value in enumerate(row) if value) for row in echelon), echelon
 
 
 def _kernel_modulo(linear_equations: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
@@ -36,12 +36,13 @@ def _kernel_modulo(linear_equations: Equations, prime: int) -> tuple[tuple[int, 
     order, starts = groups(linear_equations.along)
     cuts = np.split(order, starts[1:]) if order.size else []
     kernel: Any = None
-    for at in sorted(cuts, key=len, reverse=True):  # longest first, since it reduces the kernel most
-        waiting.at(f"the equations of {size} coupled coefficients")
-        names, row = np.unique(linear_equations.target[at], return_inverse=True)
+    for selection in sorted(cuts, key=len, reverse=True):  # longest first, since it reduces the kernel most
+        note_progress(f"the equations of {size} coupled coefficients")
+        names, row = np.unique(linear_equations.target[selection], return_inverse=True)
         flat = [0] * (names.size * size)
-        for place, value in zip((row * size + linear_equations.columns[at]).tolist(), values[at].tolist(), strict=True):
-            flat[place] = value
+        positions = (row * size + linear_equations.columns[selection]).tolist()
+        for position, value in zip(positions, values[selection].tolist(), strict=True):
+            flat[position] = value
         matrix = nmod_mat(names.size, size, flat, prime)
         if kernel is not None:
             matrix = matrix * kernel
@@ -54,7 +55,7 @@ def _kernel_modulo(linear_equations: Equations, prime: int) -> tuple[tuple[int, 
         kernel = null if kernel is None else kernel * null
     if kernel is None:
         kernel = nmod_mat(size, size, [int(a == b) for a in range(size) for b in range(size)], prime)
-    return _leading_form(kernel.transpose())
+    return _row_echelon_form(kernel.transpose())
 
 
 def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
@@ -66,13 +67,13 @@ def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
     Fraction(2, 3)
     """
     bound = math.isqrt(modulus // 2)
-    above, here = (modulus, 0), (residue, 1)
-    while here[0] > bound:
-        quotient = above[0] // here[0]
-        above, here = here, (above[0] - quotient * here[0], above[1] - quotient * here[1])
-    if here[1] == 0 or abs(here[1]) > bound or math.gcd(here[0], here[1]) != 1:
+    previous, current = (modulus, 0), (residue, 1)
+    while current[0] > bound:
+        quotient = previous[0] // current[0]
+        previous, current = current, (previous[0] - quotient * current[0], previous[1] - quotient * current[1])
+    if current[1] == 0 or abs(current[1]) > bound or math.gcd(current[0], current[1]) != 1:
         return None
-    return Fraction(here[0], here[1])
+    return Fraction(current[0], current[1])
 
 
 def annihilated(linear_equations: Equations, vector: Vector) -> bool:
@@ -108,12 +109,12 @@ def _block_kernel(linear_equations: Equations, rng: np.random.Generator) -> list
         prime = random_prime(rng)
         if modulus % prime == 0:
             continue
-        found, rows = _kernel_modulo(linear_equations, prime)
-        if not found:
+        leading, rows = _kernel_modulo(linear_equations, prime)
+        if not leading:
             return []
-        if modulus == 1 or (len(found), found) < (len(pivots), pivots):
-            pivots, columns, modulus = found, rows, prime
-        elif found == pivots:
+        if modulus == 1 or (len(leading), leading) < (len(pivots), pivots):
+            pivots, columns, modulus = leading, rows, prime
+        elif leading == pivots:
             inverse = pow(modulus, -1, prime)
             columns = [
                 [old + modulus * ((new - old) * inverse % prime) for old, new in zip(*pair, strict=True)]
@@ -124,7 +125,7 @@ def _block_kernel(linear_equations: Equations, rng: np.random.Generator) -> list
             continue
         vectors: list[Vector] = []
         for row in columns:
-            vector = {at: fraction_modulo(value, modulus) for at, value in enumerate(row) if value}
+            vector = {index: fraction_modulo(value, modulus) for index, value in enumerate(row) if value}
             if None in vector.values() or not annihilated(linear_equations, vector):
                 break
             vectors.append(vector)
@@ -138,18 +139,18 @@ def kernel(linear_equations: Equations, largest: int) -> list[Vector]:
     Every vector is verified against all equations in exact arithmetic. ValueError for a block above `largest` unknowns.
     """
     rng = np.random.default_rng(0)
-    found: list[Vector] = []
+    solutions: list[Vector] = []
     for unknowns, part in blocks(linear_equations):
         if not part.values.size:
-            found += [{int(column): 1} for column in unknowns]
+            solutions += [{int(column): 1} for column in unknowns]
             continue
         check_block(part, largest)
         for vector in _block_kernel(part, rng):
-            whole = {int(unknowns[at]): value for at, value in vector.items()}
-            if not annihilated(linear_equations, whole):
+            solution = {int(unknowns[index]): value for index, value in vector.items()}
+            if not annihilated(linear_equations, solution):
                 raise ArithmeticError("a solution of a block does not solve all equations: the blocks are wrong")
-            found.append(whole)
-    return sorted(found, key=lambda vector: next(iter(vector)))
+            solutions.append(solution)
+    return sorted(solutions, key=lambda vector: next(iter(vector)))
 
 
 def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
@@ -161,4 +162,4 @@ def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
     flat = [rational(value) for row in rows for value in row]
     reduced, rank = fmpq_mat(len(rows), width, flat).rref()
     entries = reduced.entries()
-    return [next(at for at in range(width) if entries[row * width + at] != 0) for row in range(rank)]
+    return [next(column for column in range(width) if entries[row * width + column] != 0) for row in range(rank)]

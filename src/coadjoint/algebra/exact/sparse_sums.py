@@ -89,10 +89,10 @@ def group_max_abs(labels: Integers, values: Floats) -> Floats:
     >>> group_max_abs(np.array([4, 7, 4]), np.array([1.0, 2.0, -3.0]))
     array([3., 2., 3.])
     """
-    _, place = np.unique(labels, return_inverse=True)
-    largest = np.zeros(place.max(initial=-1) + 1)
-    np.maximum.at(largest, place, np.abs(values))
-    return largest[place]
+    _, group = np.unique(labels, return_inverse=True)
+    largest = np.zeros(group.max(initial=-1) + 1)
+    np.maximum.at(largest, group, np.abs(values))
+    return largest[group]
 
 
 def largest_violation(
@@ -101,7 +101,7 @@ def largest_violation(
     """Return (row, defect) of the sum of products of equal keys farthest from zero relative to its sizes, or None.
 
     A sum is zero if below 64 u times the summed products of `sizes`, bounds of the factors with which they were rounded
-    (u = 2^-53). Mantissas and exponents are kept separately, so that no product over- or underflows.
+    (u = 2^-53). Mantissas and exponents are stored separately, so that no product over- or underflows.
     """
     if factors[0].size == 0:
         return None

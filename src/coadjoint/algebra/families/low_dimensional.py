@@ -39,29 +39,29 @@ def parameters_of(name: str) -> tuple[str, ...]:
     return tuple(entries()[name].get("parameters", ()))
 
 
-def read_parameters(name: str, argument: Mapping[str, Any]) -> dict[str, Number]:
+def read_parameters(name: str, parameters: Mapping[str, Any]) -> dict[str, Number]:
     """Validate the parameters of an algebra and return them exactly; floats are converted exactly."""
     expected = parameters_of(name)
-    missing = [key for key in expected if key not in argument]
+    missing = [key for key in expected if key not in parameters]
     if missing:
         raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
-    extra = sorted(set(argument) - set(expected))
+    extra = sorted(set(parameters) - set(expected))
     if extra:
         accepted = ", ".join(expected) or "none"
         raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")
     values: dict[str, Number] = {}
     for key in expected:
-        value = argument[key]
+        value = parameters[key]
         number = read_number(value, f"{key} of {name}")
         values[key] = exact_number(value if isinstance(value, Rational) else number)
     condition = entries()[name].get("range")
     if condition is not None and not condition_holds(condition, values):
-        shown = ", ".join(f"{key} = {_shown(value)}" for key, value in values.items())
+        shown = ", ".join(f"{key} = {_format_number(value)}" for key, value in values.items())
         raise ValueError(f"parameters of {name} are out of range: it needs {condition}, not {shown}")
     return values
 
 
-def _shown(value: Number) -> str:
+def _format_number(value: Number) -> str:
     text = f"{rounded(value):g}"
     return text if Fraction(text) == value or float(text) == rounded(value) else repr(rounded(value))
 
@@ -95,19 +95,19 @@ def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomia
     entry = entries()[name]
     result: dict[str, Polynomial | LogarithmicSum] = {}
     for argument in entry["invariants"]:
-        stated = {"formula": argument} if isinstance(argument, str) else argument
-        if "where" in stated and not condition_holds(stated["where"], parameters):
+        invariant = {"formula": argument} if isinstance(argument, str) else argument
+        if "where" in invariant and not condition_holds(invariant["where"], parameters):
             continue
-        formula = parse_formula(stated["formula"], parameters, entry["dim"])
+        formula = parse_formula(invariant["formula"], parameters, entry["dim"])
         if isinstance(formula, int | Fraction):
-            raise ValueError(f"invariant {stated['formula']!r} of {name} is a constant")
+            raise ValueError(f"invariant {invariant['formula']!r} of {name} is a constant")
         if isinstance(formula, LogarithmicSum):
             if formula.period is None:
                 continue
-            if "name" not in stated and [term.kind for term in formula.terms] == [LOGARITHM]:
+            if "name" not in invariant and [term.kind for term in formula.terms] == [LOGARITHM]:
                 formula = formula.terms[0].second
-        text = re.sub(r"log\(([^()]*)\)", r"log|\1|", stated["formula"]).replace("**", "^")
-        result[stated.get("name", repr(formula) if isinstance(formula, Polynomial) else text)] = formula
+        text = re.sub(r"log\(([^()]*)\)", r"log|\1|", invariant["formula"]).replace("**", "^")
+        result[invariant.get("name", repr(formula) if isinstance(formula, Polynomial) else text)] = formula
     return result
 
 
@@ -132,8 +132,8 @@ def _representation(brackets: Constants, dim: int) -> Floats | None:
     except ValueError:
         return None  # the adjoint representation annihilates the centre
     for i, row in enumerate(adjoint):
-        for place, value in row.items():
-            rho[i].flat[place] = rounded(value)
+        for position, value in row.items():
+            rho[i].flat[position] = rounded(value)
     return rho
 
 
@@ -186,7 +186,7 @@ def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
         key: formula if isinstance(formula, Polynomial) else formula.invariant()
         for key, formula in formulas(name, values).items()
     }
-    shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
+    shown = ", ".join(f"{key}={_format_number(value)}" for key, value in values.items())
     return LieAlgebra(
         rows,
         dim=dim,

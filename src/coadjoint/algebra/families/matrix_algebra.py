@@ -70,20 +70,20 @@ class MatrixAlgebra:
         kind, N = read_choice(self.kind, "kind", KINDS), read_integer(self.N, "N", 2, MAX_MATRIX_SIZE)
         q = read_integer(self.q, "q", 0, N)
         if N % 2 and KINDS[kind].form == "symplectic":
-            raise ValueError(f"N is {N}; matrices of {kind} have an even number of rows")
+            raise ValueError(f"N is {N}; it must be even for {kind}")
         if q and kind not in INDEFINITE_KINDS:
             raise ValueError(
-                f"q is {q}; {kind} has no negative signs (q must be 0); only {', '.join(INDEFINITE_KINDS)} have"
+                f"q is {q}; {kind} has no negative signs, so q must be 0; {', '.join(INDEFINITE_KINDS)} accept others"
             )
         if not isinstance(self.blocks, tuple) or self.blocks:
-            raise ValueError(f"blocks is {short(self.blocks)}; a sum of algebras is made by MatrixAlgebra.sum")
+            raise ValueError(f"blocks is {short(self.blocks)} for a single algebra; use MatrixAlgebra.sum for a sum")
         for name, value in (("kind", kind), ("N", N), ("q", q)):
             object.__setattr__(self, name, value)
 
     def _check_blocks(self) -> None:
         blocks = self.blocks
         if not isinstance(blocks, tuple) or len(blocks) < 2 or not all(isinstance(b, MatrixAlgebra) for b in blocks):
-            raise TypeError(f"blocks is {short(blocks)}; a sum has two MatrixAlgebras or more")
+            raise TypeError(f"blocks is {short(blocks)}; give a tuple of two MatrixAlgebras or more")
         size = sum(block.N for block in blocks)
         if size > MAX_MATRIX_SIZE or self.N != size or self.q != 0:
             raise ValueError(
@@ -110,7 +110,7 @@ class MatrixAlgebra:
         (8, 10, False)
         """
         if not all(isinstance(algebra, MatrixAlgebra) for algebra in algebras):
-            raise TypeError(f"algebras are {short(algebras)}; give MatrixAlgebras")
+            raise TypeError(f"algebras are {short(algebras)}; all must be MatrixAlgebras")
         blocks = tuple(block for algebra in algebras for block in algebra.blocks or (algebra,))
         return cls(SUM, sum(block.N for block in blocks), 0, blocks)
 
@@ -224,9 +224,9 @@ class MatrixAlgebra:
         A = np.asarray(A, dtype=np.complex128 if self.complex else None)
         if not self.complex and np.iscomplexobj(A):
             A = np.ascontiguousarray(A.real)
-        found = np.zeros(A.shape, dtype=np.complex128 if self.complex else np.float64)
-        for place, block, kind in self.parts:
-            part = A[..., place, place]
+        result = np.zeros(A.shape, dtype=np.complex128 if self.complex else np.float64)
+        for rows, block, kind in self.parts:
+            part = A[..., rows, rows]
             part = part if kind.complex else part.real
             if kind.form:
                 part = (part - Adjoint(kind, block.N, block.q)(part)) / 2
@@ -234,8 +234,8 @@ class MatrixAlgebra:
                 mean = np.trace(part, axis1=-2, axis2=-1) / block.N
                 mean = np.where(np.abs(mean) > spared * np.abs(part).max(axis=(-2, -1), initial=0.0), mean, 0.0)
                 part = part - mean[..., None, None] * np.eye(block.N)
-            found[..., place, place] = part
-        return found
+            result[..., rows, rows] = part
+        return result
 
     def read(self, given: Any, what: str = "x0") -> Matrix:
         """Validate matrices of the algebra and project them onto it exactly.
@@ -277,11 +277,11 @@ class MatrixAlgebra:
         away, size = (np.abs(B).max(axis=(-2, -1), initial=0.0).reshape(-1) for B in (A - near, A))
         wrong = np.flatnonzero(away > MEMBERSHIP_TOLERANCE * self.N * size)
         if len(wrong):
-            one = wrong[0]
-            which = f"{what}[{one}]" if A.ndim == 3 else what
+            member = wrong[0]
+            label = f"{what}[{member}]" if A.ndim == 3 else what
             raise ValueError(
-                f"{which} is not a matrix of {self}: it must be {self.description}, but differs by {away[one]:.2g} "
-                f"where its largest entry is {size[one]:.2g}"
+                f"{label} is not a matrix of {self}: it must be {self.description}, but differs by {away[member]:.2g} "
+                f"where its largest entry is {size[member]:.2g}"
             )
         return near
 

@@ -47,27 +47,28 @@ def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Tripl
     dim = int(basis.number.max(initial=0)) + 1
     joins: list[tuple[Integers, Integers]] = []
     # X_a X_b and X_b X_a for b > a: rows of X_b are joined with columns of X_a, then columns of X_b with rows of X_a.
-    for order, own, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
-        key = (own * dim + basis.number)[order]
+    for order, outer, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
+        key = (outer * dim + basis.number)[order]
         start = np.searchsorted(key, middle * dim + basis.number, side="right")
         joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
     position = coordinates.row * size + coordinates.column
     weights, _ = groups(position)
     position = position[weights]
     cost = sum(stop - start for start, stop in joins)
-    found: list[Triples] = []
+    blocks: list[Triples] = []
     for part in chunks(basis.number, np.asarray(cost, dtype=np.int64)):
-        (one, at), (two, also) = (expand(start[part], stop[part]) for start, stop in joins)
-        one, two, at, also = one + part.start, two + part.start, by_row[at], by_column[also]
-        first = np.concatenate([basis.number[one], basis.number[two]])
-        second = np.concatenate([basis.number[at], basis.number[also]])
-        place = np.concatenate([basis.row[one] * size + basis.column[at], basis.row[also] * size + basis.column[two]])
-        value = np.concatenate([basis.value[one] * basis.value[at], -basis.value[also] * basis.value[two]])
-        entry, at = expand(np.searchsorted(position, place), np.searchsorted(position, place, side="right"))
-        weight = weights[at]
+        # p, q: entries of X_a and X_b in X_a X_b; r, s: in X_b X_a
+        (p, q), (r, s) = (expand(start[part], stop[part]) for start, stop in joins)
+        p, r, q, s = p + part.start, r + part.start, by_row[q], by_column[s]
+        first = np.concatenate([basis.number[p], basis.number[r]])
+        second = np.concatenate([basis.number[q], basis.number[s]])
+        target = np.concatenate([basis.row[p] * size + basis.column[q], basis.row[s] * size + basis.column[r]])
+        value = np.concatenate([basis.value[p] * basis.value[q], -basis.value[s] * basis.value[r]])
+        entry, match = expand(np.searchsorted(position, target), np.searchsorted(position, target, side="right"))
+        weight = weights[match]
         k, c = coordinates.number[weight], value[entry] * coordinates.value[weight]
-        found.append(_summed(first[entry], second[entry], k, c))
-    return Triples(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        blocks.append(_summed(first[entry], second[entry], k, c))
+    return Triples(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
 
 
 def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
@@ -75,9 +76,9 @@ def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
     if not order.size:
         return Triples(i, j, k, c)
     total = np.add.reduceat(c[order], starts)
-    kept = total != 0.0
-    at = order[starts][kept]
-    return Triples(i[at], j[at], k[at], total[kept])
+    nonzero = total != 0.0
+    representatives = order[starts][nonzero]
+    return Triples(i[representatives], j[representatives], k[representatives], total[nonzero])
 
 
 def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
@@ -125,15 +126,15 @@ def matrix_algebra(
     >>> matrix_algebra("affine", affine, affine, 2, {})
     LieAlgebra('affine', dim=2: [e1, e2] = e2)
     """
-    given = Sparse(basis)
-    dim = int(given.number.max()) + 1
+    sparse = Sparse(basis)
+    dim = int(sparse.number.max()) + 1
     casimirs = {}
     if casimirs_fit(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
     # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
-    constants = commutator_constants(given, Sparse(coordinates), size)
-    return LieAlgebra._from_valid(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
+    constants = commutator_constants(sparse, Sparse(coordinates), size)
+    return LieAlgebra._from_valid(constants, dim, read_basis(None, dim), name, matrices(sparse, dim, size), casimirs)
 
 
 def pairs(n: int) -> list[tuple[int, int]]:

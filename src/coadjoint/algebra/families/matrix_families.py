@@ -35,10 +35,10 @@ class Kind(NamedTuple):
 
     def dim(self, N: int) -> int:
         """Return the real dimension."""
-        whole = N * N - self.traceless
+        count = N * N - self.traceless
         if self.even:
-            whole = N * (N - 1) // 2 if self.form == "diagonal" else N * (N + 1) // 2
-        return whole * (1 + self.has_complex_traces)
+            count = N * (N - 1) // 2 if self.form == "diagonal" else N * (N + 1) // 2
+        return count * (1 + self.has_complex_traces)
 
     def rank(self, N: int) -> int:
         """Return the number of independent Casimirs."""
@@ -72,18 +72,18 @@ class Adjoint:
     """
 
     def __init__(self, kind: Kind, N: int, q: int) -> None:
-        self.conjugate, places, signs = kind.conjugate, np.arange(N), np.ones(N)
+        self.conjugate, order, signs = kind.conjugate, np.arange(N), np.ones(N)
         if kind.form == "symplectic":
-            places, signs[N // 2 :] = np.roll(places, N // 2), -1.0
+            order, signs[N // 2 :] = np.roll(order, N // 2), -1.0
         else:
             signs[N - q :] = -1.0
-        self._moved = bool((places != np.arange(N)).any())
-        self._places, self._signs = places, None if (signs > 0).all() else np.outer(signs, signs)
+        self._permuted = bool((order != np.arange(N)).any())
+        self._order, self._signs = order, None if (signs > 0).all() else np.outer(signs, signs)
 
     def __call__(self, A: Matrix) -> Matrix:
-        found = np.swapaxes(A, -1, -2)
-        if self._moved:
-            found = found[..., self._places[:, None], self._places]
+        result = np.swapaxes(A, -1, -2)
+        if self._permuted:
+            result = result[..., self._order[:, None], self._order]
         if self.conjugate:
-            found = np.conj(found)
-        return found if self._signs is None else self._signs * found
+            result = np.conj(result)
+        return result if self._signs is None else self._signs * result

@@ -22,7 +22,7 @@ def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
 
 
 def so(n: int, q: int = 0) -> LieAlgebra:
-    """Return so(n), the skew-symmetric n x n matrices: rotations; or so(p, q), those that keep p + q signs.
+    """Return so(n), the skew-symmetric n x n matrices, or so(p, q), the algebra of a form of signature (p, q).
 
     so(3) has c_12^3 = +1 and the hat matrices, hat(u) v = u x v, as representation. For n >= 4 (and n = 2) the basis is
     E_ij - E_ji, i < j, in the order 12, 13, ..., 1n, 23, ...; these matrices are the representation. For so(p, q) with

@@ -17,7 +17,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
 from coadjoint.short_repr import short
-from coadjoint.validation import read_integer, title
+from coadjoint.validation import read_integer, truncate_title
 
 
 def shifted(triples: Triples, begin: int) -> Triples:
@@ -42,10 +42,10 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     Returns
     -------
     LieAlgebra
-        Basis names are kept if all are distinct; otherwise ``e1[2]`` is e1 of the second summand. The representation is
-        block diagonal if all summands have one and it stays within 128 MB, else None. Known Casimirs are those of the
-        summands, named ``"|x|^2 [2]"``, up to 2^22 exponents in total (682 copies of so(3)), above that none; a user's
-        `Invariant` given as a Python function is not carried over.
+        Basis names are unchanged if all are distinct; otherwise ``e1[2]`` is e1 of the second summand. The
+        representation is block diagonal if all summands have one and it stays within 128 MB, else None. Known Casimirs
+        are those of the summands, named ``"|x|^2 [2]"``, up to 2^22 exponents in total (682 copies of so(3)), above
+        that none; a user's `Invariant` given as a Python function is not carried over.
 
     Raises
     ------
@@ -81,9 +81,9 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
         joined(parts),
         begins[-1],
         tuple(names),
-        title(" + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1))),
+        truncate_title(" + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1))),
         _block_diagonal([algebra.representation for algebra in algebras]),
-        _of_summands(algebras, begins),
+        _summand_casimirs(algebras, begins),
     )
 
 
@@ -126,14 +126,15 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
     size = 0 if g.representation is None else g.representation.shape[1]
     fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= MAX_REPRESENTATION_NUMBERS
-    known = _of_summands([g] * count, range(0, g.dim * (count + 1), g.dim)) if _casimirs_fit_memory([g], count) else {}
-    labels = g.basis
+    known = {}
+    if _casimirs_fit_memory([g], count):
+        known = _summand_casimirs([g] * count, range(0, g.dim * (count + 1), g.dim))
     # The Jacobi identities of every copy are those of g, already checked.
     return LieAlgebra._from_valid(
         Triples(i, j, k, np.tile(c, count)),
         g.dim * count,
-        tuple([f"{label}[{number}]" for number in range(1, count + 1) for label in labels]),
-        title(f"{count} {g.name or 'g'}"),
+        tuple([f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis]),
+        truncate_title(f"{count} {g.name or 'g'}"),
         _block_diagonal([g.representation] * count) if fits else None,
         known,
     )
@@ -146,7 +147,7 @@ def _casimirs_fit_memory(algebras: Sequence[LieAlgebra], count: int = 1) -> bool
     return casimirs_fit(monomials * count, sum(algebra.dim for algebra in algebras) * count)
 
 
-def _of_summands(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> dict[str, Any]:
+def _summand_casimirs(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> dict[str, Any]:
     if not _casimirs_fit_memory(algebras):
         return {}
     dim = begins[-1]
@@ -166,11 +167,11 @@ def _block_diagonal(parts: Sequence[Floats | None]) -> Floats | None:
     if len(blocks) < len(parts) or dim * size**2 > MAX_REPRESENTATION_NUMBERS:
         return None
     rho = np.zeros((dim, size, size))
-    element = place = 0
+    element = offset = 0
     for part in blocks:
         n, d = part.shape[:2]
-        rho[element : element + n, place : place + d, place : place + d] = part
-        element, place = element + n, place + d
+        rho[element : element + n, offset : offset + d, offset : offset + d] = part
+        element, offset = element + n, offset + d
     return rho
 
 
@@ -207,10 +208,10 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     """
     if not isinstance(g, LieAlgebra) or not isinstance(ideal, LieAlgebra | None):
         raise TypeError("a semidirect product is made of LieAlgebras")
-    given = g.representation if representation is None else representation
-    if given is None:
+    matrices = g.representation if representation is None else representation
+    if matrices is None:
         raise ValueError(f"{short(g)} has no representation; give the matrices by which it acts, shape ({g.dim}, d, d)")
-    rho = check_representation(given, g.triples, g.dim, g.basis)
+    rho = check_representation(matrices, g.triples, g.dim, g.basis)
     n, d = g.dim, rho.shape[1]
     if ideal is not None and ideal.dim != d:
         raise ValueError(f"the ideal has dimension {ideal.dim}; the matrices act on {d} dimensions")
@@ -231,9 +232,9 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
         affine = np.zeros((n + d, d + 1, d + 1))
         affine[:n, :d, :d] = rho
         affine[range(n, n + d), range(d), d] = 1.0
-    acted = f"R^{d}" if ideal is None else ideal.name or "h"
+    space_name = f"R^{d}" if ideal is None else ideal.name or "h"
     constants = joined(parts)
-    name = title(f"{g.name or 'g'} ⋉ {acted}")
+    name = truncate_title(f"{g.name or 'g'} ⋉ {space_name}")
     if ideal is not None:  # the Jacobi check verifies that the matrices are derivations of it
         return LieAlgebra(constants, dim=n + d, basis=names + space, name=name)
     constants = constants.rows(groups(constants.i, constants.j, constants.k)[0])

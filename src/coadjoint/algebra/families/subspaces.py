@@ -19,7 +19,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import substituted
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import title, to_array
+from coadjoint.validation import to_array, truncate_title
 
 BYTES_PER_FRACTION = 300  # in a dictionary, including intermediate results
 
@@ -27,7 +27,7 @@ Rows = dict[int, list[tuple[int, int, Number]]]
 Brackets = Mapping[tuple[int, int], Mapping[int, Number]]
 
 
-def _vectors(g: LieAlgebra, argument: Any, what: str) -> list[Vector]:
+def _parse_vectors(g: LieAlgebra, argument: Any, what: str) -> list[Vector]:
     """Parse vectors of g, given as components or names of basis elements."""
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"{what} belongs to a LieAlgebra, not to a {type(g).__name__}")
@@ -35,14 +35,14 @@ def _vectors(g: LieAlgebra, argument: Any, what: str) -> list[Vector]:
         argument = argument.tolist()
     if not isinstance(argument, list | tuple) and np.ndim(argument := to_array(argument, what)) == 0:
         raise TypeError(f"{what} must be a sequence of vectors or of names of basis elements, not {short(argument)}")
-    place = {label: i for i, label in enumerate(g.basis)}
+    index_of = {label: i for i, label in enumerate(g.basis)}
     vectors: list[Vector] = []
     for number, vector in enumerate(argument):
         if isinstance(vector, str):
-            if vector not in place:
+            if vector not in index_of:
                 known = ", ".join(map(short, g.basis[:8]))
                 raise ValueError(f"{short(vector)} in {what} is not a basis element of {short(g)}: {known}, ...")
-            vectors.append({place[vector]: 1})
+            vectors.append({index_of[vector]: 1})
         else:
             vectors.append(read_vector(vector, g.dim, f"vector {number} of {what}"))
     return vectors
@@ -55,7 +55,7 @@ def _span(vectors: Sequence[Vector], what: str) -> Span:
         raise ValueError(f"{what} must consist of independent vectors, but {error}") from None
 
 
-def _by_element(g: LieAlgebra) -> Rows:
+def _brackets_by_element(g: LieAlgebra) -> Rows:
     """Return for each i all (j, k, c_ij^k), in both orders of i and j."""
     rows: Rows = {i: [] for i in range(g.dim)}
     for i, j, k, c in zip(*(column.tolist() for column in g.triples), strict=True):
@@ -85,19 +85,20 @@ def _combine_representation(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats 
     d = g.representation.shape[1]
     rho = np.zeros((len(vectors), d, d))
     entries = [
-        {int(at): exact_number(float(part.flat[at])) for at in np.flatnonzero(part)} for part in g.representation
+        {int(index): exact_number(float(part.flat[index])) for index in np.flatnonzero(part)}
+        for part in g.representation
     ]
     for number, vector in enumerate(vectors):
         total: Vector = {}
         for j, value in vector.items():
             add_multiple(total, value, entries[j])
-        for place, value in total.items():
-            rho[number].flat[place] = rounded(value)
+        for position, value in total.items():
+            rho[number].flat[position] = rounded(value)
     return rho
 
 
 def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exact: bool) -> dict[str, Any]:
-    """Return the known Casimirs in new coordinates, x_i = sum_j rows[i][j] y_j, without those that vanish.
+    """Return the known Casimirs in new coordinates, x_i = sum_j rows[i][j] y_j; vanishing ones are dropped.
 
     If the new constants are rounded (not `exact`), so are the coefficients: no more exact than the algebra.
     """
@@ -162,33 +163,34 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     >>> g.casimirs_known["|x|^2"]
     (1/4)*x1^2 + x2^2 + x3^2
     """
-    vectors = _vectors(g, matrix, "the new basis")
+    vectors = _parse_vectors(g, matrix, "the new basis")
     if len(vectors) != g.dim:
         raise ValueError(f"the new basis must consist of {g.dim} vectors, not {len(vectors)}")
     span = _span(vectors, "the new basis")
     old = [span.combination({i: 1}) or {} for i in range(g.dim)]  # e_i by the new basis, so x_i by x'
     (new, by_new), (inverse, by_inverse) = _to_integers(vectors), _to_integers(old)
-    rows, brackets = _by_element(g), {}
-    having: list[list[int]] = [[] for _ in range(g.dim)]  # indices of new elements with a component along e_j
+    rows, brackets = _brackets_by_element(g), {}
+    elements_along: list[list[int]] = [[] for _ in range(g.dim)]  # indices of new elements with a component along e_j
     for number, vector in enumerate(new):
         for j in vector:
-            having[j].append(number)
+            elements_along[j].append(number)
     # Upper bound on the number of new constants: contributions of the old ones, and all triples.
-    spread, joined = np.array([len(numbers) for numbers in having]), np.array([len(vector) for vector in inverse])
+    spread = np.array([len(numbers) for numbers in elements_along])
+    joined = np.array([len(vector) for vector in inverse])
     most = 2 * int((spread[g.triples.i] * spread[g.triples.j] * joined[g.triples.k]).sum())
     constants = min(most, g.dim**2 * (g.dim - 1) // 2)
     check_available_memory(BYTES_PER_FRACTION * constants, f"{g.name or 'the algebra'} in the new basis")
     for i, u in enumerate(new):
-        for other in sorted({v for a in u for j, _, _ in rows[a] for v in having[j] if v > i}):
+        for partner in sorted({v for a in u for j, _, _ in rows[a] for v in elements_along[j] if v > i}):
             components: Vector = {}
-            for k, value in _bracket(rows, u, new[other]).items():
+            for k, value in _bracket(rows, u, new[partner]).items():
                 add_multiple(components, value, inverse[k])
-            brackets[i, other] = {k: Fraction(value) / (by_new**2 * by_inverse) for k, value in components.items()}
+            brackets[i, partner] = {k: Fraction(value) / (by_new**2 * by_inverse) for k, value in components.items()}
     return LieAlgebra(
         _constants(brackets),
         dim=g.dim,
         basis=read_basis(basis, g.dim),
-        name=None if g.name is None else title(f"{g.name} in another basis"),
+        name=None if g.name is None else truncate_title(f"{g.name} in another basis"),
         representation=_combine_representation(g, vectors),
         casimirs=_casimirs(g, old, g.dim, _is_exact(brackets)),
     )
@@ -221,10 +223,10 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
     >>> subalgebra(so(4), ["e1", "e2", "e4"]).bracket([1, 0, 0], [0, 1, 0])
     array([ 0.,  0., -1.])
     """
-    argument = _vectors(g, vectors, "the subalgebra")
+    argument = _parse_vectors(g, vectors, "the subalgebra")
     if not argument:
         raise ValueError("the subalgebra has no vectors; give at least one")
-    span, rows = _span(argument, "the subalgebra"), _by_element(g)
+    span, rows = _span(argument, "the subalgebra"), _brackets_by_element(g)
     brackets = {}
     for i, u in enumerate(argument):
         for j in range(i + 1, len(argument)):
@@ -238,7 +240,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
         _constants(brackets),
         dim=len(argument),
         basis=basis,
-        name=None if g.name is None else title(f"subalgebra of {g.name}"),
+        name=None if g.name is None else truncate_title(f"subalgebra of {g.name}"),
         representation=_combine_representation(g, argument),
     )
 
@@ -271,8 +273,8 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
     >>> quotient(e(3), ["e4", "e5", "e6"])
     LieAlgebra('e(3) / ideal', dim=3: [e1, e2] = e3, [e1, e3] = -e2, [e2, e3] = e1)
     """
-    argument = _vectors(g, ideal, "the ideal")
-    span, rows = _span(argument, "the ideal"), _by_element(g)
+    argument = _parse_vectors(g, ideal, "the ideal")
+    span, rows = _span(argument, "the ideal"), _brackets_by_element(g)
     if len(argument) == g.dim:
         raise ValueError("the ideal is all of g; the quotient would have dimension 0")
     for number, vector in enumerate(argument):
@@ -281,23 +283,23 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
                 raise ValueError(
                     f"the vectors do not span an ideal: the bracket of {g.basis[i]} with vector {number} leaves it"
                 )
-    kept = [k for k in range(g.dim) if k not in span.pivots]
-    place = {k: number for number, k in enumerate(kept)}
+    complement = [k for k in range(g.dim) if k not in span.pivots]
+    index_of = {k: number for number, k in enumerate(complement)}
     brackets: dict[tuple[int, int], dict[int, Number]] = {}
-    pairs = {(i, j) for i in kept for j, _, _ in rows[i] if i < j and j in place}
+    pairs = {(i, j) for i in complement for j, _, _ in rows[i] if i < j and j in index_of}
     for i, j in sorted(pairs):
         rest = span.remainder(_bracket(rows, {i: 1}, {j: 1}))
-        brackets[place[i], place[j]] = {place[k]: value for k, value in rest.items()}
-    restricted = [{place[j]: value for j, value in span.remainder({i: 1}).items()} for i in range(g.dim)]
+        brackets[index_of[i], index_of[j]] = {index_of[k]: value for k, value in rest.items()}
+    restricted = [{index_of[j]: value for j, value in span.remainder({i: 1}).items()} for i in range(g.dim)]
     rho = g.representation
     if rho is not None:
         zero = _combine_representation(g, argument)
-        rho = rho[kept] if zero is not None and not zero.any() else None
+        rho = rho[complement] if zero is not None and not zero.any() else None
     return LieAlgebra(
         _constants(brackets),
-        dim=len(kept),
-        basis=[g.basis[k] for k in kept],
-        name=None if g.name is None else title(f"{g.name} / ideal"),
+        dim=len(complement),
+        basis=[g.basis[k] for k in complement],
+        name=None if g.name is None else truncate_title(f"{g.name} / ideal"),
         representation=rho,
-        casimirs=_casimirs(g, restricted, len(kept), _is_exact(brackets)),
+        casimirs=_casimirs(g, restricted, len(complement), _is_exact(brackets)),
     )

@@ -47,27 +47,27 @@ def monomials(dim: int, degree: int) -> Integers:
     rows = np.zeros((1, 0), dtype=np.int64)
     for _ in range(degree):
         last = rows[:, -1] if rows.shape[1] else np.zeros(1, dtype=np.int64)
-        which, variable = expand(last, np.full(last.size, dim, dtype=np.int64))
-        rows = np.column_stack([rows[which], variable])
+        row, variable = expand(last, np.full(last.size, dim, dtype=np.int64))
+        rows = np.column_stack([rows[row], variable])
     return rows
 
 
-def places(basis: Integers, dim: int) -> Integers:
+def monomial_positions(basis: Integers, dim: int) -> Integers:
     """Return the positions of sorted tuples in the list `monomials`.
 
     Examples
     --------
-    >>> places(np.array([[1, 1], [0, 1]]), 2).tolist()
+    >>> monomial_positions(np.array([[1, 1], [0, 1]]), 2).tolist()
     [2, 1]
     """
     count, degree = basis.shape
     result = np.zeros(count, dtype=np.int64)
-    before = np.zeros(count, dtype=np.int64)
-    for at in range(degree):
+    previous = np.zeros(count, dtype=np.int64)
+    for slot in range(degree):
         # number of tuples of the remaining length with all entries >= a
-        left = np.array([monomial_count(dim - a, degree - at) for a in range(dim)], dtype=np.int64)
-        result += left[before] - left[basis[:, at]]
-        before = basis[:, at]
+        counts = np.array([monomial_count(dim - a, degree - slot) for a in range(dim)], dtype=np.int64)
+        result += counts[previous] - counts[basis[:, slot]]
+        previous = basis[:, slot]
     return result
 
 
@@ -94,26 +94,26 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     acting, added, constants = acting[by_removed], added[by_removed], constants[by_removed]
     begin = np.searchsorted(removed[by_removed], np.arange(dim + 1)).astype(np.int64)
     positions, entries = [], []
-    for place in range(degree):
-        variable = basis[:, place]
-        column, at = expand(begin[variable], begin[variable + 1])
+    for slot in range(degree):
+        variable = basis[:, slot]
+        column, source = expand(begin[variable], begin[variable + 1])
         changed = basis[column]
-        changed[:, place] = added[at]
+        changed[:, slot] = added[source]
         changed.sort(axis=1)
-        positions.append((acting[at] * count + places(changed, dim)) * count + column)
-        entries.append(at)
+        positions.append((acting[source] * count + monomial_positions(changed, dim)) * count + column)
+        entries.append(source)
     position, entry = np.concatenate(positions), np.concatenate(entries)
     term = constants[entry]
     order, starts = groups(position)
     value = np.add.reduceat(term[order], starts) if order.size else term
-    least: Any = 0
+    tolerance: Any = 0
     if constants.dtype.kind == "f" and order.size:
         sizes = np.tile(group_max_abs(triples.i * dim + triples.j, values), 2)[by_removed]
-        least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(sizes[entry][order], starts)
-    kept = np.asarray(np.abs(value) > least, dtype=bool)
-    row, column = np.divmod(position[order[starts]][kept], count)
+        tolerance = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(sizes[entry][order], starts)
+    nonzero = np.asarray(np.abs(value) > tolerance, dtype=bool)
+    row, column = np.divmod(position[order[starts]][nonzero], count)
     along, target = np.divmod(row, count)
-    return Equations(count, along, target, column, value[kept])
+    return Equations(count, along, target, column, value[nonzero])
 
 
 def blocks(linear_equations: Equations) -> Iterator[tuple[Integers, Equations]]:
@@ -134,26 +134,26 @@ def blocks(linear_equations: Equations) -> Iterator[tuple[Integers, Equations]]:
     )
     rows = rows.astype(np.int64)
     columns, values = linear_equations.columns, linear_equations.values
-    alive = np.ones(linear_equations.unknowns, dtype=bool)
+    unresolved = np.ones(linear_equations.unknowns, dtype=bool)
     single = np.bincount(rows, minlength=names.size)[rows] == 1
     while single.any():
-        alive[columns[single]] = False
-        kept = alive[columns]
-        rows, columns, values = rows[kept], columns[kept], values[kept]
+        unresolved[columns[single]] = False
+        remaining = unresolved[columns]
+        rows, columns, values = rows[remaining], columns[remaining], values[remaining]
         single = np.bincount(rows, minlength=names.size)[rows] == 1
     label = connected(linear_equations.unknowns + names.size, columns, linear_equations.unknowns + rows)[
         : linear_equations.unknowns
     ]
     order = np.argsort(label[columns], kind="stable")
     owner = label[columns][order]
-    place = np.zeros(linear_equations.unknowns, dtype=np.int64)
+    local_index = np.zeros(linear_equations.unknowns, dtype=np.int64)
     for members in parts(label):
-        if alive[members[0]]:
-            place[members] = np.arange(members.size)
-            at = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
-            along, target = np.divmod(names[rows[at]], linear_equations.unknowns)
+        if unresolved[members[0]]:
+            local_index[members] = np.arange(members.size)
+            block_rows = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
+            along, target = np.divmod(names[rows[block_rows]], linear_equations.unknowns)
             target = np.unique(target, return_inverse=True)[1].astype(np.int64)
-            yield members, Equations(members.size, along, target, place[columns[at]], values[at])
+            yield members, Equations(members.size, along, target, local_index[columns[block_rows]], values[block_rows])
 
 
 def check_block(part: Equations, largest: int) -> None:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import numerical_kernel, rational_kernel
 from coadjoint.algebra.exact.components import summands
+from coadjoint.algebra.exact.ranks import generic_rank
 from coadjoint.algebra.exact.rational_constants import clear_denominators, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, equations, monomial_count, monomials
-from coadjoint.algebra.invariants.generic_rank import generic_rank
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.long_operations import at, long_operation
+from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.validation import read_integer
 
 MAX_MONOMIALS = 40_000  # monomials of one degree in one summand; at most a minute
@@ -38,9 +38,9 @@ class _Arithmetic(NamedTuple):
 
 
 def _arithmetic(triples: Triples, dim: int) -> _Arithmetic:
-    whole = rational_constants(triples, dim)
-    if whole is not None:
-        return _Arithmetic(whole, rational_kernel.kernel, rational_kernel.pivots, EXACT_BLOCK)
+    integers = rational_constants(triples, dim)
+    if integers is not None:
+        return _Arithmetic(integers, rational_kernel.kernel, rational_kernel.pivots, EXACT_BLOCK)
     return _Arithmetic(triples.c, numerical_kernel.kernel, numerical_kernel.pivots, FLOAT_BLOCK)
 
 
@@ -72,10 +72,10 @@ def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
     """Convert coefficients to a polynomial; rational ones are scaled to primitive integers."""
     values = list(vector.values())
     if not any(isinstance(value, float) for value in values):
-        whole = clear_denominators(
+        integers = clear_denominators(
             [Fraction(value) for value in values]
         ).tolist()  # primitive, since the first fraction is 1
-        values = [value // math.gcd(*whole) for value in whole]
+        values = [value // math.gcd(*integers) for value in integers]
     exponents = (np.bincount(basis[column], minlength=dim).tolist() for column in vector)
     return Polynomial({tuple(e): value for e, value in zip(exponents, values, strict=True)})
 
@@ -92,14 +92,14 @@ def _of_degree(
     triples: Triples, arithmetic: _Arithmetic, dim: int, degree: int, lower: Sequence[Polynomial]
 ) -> list[Polynomial]:
     """Return a basis of the Casimirs of a degree modulo sums of products of lower ones."""
-    at(f"degree {degree} of dimension {dim}")
+    note_progress(f"degree {degree} of dimension {dim}")
     basis = monomials(dim, degree)
     space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.largest)
     # In a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials.
     leading = [tuple(np.bincount(basis[next(iter(vector))], minlength=dim).tolist()) for vector in space]
     coordinates = [[product.monomials.get(e, 0) for e in leading] for product in products(lower, degree)]
-    given = set(arithmetic.pivots(coordinates, len(space)))
-    return [_polynomial(vector, basis, dim) for at, vector in enumerate(space) if at not in given]
+    generated = set(arithmetic.pivots(coordinates, len(space)))
+    return [_polynomial(vector, basis, dim) for index, vector in enumerate(space) if index not in generated]
 
 
 def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polynomial]:
@@ -118,14 +118,14 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
     if independent > 1:
         check_size(dim, max_degree, triples.c.size)
     arithmetic = _arithmetic(triples, dim)
-    found: list[Polynomial] = []
+    generators: list[Polynomial] = []
     for degree in range(1, max_degree + 1):
         check_size(dim, degree, triples.c.size)
-        found += _of_degree(triples, arithmetic, dim, degree, found)
+        generators += _of_degree(triples, arithmetic, dim, degree, generators)
         # Roots and factors of Casimirs are Casimirs, so with one independent Casimir all are powers of the lowest.
-        if found and independent == 1:
+        if generators and independent == 1:
             break
-    return found
+    return generators
 
 
 class EmptyCasimirs(dict[str, Polynomial]):
@@ -153,8 +153,8 @@ class EmptyCasimirs(dict[str, Polynomial]):
             return "{} (there is no Casimir of any kind: the rank of J is the dimension)"
         verb = "is" if self.count == 1 else "are"
         named = f"; casimirs_known has: {', '.join(self.known)}" if self.known else ""
-        said = f"no polynomial up to degree {self.degree}; of Casimirs of any kind there {verb} {self.count}"
-        return f"{{}} ({said}{named})"
+        explanation = f"no polynomial up to degree {self.degree}; of Casimirs of any kind there {verb} {self.count}"
+        return f"{{}} ({explanation}{named})"
 
 
 @long_operation("casimirs")
@@ -175,11 +175,11 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
                 f"the Casimirs of this direct sum of dimension {dim} need more than {MAX_EXPONENTS} exponents as "
                 f"polynomials in all coordinates; compute the Casimirs of one summand instead"
             )
-    found = [_extended(polynomial, coordinates, dim) for coordinates, polynomial in placed]
+    polynomials = [_extended(polynomial, coordinates, dim) for coordinates, polynomial in placed]
     result: dict[str, Polynomial] = {}
-    found.sort(key=lambda polynomial: (polynomial.degree, [-e for e in next(iter(polynomial.monomials))]))
-    for degree, alike in itertools.groupby(found, key=lambda polynomial: polynomial.degree):
-        group = list(alike)
+    polynomials.sort(key=lambda polynomial: (polynomial.degree, [-e for e in next(iter(polynomial.monomials))]))
+    for degree, same_degree in itertools.groupby(polynomials, key=lambda polynomial: polynomial.degree):
+        group = list(same_degree)
         names = [f"C{degree}"] if len(group) == 1 else [f"C{degree}_{number + 1}" for number in range(len(group))]
         result.update(zip(names, group, strict=True))
     return result

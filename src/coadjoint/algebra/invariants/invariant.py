@@ -1,4 +1,4 @@
-"""Invariants given as Python functions, for those that are not polynomials."""
+"""Invariants given as Python functions."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.short_repr import named_function, short
+from coadjoint.short_repr import function_name, short
 from coadjoint.validation import read_number
 
 
 @dataclass(frozen=True, repr=False)
 class Invariant:
-    """A function of the state that the motion keeps, given as a Python function.
+    """A function of the state that the motion preserves, given as a Python function.
 
-    Choose it for Casimirs and integrals that are not polynomials; `Polynomial` serves the others and is faster.
+    Choose it for Casimirs and integrals that are not polynomials; `Polynomial` is faster for polynomials.
 
     Parameters
     ----------
@@ -66,8 +66,5 @@ class Invariant:
         return values.reshape(states.shape[:-1])
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({named_function(self.value)}{_periodic(self.period)})"
-
-
-def _periodic(period: float) -> str:
-    return f", period={period:g}" if period else ""
+        period = f", period={self.period:g}" if self.period else ""
+        return f"{type(self).__name__}({function_name(self.value)}{period})"

@@ -72,9 +72,9 @@ class LogarithmicSum:
         return " + ".join(_format_term(term) for term in self.terms).replace("+ -", "- ") or "0"
 
     @classmethod
-    def quotient(cls, above: Polynomial, below: Polynomial) -> LogarithmicSum:
-        """Return above/below."""
-        return cls(above.dim, (Term(QUOTIENT, 1, above, below),) if above.monomials else ())
+    def quotient(cls, numerator: Polynomial, denominator: Polynomial) -> LogarithmicSum:
+        """Return numerator/denominator."""
+        return cls(numerator.dim, (Term(QUOTIENT, 1, numerator, denominator),) if numerator.monomials else ())
 
     @classmethod
     def logarithm(cls, p: Polynomial) -> LogarithmicSum:

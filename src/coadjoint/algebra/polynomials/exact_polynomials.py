@@ -1,4 +1,4 @@
-"""Exact polynomials in the momenta of an algebra and in symbols, with their Lie-Poisson bracket."""
+"""Exact polynomials in momenta and symbols with their Lie-Poisson bracket, and their truncations at a point."""
 
 from __future__ import annotations
 
@@ -91,20 +91,20 @@ class ExactPolynomials:
     def field(self, H: Exact) -> list[Exact]:
         """Return J(x) grad H, whose i-th entry is {x_i, H}."""
         slope = self.gradient(H)
-        found = [self.zero] * self.dim
+        components = [self.zero] * self.dim
         for (i, j), entry in self._entries.items():
-            found[i] += entry * slope[j]
-            found[j] -= entry * slope[i]
-        return found
+            components[i] += entry * slope[j]
+            components[j] -= entry * slope[i]
+        return components
 
     def bracket(self, F: Exact, G: Exact) -> Exact:
         """Return {F, G} = (grad F)^T J(x) grad G."""
         left, right = self.gradient(F), self.gradient(G)
         total = self.zero
         for (i, j), entry in self._entries.items():
-            turn = left[i] * right[j] - left[j] * right[i]
-            if turn != 0:
-                total += entry * turn
+            minor = left[i] * right[j] - left[j] * right[i]
+            if minor != 0:
+                total += entry * minor
         return total
 
     def along(self, field: Sequence[Exact], F: Exact) -> Exact:
@@ -118,7 +118,40 @@ class ExactPolynomials:
     @cached_property
     def _entries(self) -> dict[tuple[int, int], Exact]:
         """The nonzero entries J_ij(x), i < j."""
-        found: dict[tuple[int, int], Exact] = {}
+        entries: dict[tuple[int, int], Exact] = {}
         for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
-            found[i, j] = found.get((i, j), self.zero) + rational(c) * self.coordinates[k]
-        return found
+            entries[i, j] = entries.get((i, j), self.zero) + rational(c) * self.coordinates[k]
+        return entries
+
+
+class JetPolynomials(ExactPolynomials):
+    """The ring of polynomials in x - x0, truncated above a degree.
+
+    The value at x0 of as many nested brackets depends on no higher derivatives.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> ring = JetPolynomials(catalogue.so(3), [0.0, 0.0, 5.0], 1)
+    >>> x1, x2, x3 = ring.coordinates
+    >>> ring.polynomial(ring.bracket(x1, x2)), ring.polynomial(ring.at_point(x3 * x3))
+    (5 + x3, 25 + 10*x3)
+    """
+
+    def __init__(self, algebra: LieAlgebra, point: Sequence[float], degree: int) -> None:
+        super().__init__(algebra)
+        self._point = [rational(float(value)) for value in point]
+        self._degree = degree
+
+    def at_point(self, F: Exact) -> Exact:
+        """Rewrite a polynomial in the coordinates as one in x - x0."""
+        return self.reduced(F.compose(*(x + value for x, value in zip(self.coordinates, self._point, strict=True))))
+
+    def reduced(self, F: Exact) -> Exact:
+        if F.total_degree() <= self._degree:
+            return F
+        return self._context.from_dict({e: c for e, c in F.to_dict().items() if sum(e) <= self._degree})
+
+    @cached_property
+    def _entries(self) -> dict[tuple[int, int], Exact]:
+        return {index: self.at_point(entry) for index, entry in super()._entries.items()}

@@ -12,9 +12,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, ClassVar, NamedTuple
 
-from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
-from coadjoint.algebra.polynomials.monomials import Exponents
-from coadjoint.algebra.polynomials.number_literals import (
+from coadjoint.algebra.exact.numbers import (
     MAX_DIGITS,
     NUMBER,
     Constant,
@@ -22,6 +20,8 @@ from coadjoint.algebra.polynomials.number_literals import (
     parse_number,
     too_large,
 )
+from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, TOO_HIGH, Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
@@ -79,8 +79,8 @@ class Power(NamedTuple):
 class Product:
     """A product during parsing: a number, powers of coordinates, and other factors."""
 
-    def __init__(self, reader: FormulaParser) -> None:
-        self.reader = reader
+    def __init__(self, parser: FormulaParser) -> None:
+        self.parser = parser
         self.number: Constant = 1
         self.exponents: list[int] | None = None
         self.degree = 0
@@ -90,9 +90,9 @@ class Product:
         """Multiply by one more factor."""
         if isinstance(factor, Power):
             self.degree += factor.exponent
-            self.reader.check_size(self.degree)
+            self.parser.check_size(self.degree)
             if self.exponents is None:
-                self.exponents = [0] * self.reader.dim
+                self.exponents = [0] * self.parser.dim
             self.exponents[factor.coordinate] += factor.exponent
         elif isinstance(factor, Polynomial | LogarithmicSum):
             self.rest = factor if self.rest is None else self._times(self.rest, factor)
@@ -101,33 +101,33 @@ class Product:
 
     def divide(self, divisor: Any) -> None:
         """Divide the product so far."""
-        divisor = self.reader.to_polynomial_value(divisor)
+        divisor = self.parser.to_polynomial_value(divisor)
         if isinstance(divisor, int | Fraction):
             if divisor == 0:
-                raise self.reader.division_by_zero()
+                raise self.parser.division_by_zero()
             self.number = checked(self.number * (Fraction(1) / divisor))
             return
-        above = self.value()
-        if not (isinstance(above, Polynomial) and isinstance(divisor, Polynomial)):
-            raise self.reader.not_allowed(
-                "has a division that is not known: polynomials divide polynomials, and numbers divide everything"
+        numerator = self.value()
+        if not (isinstance(numerator, Polynomial) and isinstance(divisor, Polynomial)):
+            raise self.parser.not_allowed(
+                "has an unsupported division: a divisor must be a number, or a polynomial below a polynomial"
             )
         self.number, self.exponents, self.degree = 1, None, 0
-        self.rest = LogarithmicSum.quotient(above, divisor)
+        self.rest = LogarithmicSum.quotient(numerator, divisor)
 
     def value(self) -> Any:
         """Return the value of the product so far."""
         if self.exponents is not None:
-            own = Polynomial({tuple(self.exponents): self.number})
-            return own if self.rest is None else self._times(own, self.rest)
+            monomial = Polynomial({tuple(self.exponents): self.number})
+            return monomial if self.rest is None else self._times(monomial, self.rest)
         return self.number if self.rest is None else self.rest * self.number
 
     def _times(self, left: Polynomial | LogarithmicSum, right: Polynomial | LogarithmicSum) -> Polynomial:
         if isinstance(left, LogarithmicSum) or isinstance(right, LogarithmicSum):
-            raise self.reader.not_allowed(
+            raise self.parser.not_allowed(
                 "multiplies a logarithm, an angle or a quotient by something other than a number"
             )
-        self.reader.check_size(left.degree + right.degree, len(left.monomials) * len(right.monomials))
+        self.parser.check_size(left.degree + right.degree, len(left.monomials) * len(right.monomials))
         return left * right
 
 
@@ -185,10 +185,8 @@ class FormulaParser:
 
     def syntax_error(self) -> ValueError:
         """Return the syntax error at the next token."""
-        place = self.text[self._begin :].strip() or "its end"
-        return ValueError(
-            f"{short(self.text, MAX_QUOTED)} cannot be read from {short(place, MAX_QUOTED)} on; {self.notation_help}"
-        )
+        rest = short(self.text[self._begin :].strip() or "its end", MAX_QUOTED)
+        return ValueError(f"{short(self.text, MAX_QUOTED)} cannot be parsed from {rest} on; {self.notation_help}")
 
     def not_allowed(self, why: str) -> ValueError:
         """Return the error for a well-formed formula that is not allowed."""

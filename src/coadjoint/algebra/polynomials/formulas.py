@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
+from coadjoint.algebra.exact.numbers import Constant, checked, parse_number, quotient
 from coadjoint.algebra.polynomials.formula_parser import Formula, FormulaParser, Number, Power, Product
-from coadjoint.algebra.polynomials.number_literals import Constant, checked, parse_number, quotient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 
@@ -29,9 +29,9 @@ def parse_polynomial(text: str, dim: int, names: Sequence[str] | None = None) ->
     Powers are ``x1^2`` or ``x1**2``; quotients of integers stay exact; `names` replaces x1, x2, ... A ValueError names
     the place of a syntax error, a degree above 1024, or a number beyond float64.
     """
-    reader = _ExpandedPolynomialParser(text, {}, dim, "x")
-    reader.names = names
-    value = reader.parse()
+    parser = _ExpandedPolynomialParser(text, {}, dim, "x")
+    parser.names = names
+    value = parser.parse()
     return value if isinstance(value, Polynomial) else Polynomial({(0,) * dim: value})
 
 
@@ -81,12 +81,12 @@ class _ExpandedPolynomialParser(FormulaParser):
                 product.multiply(self.factor())
                 continue
             # A factor may be a quotient, and x/2/3 is not x/(2/3).
-            below = self._any_number() if self.token["number"] else self.factor()
-            if isinstance(below, Power):
+            divisor = self._any_number() if self.token["number"] else self.factor()
+            if isinstance(divisor, Power):
                 raise self.not_allowed(f"divides by a coordinate; {self.notation_help}")
-            if below == 0:
+            if divisor == 0:
                 raise self.division_by_zero()
-            product.number = checked(quotient(product.number, below))
+            product.number = checked(quotient(product.number, divisor))
         return product
 
     def factor(self) -> Any:
@@ -94,14 +94,14 @@ class _ExpandedPolynomialParser(FormulaParser):
         if index is not None:
             self.next()
             return Power(index, self.whole_number() if self.accept(*self.powers) is not None else 1)
-        inside = self.accept("(") is not None
+        parenthesized = self.accept("(") is not None
         value = self._any_number()
         if self.accept("/") is not None:
-            below = self._any_number()
-            if below == 0:
+            divisor = self._any_number()
+            if divisor == 0:
                 raise self.division_by_zero()
-            value = quotient(value, below)
-        if inside:
+            value = quotient(value, divisor)
+        if parenthesized:
             self.expect(")")
         return value
 

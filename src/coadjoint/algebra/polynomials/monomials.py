@@ -1,17 +1,25 @@
-"""Validation of the exponents and the coefficient of a monomial."""
+"""Monomials: validation, and vectorized evaluation of sums of products of powers in any number type."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from fractions import Fraction
+from functools import cached_property
+from itertools import pairwise
 from numbers import Rational
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.numbers import exact_number, is_finite
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, is_finite
 from coadjoint.short_repr import short
 
+Coefficient = int | float | Fraction
 Exponents = tuple[int, ...]
+
+MAX_NUMBERS = 2**18
+"""Number of products evaluated at once for many points; more do not fit the cache."""
 
 
 def read_exponents(argument: Any) -> Exponents:
@@ -36,3 +44,117 @@ def read_coefficient(value: Any, what: str) -> Coefficient:
     if not is_finite(number):
         raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
     return number
+
+
+def differentiated(
+    terms: Iterable[tuple[int, Coefficient, dict[int, int]]], dim: int
+) -> list[tuple[int, Coefficient, dict[int, int]]]:
+    """Differentiate products by each of their coordinates; target t maps to t * dim + i.
+
+    Examples
+    --------
+    >>> differentiated([(0, 5, {0: 3, 1: 1})], 2)
+    [(0, 15, {0: 2, 1: 1}), (1, 5, {0: 3})]
+    """
+    result: list[tuple[int, Coefficient, dict[int, int]]] = []
+    for target, value, factors in terms:
+        for i, e in factors.items():
+            left = {j: f - (j == i) for j, f in factors.items() if j != i or f > 1}
+            result.append((target * dim + i, e * value, left))
+    return result
+
+
+class ProductSum:
+    """Sums of terms (target, coefficient, {coordinate: exponent}), each added to entry `target` of a result of `size`.
+
+    Examples
+    --------
+    >>> ProductSum([(0, 2, {1: 2}), (1, 3, {})], 2)(np.array([0.0, 5.0]))
+    array([50.,  3.])
+    """
+
+    def __init__(self, terms: Iterable[tuple[int, Coefficient, dict[int, int]]], size: int) -> None:
+        rows = sorted(terms, key=lambda term: not term[2])  # constants last, since they have no product
+        self._size = size
+        self._targets = np.array([target for target, _, _ in rows], dtype=np.int64)
+        try:
+            self._exact = exact_numbers(value for _, value, _ in rows)
+            self._coefficients = np.array([float(value) for _, value, _ in rows])
+        except OverflowError:
+            raise ValueError(
+                "a coefficient of a polynomial, or of its derivatives, leaves the range of float64"
+            ) from None
+        sizes = [len(factors) for _, _, factors in rows if factors]
+        self._starts = (
+            np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes else np.zeros(0, dtype=np.int64)
+        )
+        self._index = np.array([i for _, _, factors in rows for i in factors], dtype=np.int64)
+        self._power = np.array([e for _, _, factors in rows for e in factors.values()], dtype=np.int64)
+
+    def __call__(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums at the point x, in its number type."""
+        result = np.zeros(self._size, dtype=x.dtype)
+        terms = (self._exact if x.dtype == object else self._coefficients.astype(x.dtype)).copy()
+        if self._starts.size:
+            power = self._power.astype(object) if x.dtype == object else self._power
+            terms[: self._starts.size] *= np.multiply.reduceat(x[self._index] ** power, self._starts)
+        np.add.at(result, self._targets, terms)
+        return result
+
+    def along(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums at points (..., n), shape (..., size), in their number type.
+
+        Powers and shared products are computed once: much faster than point by point, and equal up to rounding.
+        """
+        points = x.reshape(-1, x.shape[-1])
+        result = np.zeros((len(points), self._size), dtype=x.dtype)
+        if len(self._targets):
+            chunk = max(1, MAX_NUMBERS // (len(self._targets) + self._distinct_products.distinct_factors))
+            for first in range(0, len(points), chunk):
+                rows = slice(first, first + chunk)
+                sums = self._nonconstant_sums(np.ascontiguousarray(points[rows].T))
+                result[rows, self._distinct_products.targets] = sums.T
+        return result.reshape(*x.shape[:-1], self._size)
+
+    def _nonconstant_sums(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums that have terms at points (n, k), shape (targets with terms, k)."""
+        shared, exact = self._distinct_products, x.dtype == object
+        powers = [x]
+        while len(powers) < int(self._power.max(initial=1)):
+            powers.append(powers[-1] * x)
+        table = np.stack(powers)
+        products = np.ones((shared.distinct_factors, x.shape[1]), dtype=x.dtype)
+        for row, index, power in shared.factors:
+            products[row] = products[row] * table[power - 1, index]
+        coefficients = (self._exact if exact else self._coefficients.astype(x.dtype))[shared.order]
+        return np.add.reduceat(products[shared.product] * coefficients[:, None], shared.starts, axis=0)
+
+    @cached_property
+    def _distinct_products(self) -> _DistinctProducts:
+        of_rows: list[tuple[tuple[int, int], ...]] = [()] * len(self._targets)
+        ends = np.append(self._starts, len(self._index))
+        for row, (first, last) in enumerate(pairwise(ends.tolist())):
+            of_rows[row] = tuple(
+                sorted(zip(self._index[first:last].tolist(), self._power[first:last].tolist(), strict=True))
+            )
+        product_index = {factors: k for k, factors in enumerate(dict.fromkeys(of_rows))}
+        steps: list[list[tuple[int, int, int]]] = [[] for _ in range(max(map(len, product_index), default=0))]
+        for factors, k in product_index.items():
+            for step, (i, e) in zip(steps, factors, strict=False):
+                step.append((k, i, e))
+        order = np.argsort(self._targets, kind="stable")
+        targets, starts = np.unique(self._targets[order], return_index=True)
+        product = np.array([product_index[factors] for factors in of_rows], dtype=np.int64)[order]
+        columns = [tuple(np.array(step, dtype=np.int64).T) for step in steps]
+        return _DistinctProducts(len(product_index), columns, order, product, targets, starts)
+
+
+class _DistinctProducts(NamedTuple):
+    """The distinct products of all sums, and the terms in order of target."""
+
+    distinct_factors: int
+    factors: list[tuple[NDArray[np.int64], ...]]  # of the first factor of each product, then of the second, and so on
+    order: NDArray[np.int64]
+    product: NDArray[np.int64]
+    targets: NDArray[np.int64]
+    starts: NDArray[np.int64]

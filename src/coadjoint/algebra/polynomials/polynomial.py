@@ -12,11 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.numbers import is_finite
-from coadjoint.algebra.polynomials.monomials import Exponents, read_coefficient, read_exponents
-from coadjoint.algebra.polynomials.number_literals import quotient
+from coadjoint.algebra.exact.numbers import is_finite, quotient
+from coadjoint.algebra.polynomials.monomials import (
+    Coefficient,
+    Exponents,
+    ProductSum,
+    differentiated,
+    read_coefficient,
+    read_exponents,
+)
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
-from coadjoint.algebra.polynomials.product_sums import Coefficient, ProductSum, differentiated
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, to_array
@@ -77,7 +82,7 @@ class Polynomial:
         if isinstance(monomials, str):
             monomials, dim = _read_text(monomials, dim, basis)
         elif basis is not None:
-            raise TypeError("basis names the coordinates of a text; exponents need none")
+            raise TypeError("basis is given with exponents; it names the coordinates of a text, so omit it")
         if not isinstance(monomials, Mapping):
             raise TypeError(
                 "monomials must be a mapping {exponents: coefficient}, or a text such as '0.5*x1^2 - x2*x3', not "
@@ -88,15 +93,15 @@ class Polynomial:
         if not monomials and dim is None:
             raise ValueError("dim must be given for a Polynomial without monomials")
         collected: dict[Exponents, Coefficient] = {}
-        for given, value in monomials.items():
-            exponents = read_exponents(given)
+        for key, value in monomials.items():
+            exponents = read_exponents(key)
             if dim is None:
                 dim = len(exponents)
             if len(exponents) != dim:
                 raise ValueError(
-                    f"exponents {short(given)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
+                    f"exponents {short(key)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
                 )
-            collected[exponents] = read_coefficient(value, f"the coefficient of {short(given)}")
+            collected[exponents] = read_coefficient(value, f"the coefficient of {short(key)}")
         if dim is None or dim < 1:
             raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
         self._fill(collected, int(dim))
@@ -110,7 +115,7 @@ class Polynomial:
         self._dim = dim
 
     @classmethod
-    def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
+    def _from_valid(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
         """Construct from valid monomials; only overflow of a coefficient is checked."""
         for exponents, value in monomials.items():
             if not is_finite(value):
@@ -131,7 +136,7 @@ class Polynomial:
         dim = read_integer(dim, "dim of a Polynomial")
         i = read_integer(i, "the index of a coordinate", 0, dim - 1)
         check_available_memory(BYTES_PER_EXPONENT * dim, f"a coordinate among {short(dim)}")
-        return cls._of({(0,) * i + (1,) + (0,) * (dim - i - 1): 1}, dim)
+        return cls._from_valid({(0,) * i + (1,) + (0,) * (dim - i - 1): 1}, dim)
 
     @property
     def dim(self) -> int:
@@ -206,12 +211,12 @@ class Polynomial:
         total = dict(self._monomials)
         for exponents, value in operand._monomials.items():
             total[exponents] = total[exponents] + value if exponents in total else value
-        return Polynomial._of(total, self._dim)
+        return Polynomial._from_valid(total, self._dim)
 
     __radd__ = __add__
 
     def __neg__(self) -> Polynomial:
-        return Polynomial._of({exponents: -value for exponents, value in self._monomials.items()}, self._dim)
+        return Polynomial._from_valid({exponents: -value for exponents, value in self._monomials.items()}, self._dim)
 
     def __sub__(self, other: Polynomial | Coefficient) -> Polynomial:
         operand = self._operand(other)
@@ -229,28 +234,28 @@ class Polynomial:
             for right, factor in operand._monomials.items():
                 exponents = tuple(map(operator.add, left, right))
                 total[exponents] = total[exponents] + value * factor if exponents in total else value * factor
-        return Polynomial._of(total, self._dim)
+        return Polynomial._from_valid(total, self._dim)
 
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Coefficient) -> Polynomial:
         if not isinstance(divisor, Rational | float) or isinstance(divisor, bool):
             return NotImplemented
-        below = read_coefficient(divisor, "the divisor of a Polynomial")
-        if below == 0:
+        number = read_coefficient(divisor, "the divisor of a Polynomial")
+        if number == 0:
             raise ValueError(f"a Polynomial can be divided by a number other than 0, not by {short(divisor)}")
-        return Polynomial._of({e: quotient(value, below) for e, value in self._monomials.items()}, self._dim)
+        return Polynomial._from_valid({e: quotient(value, number) for e, value in self._monomials.items()}, self._dim)
 
     def __pow__(self, power: int) -> Polynomial:
-        left = read_integer(power, "the power of a Polynomial", 0, MAX_DEGREE, why=TOO_HIGH)
-        if self.degree * left > MAX_DEGREE:
-            raise ValueError(f"a Polynomial has at most degree {MAX_DEGREE}, not {self.degree * left}; {TOO_HIGH}")
+        exponent = read_integer(power, "the power of a Polynomial", 0, MAX_DEGREE, why=TOO_HIGH)
+        if self.degree * exponent > MAX_DEGREE:
+            raise ValueError(f"a Polynomial has at most degree {MAX_DEGREE}, not {self.degree * exponent}; {TOO_HIGH}")
         result, square = Polynomial({(0,) * self._dim: 1}), self
-        while left:
-            if left & 1:
+        while exponent:
+            if exponent & 1:
                 result = result * square
-            left >>= 1
-            if left:
+            exponent >>= 1
+            if exponent:
                 square = square * square
         return result
 
@@ -278,7 +283,7 @@ class Polynomial:
         """
         i = read_integer(i, "the index of a coordinate", 0, self._dim - 1)
         terms = {e[:i] + (e[i] - 1,) + e[i + 1 :]: e[i] * value for e, value in self._monomials.items() if e[i]}
-        return Polynomial._of(terms, self._dim)
+        return Polynomial._from_valid(terms, self._dim)
 
     @cached_property
     def _factors(self) -> list[tuple[int, Coefficient, dict[int, int]]]:
@@ -308,7 +313,7 @@ class Polynomial:
         array([[6., 1.],
                [6., 1.]])
         """
-        terms = ((k, value, factors) for k, one in enumerate(polynomials) for _, value, factors in one._factors)
+        terms = ((k, value, factors) for k, p in enumerate(polynomials) for _, value, factors in p._factors)
         return ProductSum(terms, len(polynomials))
 
     def _point(self, x: Any, several: bool = False) -> NDArray[Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import need
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
@@ -50,8 +50,8 @@ def latex_name(name: str) -> str:
     >>> latex_name("x12"), latex_name("m1_2"), latex_name("energy")
     ('x_{12}', 'm_{1,2}', 'energy')
     """
-    found = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_]*)", name)
-    return f"{found[1]}_{{{found[2].replace('_', ',')}}}" if found else name
+    match = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_]*)", name)
+    return f"{match[1]}_{{{match[2].replace('_', ',')}}}" if match else name
 
 
 def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
@@ -112,7 +112,7 @@ def _readable(value: Coefficient) -> Coefficient:
 
 
 def _format_sum(
-    monomials: Monomials, names: Sequence[str], power: str, between: str, size_of: Callable[[Coefficient], str]
+    monomials: Monomials, names: Sequence[str], power: str, separator: str, size_of: Callable[[Coefficient], str]
 ) -> str:
     text = ""
     for exponents, value in monomials.items():
@@ -121,7 +121,7 @@ def _format_sum(
         if size != 1 or not factors:
             factors.insert(0, size_of(size))
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
-        text += sign + between.join(factors)
+        text += sign + separator.join(factors)
     return text or "0"
 
 

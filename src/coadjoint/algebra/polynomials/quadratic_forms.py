@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.product_sums import Coefficient
 
 MAX_STORED_EXPONENTS = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
 
@@ -26,13 +26,13 @@ def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Poly
         else:
             exponents = zero[:low] + (1,) + zero[low + 1 : high] + (1,) + zero[high + 1 :]
         total[exponents] = total.get(exponents, 0) + value
-    return Polynomial._of(total, dim)
+    return Polynomial._from_valid(total, dim)
 
 
 def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
     """Return the sum of c_i x_i."""
     zero = (0,) * dim
-    return Polynomial._of({zero[:i] + (1,) + zero[i + 1 :]: value for i, value in entries.items()}, dim)
+    return Polynomial._from_valid({zero[:i] + (1,) + zero[i + 1 :]: value for i, value in entries.items()}, dim)
 
 
 def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:
@@ -53,4 +53,4 @@ def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: i
 def embedded(p: Polynomial, begin: int, dim: int) -> Polynomial:
     """Rewrite a polynomial in more coordinates, its own starting at index `begin`."""
     before, after = (0,) * begin, (0,) * (dim - begin - p.dim)
-    return Polynomial._of({before + exponents + after: value for exponents, value in p.monomials.items()}, dim)
+    return Polynomial._from_valid({before + exponents + after: value for exponents, value in p.monomials.items()}, dim)

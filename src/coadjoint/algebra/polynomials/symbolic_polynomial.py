@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import exact_number
-from coadjoint.algebra.polynomials.monomials import Exponents
+from coadjoint.algebra.exact.numbers import exact_number, fraction
+from coadjoint.algebra.polynomials.monomials import Coefficient, Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
-from coadjoint.algebra.polynomials.product_sums import Coefficient
 from coadjoint.validation import read_number
 
 
@@ -35,11 +34,11 @@ class SymbolicPolynomial:
     @property
     def coefficients(self) -> Mapping[Exponents, Polynomial]:
         """Exponents of x1, ..., xn -> polynomial in the symbols."""
-        found: dict[Exponents, dict[Exponents, Coefficient]] = {}
+        grouped: dict[Exponents, dict[Exponents, Coefficient]] = {}
         for exponents, value in self._polynomial.monomials.items():
-            found.setdefault(exponents[: self.dim], {})[exponents[self.dim :]] = value
-        ordered = Polynomial(dict.fromkeys(found, 1), dim=self.dim).monomials
-        return {exponents: Polynomial(found[exponents]) for exponents in ordered}
+            grouped.setdefault(exponents[: self.dim], {})[exponents[self.dim :]] = value
+        ordered = Polynomial(dict.fromkeys(grouped, 1), dim=self.dim).monomials
+        return {exponents: Polynomial(grouped[exponents]) for exponents in ordered}
 
     @property
     def degree(self) -> int:
@@ -58,7 +57,7 @@ class SymbolicPolynomial:
                     term = term * number**power
                 total = total + term
             floats = any(isinstance(value, float) for value in coefficient.monomials.values())
-            monomials[exponents] = float(total) if floats else _short(total)
+            monomials[exponents] = float(total) if floats else fraction(total)
         return Polynomial(monomials, dim=self.dim)
 
     def __eq__(self, other: object) -> bool:
@@ -89,10 +88,10 @@ class SymbolicPolynomial:
         for exponents, coefficient in self.coefficients.items():
             if len(coefficient.monomials) == 1 or not any(exponents):
                 joined = {(*powers, *exponents): value for powers, value in coefficient.monomials.items()}
-                own = write(joined, [*self.symbols, *names])
+                term = write(joined, [*self.symbols, *names])
             else:
-                own = f"{write({exponents: 1}, names)}{between}({write(coefficient.monomials, self.symbols)})"
-            text += (f" - {own[1:]}" if own.startswith("-") else f" + {own}") if text else own
+                term = f"{write({exponents: 1}, names)}{between}({write(coefficient.monomials, self.symbols)})"
+            text += (f" - {term[1:]}" if term.startswith("-") else f" + {term}") if text else term
         return text or "0"
 
 
@@ -102,7 +101,3 @@ def _exact(value: Any, name: str) -> Any:
         if isinstance(value, int | Fraction) and not isinstance(value, bool)
         else exact_number(read_number(value, name))
     )
-
-
-def _short(value: Any) -> Any:
-    return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value

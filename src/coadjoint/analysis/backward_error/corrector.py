@@ -30,14 +30,14 @@ Floats = npt.NDArray[np.float64]
 
 MAX_MONOMIALS = 1500
 POINTS_PER_MONOMIAL = 4  # points of the motion for each monomial that is fitted
-# The truncated least-squares fit drops singular directions that hardly change the energy along the motion, until the
-# corrector moves states by at most this multiple of the motion of the error term over one radian.
+# The least-squares fit drops singular directions, by increasing cutoffs, until the corrector moves states by at most
+# this multiple of the motion of the error term over one radian.
 MAX_DISPLACEMENT = 4.0
 CUTOFFS = tuple(10.0**-k for k in range(10, 0, -1))
 
 
 class Corrector:
-    """A map that turns computed states into more accurate ones, the flow of h^p G; `corrector` makes it.
+    """A map from computed states to more accurate ones, the flow of h^p G; `corrector` creates it.
 
     A step of a kernel K of order p is the flow of H + h^p H_p + .... With this map P, the step P K P^-1 is the flow of
     H + h^p (H_p + sign {G, H}) + .... G minimizes the variation of the second term along the motion. The kernel runs
@@ -111,7 +111,7 @@ class Corrector:
 
 
 def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
-    """Return a map of the output under which the energy error of a splitting near a motion is smaller.
+    """Return a map of the output that reduces the energy error of a splitting near a motion.
 
     The scheme remains unchanged: the processing map comes from the modified Hamiltonian of the given system. Choose it
     to compare energies or other smooth functions of the output at a step that is not small. It does not reduce the
@@ -129,7 +129,7 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     Returns
     -------
     Corrector
-        Its generator G is fitted to the motions by least squares, among all polynomials of degree
+        Its generator G is fitted to the motions by least squares, among all polynomials up to degree
         deg H_p - deg H + 1.
 
     Raises
@@ -144,10 +144,10 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     Comput. 27 (2006), for correctors of compositions.
     """
     system, scheme = read_subject(system, method)
-    found, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
-    if H is None or not isinstance(found, ModifiedHamiltonian):
+    modified, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
+    if H is None or not isinstance(modified, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; correctors need a polynomial one")
-    term = cast(Polynomial, found.error_term.term)
+    term = cast(Polynomial, modified.error_term.term)
     starts = np.atleast_2d(read_finite(x0, "x0"))
     if starts.ndim != 2 or starts.shape[1] != system.dim:
         raise ValueError(f"x0 has the shape {starts.shape}; it must be ({system.dim},) or (k, {system.dim})")
@@ -159,24 +159,24 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
     motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
     energy = ring.of(H)
-    brackets = [ring.polynomial(ring.bracket(ring.of(one), energy)) for one in basis]
-    columns = np.concatenate([_changes(brackets, points) for points in motions])
-    target = np.concatenate([_changes([term], points)[:, 0] for points in motions])
+    brackets = [ring.polynomial(ring.bracket(ring.of(monomial), energy)) for monomial in basis]
+    columns = np.concatenate([_deviations(brackets, points) for points in motions])
+    target = np.concatenate([_deviations([term], points)[:, 0] for points in motions])
     size = float(np.max(np.abs(target), initial=0.0))
     if size == 0.0:
         return Corrector(system, Polynomial({}, dim=system.dim), scheme.order, 0.0)
-    every = np.concatenate(motions)
-    bound = MAX_DISPLACEMENT * _largest_speed(system, term, every) / min(rates)
-    left, right, across = np.linalg.svd(columns, full_matrices=False)
-    for part in CUTOFFS:
-        taken = right > part * right[0]
-        factors = -system.sign * (across[taken].T @ ((left[:, taken].T @ target) / right[taken]))
-        monomials = {next(iter(one.monomials)): float(c) for one, c in zip(basis, factors, strict=True)}
-        generator = Polynomial(monomials, dim=system.dim)
-        if _largest_speed(system, generator, every) <= bound:
+    points = np.concatenate(motions)
+    bound = MAX_DISPLACEMENT * _largest_speed(system, term, points) / min(rates)
+    U, singular, V = np.linalg.svd(columns, full_matrices=False)
+    for cutoff in CUTOFFS:
+        used = singular > cutoff * singular[0]
+        factors = -system.sign * (V[used].T @ ((U[:, used].T @ target) / singular[used]))
+        coefficients = {next(iter(F.monomials)): float(c) for F, c in zip(basis, factors, strict=True)}
+        generator = Polynomial(coefficients, dim=system.dim)
+        if _largest_speed(system, generator, points) <= bound:
             break
-    rest = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
-    return Corrector(system, generator, scheme.order, rest)
+    remaining = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
+    return Corrector(system, generator, scheme.order, remaining)
 
 
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
@@ -195,17 +195,17 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
             f"a corrector in {n} coordinates would need {total} monomials of degree up to {degree}; at most "
             f"{MAX_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
         )
-    found = []
+    monomials = []
     for size in range(1, degree + 1):
-        for chosen in combinations_with_replacement(range(n), size):
+        for factors in combinations_with_replacement(range(n), size):
             exponents = [0] * n
-            for i in chosen:
+            for i in factors:
                 exponents[i] += 1
-            found.append(Polynomial({tuple(exponents): 1}))
-    return found
+            monomials.append(Polynomial({tuple(exponents): 1}))
+    return monomials
 
 
-def _changes(functions: list[Polynomial], points: Floats) -> Any:
+def _deviations(functions: list[Polynomial], points: Floats) -> Any:
     """Return the values of functions at points of a motion minus their means, shape (k, functions)."""
     values = np.stack([np.asarray(f(points)) for f in functions], axis=1)
     return values - values.mean(axis=0)

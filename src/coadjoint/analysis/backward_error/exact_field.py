@@ -11,13 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.exact_polynomials import Exact
+from coadjoint.algebra.polynomials.monomials import ProductSum
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, readable_latex
-from coadjoint.algebra.polynomials.product_sums import ProductSum
 from coadjoint.analysis.backward_error.field_of_step import Field, size_of
-from coadjoint.analysis.backward_error.hamiltonian_fields import bracket_change, hamiltonian_of
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
-from coadjoint.analysis.backward_error.skew_fields import Matrix, skew_factor
+from coadjoint.analysis.backward_error.polynomial_fields import Matrix, bracket_change, hamiltonian_of, skew_factor
 from coadjoint.analysis.backward_error.step_series import ExactSystem
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
@@ -32,8 +31,8 @@ class ExactField(ModifiedField):
     Attributes
     ----------
     known_to : float
-        Relative error of the scheme's coefficients. Even if they are rounded, each term keeps exactly what the scheme
-        keeps. Terms below its order that are within that rounding are set to zero.
+        Relative error of the scheme's coefficients. Even if they are rounded, each term preserves the invariants of the
+        scheme exactly. Terms below its order that are within that rounding are set to zero.
     """
 
     def __init__(
@@ -41,12 +40,12 @@ class ExactField(ModifiedField):
         system: System,
         method: Any,
         order: int,
-        given: ExactSystem,
+        exact_system: ExactSystem,
         fields: list[Field],
         known_to: float,
     ) -> None:
         super().__init__(system, method, order, "")
-        self._exact_system, self._fields, self.known_to = given, fields, known_to
+        self._exact_system, self._fields, self.known_to = exact_system, fields, known_to
 
     @cached_property
     def terms(self) -> Mapping[int, tuple[Polynomial, ...]]:
@@ -63,8 +62,8 @@ class ExactField(ModifiedField):
 
     @property
     def first_error(self) -> int | None:
-        motion = [self._exact_system.field, *[[self._exact_system.ring.zero] * self.system.dim] * (self.order - 1)]
-        return next((k for k, (f, due) in enumerate(zip(self._fields, motion, strict=True)) if f != due), None)
+        exact = [self._exact_system.field, *[[self._exact_system.ring.zero] * self.system.dim] * (self.order - 1)]
+        return next((k for k, (f, g) in enumerate(zip(self._fields, exact, strict=True)) if f != g), None)
 
     def rate(self, invariant: Any) -> dict[int, Polynomial]:
         """Return the rate of change of a function F: the non-zero grad F . f_k, by power of h.
@@ -84,22 +83,21 @@ class ExactField(ModifiedField):
     def keeps(self, invariant: Any) -> int | None:
         return next(iter(self._changes(self._polynomial(invariant))), None)
 
-    def _polynomial(self, given: Any) -> Exact:
-        found = self._invariant(given)
-        if isinstance(found, Polynomial):
-            return self._exact_system.ring.of(found)
+    def _polynomial(self, invariant: Any) -> Exact:
+        function = self._invariant(invariant)
+        if isinstance(function, Polynomial):
+            return self._exact_system.ring.of(function)
         try:
-            return self._exact_system.value_of(as_hamiltonian(found, self.system.dim).value)
+            return self._exact_system.value_of(as_hamiltonian(function, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:
-            raise TypeError(f"{short(given)} is not a polynomial; an exact field can test polynomials only") from reason
+            raise TypeError(
+                f"{short(invariant)} is not a polynomial; an exact field can test polynomials only"
+            ) from reason
 
     def _changes(self, F: Exact) -> dict[int, Exact]:
-        ring, found = self._exact_system.ring, {}
-        for k, field in enumerate(self._fields):
-            change = ring.along(field, F)
-            if change != 0:
-                found[k] = change
-        return found
+        """Return the non-zero derivatives of a polynomial along the terms, by power."""
+        changes = {k: self._exact_system.ring.along(field, F) for k, field in enumerate(self._fields)}
+        return {k: change for k, change in changes.items() if change != 0}
 
     def _loss(self, k: int) -> str:
         change = self._changes(self._exact_system.energy)[k]
@@ -115,13 +113,13 @@ class ExactField(ModifiedField):
             The scheme does not keep the energy (the message gives the power of h and the size), or H is not quadratic.
         """
         self._check_energy()
-        ring, sign, found = self._exact_system.ring, self.system.sign, {}
+        ring, sign, terms = self._exact_system.ring, self.system.sign, {}
         for k, field in enumerate(self._fields):
             K: Matrix = self._exact_system.structure
             if k:
                 K = skew_factor(ring, self._exact_system.energy, [sign * f for f in field])
-            found[k] = tuple(tuple(map(ring.polynomial, row)) for row in K)
-        return MappingProxyType(found)
+            terms[k] = tuple(tuple(map(ring.polynomial, row)) for row in K)
+        return MappingProxyType(terms)
 
     @cached_property
     def _skew_table(self) -> ProductSum:
@@ -131,10 +129,10 @@ class ExactField(ModifiedField):
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         if self._exact_system.energy.total_degree() > 2:
             return super().skew_matrix(x, h)
-        states, given = self._states(x)
+        states, shape = self._states(x)
         n, step = self.system.dim, read_number(h, "h")
         values = self._skew_table.along(states).reshape(len(states), self.order, n, n)
-        return np.einsum("mkij,k->mij", values, step ** np.arange(self.order)).reshape(*given, n)
+        return np.einsum("mkij,k->mij", values, step ** np.arange(self.order)).reshape(*shape, n)
 
     @cached_property
     def poisson_defects(self) -> Mapping[int, float]:
@@ -142,12 +140,9 @@ class ExactField(ModifiedField):
 
         If the mapping is empty, the scheme is a Poisson map to this order.
         """
-        ring, J, found = self._exact_system.ring, self._exact_system.structure, {}
-        for k, field in enumerate(self._fields):
-            size = bracket_change(ring, J, field)
-            if size:
-                found[k] = size
-        return MappingProxyType(found)
+        ring, J = self._exact_system.ring, self._exact_system.structure
+        sizes = {k: bracket_change(ring, J, field) for k, field in enumerate(self._fields)}
+        return MappingProxyType({k: size for k, size in sizes.items() if size})
 
     @cached_property
     def hamiltonians(self) -> Mapping[int, Polynomial]:
@@ -170,7 +165,7 @@ class ExactField(ModifiedField):
                     f"the field of {self.method} on {self.system.name} is not Hamiltonian: at h^{k} it moves {name}, "
                     f"with a coefficient of {size_of(change):.3g}"
                 )
-        ring, sign, found = self._exact_system.ring, self.system.sign, {0: self._exact_system.energy}
+        ring, sign, terms = self._exact_system.ring, self.system.sign, {0: self._exact_system.energy}
         for k, field in enumerate(self._fields[1:], 1):
             H = hamiltonian_of(ring, self._exact_system.structure, [sign * f for f in field])
             if H is None:
@@ -178,8 +173,8 @@ class ExactField(ModifiedField):
                     f"the term f_{k} of {self.method} on {self.system.name} is Poisson, but has no polynomial "
                     "Hamiltonian"
                 )
-            found[k] = H
-        return MappingProxyType({k: ring.polynomial(H) for k, H in found.items()})
+            terms[k] = H
+        return MappingProxyType({k: ring.polynomial(H) for k, H in terms.items()})
 
     def to_latex(self) -> str:
         """Return the non-zero terms as lines of LaTeX ``f_{k} = ...``, transposed, with all digits."""
@@ -188,9 +183,9 @@ class ExactField(ModifiedField):
     def _repr_latex_(self) -> str:
         return f"$${self._lines(lambda F: readable_latex(F.monomials, coordinate_names(F.dim)))}$$"
 
-    def _lines(self, written: Callable[[Polynomial], str]) -> str:
+    def _lines(self, to_text: Callable[[Polynomial], str]) -> str:
         lines = [
-            rf"f_{{{k}}} = \left({', '.join(map(written, term))}\right)^T"
+            rf"f_{{{k}}} = \left({', '.join(map(to_text, term))}\right)^T"
             for k, term in self.terms.items()
             if any(F.monomials for F in term)
         ]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.analysis.backward_error.field_of_step import field_at
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
-from coadjoint.long_operations import at, long_operation
+from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.methods.formal.formal_numbers import vector
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
@@ -37,8 +37,8 @@ class FieldAtPoints(ModifiedField):
     ) -> None:
         super().__init__(system, method, order, reason)
         self._step = step
-        self._found: dict[bytes, tuple[Floats, Floats]] = {}
-        self._sampled(0)
+        self._cache: dict[bytes, tuple[Floats, Floats]] = {}
+        self._at_sample_point(0)
 
     @property
     def terms(self) -> Mapping[int, Callable[[npt.ArrayLike], Floats]]:
@@ -70,12 +70,12 @@ class FieldAtPoints(ModifiedField):
         TypeError
             The step rounds mpmath numbers to fewer digits.
         ValueError
-            The two sets disagree: the step has no power series in h there.
+            The two sets disagree: the step has no power series in h at the state.
         """
         from mpmath import mp, workdps
 
         state = self._states(x)[0][0]
-        # f_k is known to h^(order - k), and loses h^(k + 1) to rounding.
+        # The truncation error of f_k is h^(order - k), and its rounding error is divided by h^(k + 1).
         digits = 30 + int(0.302 * (DISPLACEMENT_BITS + 4) * (self.order + 2))
         with workdps(digits), long_operation("a modified field at a point"):
             exact = vector(map(mp.mpf, state.tolist()))
@@ -84,7 +84,7 @@ class FieldAtPoints(ModifiedField):
             unit = mp.ldexp(1, -DISPLACEMENT_BITS) * (mp.mpf(size) / slope if slope and size else 1)
             multiples = [k // 2 + 1 if k % 2 == 0 else -(k // 2 + 1) for k in range(self.order)]
             sets = [
-                field_at(self._stepped, exact, [factor * unit * multiple for multiple in multiples])
+                field_at(self._checked_step, exact, [factor * unit * multiple for multiple in multiples])
                 for factor in (1, 2)
             ]
             errors = np.array(abs(sets[1] - sets[0]), dtype=np.float64)
@@ -97,20 +97,20 @@ class FieldAtPoints(ModifiedField):
             k = int(np.flatnonzero(~(worst <= MAX_DISAGREEMENT))[0])
             raise ValueError(
                 f"f_{k} of {self.method} differs by {worst[k]:.2g} of its size between two sets of steps at "
-                f"{short(state.tolist())}: there the step has no power series in h, or it rounds"
+                f"{short(state.tolist())}: the step has no power series in h there, or rounds"
             )
         return values, errors
 
-    def _sampled(self, which: int) -> tuple[Floats, Floats, Floats]:
+    def _at_sample_point(self, number: int) -> tuple[Floats, Floats, Floats]:
         """Return a sample point with the values there and their errors, cached."""
-        state = sample_points(self.system.dim)[which]
+        state = sample_points(self.system.dim)[number]
         key = state.tobytes()
-        if key not in self._found:
-            self._found[key] = self.at(state)
-        return (state, *self._found[key])
+        if key not in self._cache:
+            self._cache[key] = self.at(state)
+        return (state, *self._cache[key])
 
-    def _stepped(self, x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
-        at(f"a step of {self.method} in many digits")
+    def _checked_step(self, x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
+        note_progress(f"a step of {self.method} in many digits")
         end = np.asarray(self._step(x, h))
         if end.dtype != object or end.shape != x.shape:
             raise TypeError(
@@ -122,29 +122,29 @@ class FieldAtPoints(ModifiedField):
     @property
     def first_error(self) -> int | None:
         for k in range(self.order):
-            for state, values, errors in map(self._sampled, SAMPLE_POINTS):
-                motion = np.asarray(self.system.vector_field(state))
-                rate = np.abs(motion).max() / np.abs(state).max()
-                least = CHANGE_THRESHOLD * np.abs(motion).max() * rate**k
-                if np.any(np.abs(values[k] - motion * (k == 0)) > least + 2 * errors[k]):
+            for state, values, errors in map(self._at_sample_point, SAMPLE_POINTS):
+                field = np.asarray(self.system.vector_field(state))
+                rate = np.abs(field).max() / np.abs(state).max()
+                tolerance = CHANGE_THRESHOLD * np.abs(field).max() * rate**k
+                if np.any(np.abs(values[k] - field * (k == 0)) > tolerance + 2 * errors[k]):
                     return k
         return None
 
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h whose term changes a function at sample points; None if every term keeps it."""
-        given = self._invariant(invariant)
-        gradient = (as_hamiltonian(given, self.system.dim) if hasattr(given, "monomials") else given).gradient
-        lost = [self.order]
-        for state, values, _ in map(self._sampled, SAMPLE_POINTS):
+        """Return the first power of h with a term that changes a function at sample points; None if there is none."""
+        function = self._invariant(invariant)
+        gradient = (as_hamiltonian(function, self.system.dim) if hasattr(function, "monomials") else function).gradient
+        powers = []
+        for state, values, _ in map(self._at_sample_point, SAMPLE_POINTS):
             slope = np.asarray(gradient(state))
-            motion = np.abs(values[0]).max()
+            speed = np.abs(values[0]).max()
             for k in range(self.order):
-                scale = max(np.abs(values[k]).max(), motion * (motion / np.abs(state).max()) ** k)
+                scale = max(np.abs(values[k]).max(), speed * (speed / np.abs(state).max()) ** k)
                 if abs(slope @ values[k]) > CHANGE_THRESHOLD * np.abs(slope).sum() * scale:
-                    lost.append(k)
-        return None if min(lost) == self.order else min(lost)
+                    powers.append(k)
+        return min(powers, default=None)
 
     def _loss(self, k: int) -> str:
-        state, values, _ = self._sampled(0)
+        state, values, _ = self._at_sample_point(0)
         change = np.asarray(self.system.hamiltonian.gradient(state)) @ values[k]
         return f"grad H . f is {change:.3g} at {short(state.tolist())}"

@@ -54,7 +54,7 @@ def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Fie
     powers: list[dict[int, Field]] = [{}]
     for k in range(len(series) - 1):
         power = k + 1
-        found = list(series[power])
+        field = list(series[power])
         for m in range(2, power + 1):
             if len(powers) < m:
                 powers.append({})
@@ -64,14 +64,14 @@ def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Fie
                 if 0 <= j < len(fields):
                     total = [a + ring.along(fields[j], F) for a, F in zip(total, inner, strict=True)]
             powers[m - 1][power] = total
-            found = [a - b / math.factorial(m) for a, b in zip(found, total, strict=True)]
-        fields.append(found)
-        powers[0][power] = fields[-1]
+            field = [a - b / math.factorial(m) for a, b in zip(field, total, strict=True)]
+        fields.append(field)
+        powers[0][power] = field
     return fields
 
 
 def plain_ring(dim: int, symbols: Sequence[str] = ()) -> ExactPolynomials:
-    """Return the ring of polynomials in n coordinates, with zero bracket: fields and J come from the system."""
+    """Return the ring of polynomials in n coordinates, with zero bracket."""
     from coadjoint.algebra.lie_algebra import LieAlgebra
 
     return ExactPolynomials(LieAlgebra([], dim=dim), symbols)
@@ -114,8 +114,8 @@ def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: S
     --------
     >>> from fractions import Fraction
     >>> one = np.array([Fraction(1)], dtype=object)
-    >>> found = field_at(lambda x, h: x + h * x, one, [Fraction(k, 10**6) for k in (1, -1, 2)])
-    >>> [float(f[0]).__round__(5) for f in found]
+    >>> terms = field_at(lambda x, h: x + h * x, one, [Fraction(k, 10**6) for k in (1, -1, 2)])
+    >>> [float(f[0]).__round__(5) for f in terms]
     [1.0, -0.5, 0.33333]
     """
     count = len(steps)
@@ -134,11 +134,11 @@ def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: S
     for level in range(1, count):
         for i in reversed(range(level, count)):
             table[i] = (table[i] - table[i - 1]) / (steps[i] - steps[i - level])
-    found = [table[-1]]
+    terms = [table[-1]]
     for i in reversed(range(count - 1)):
-        shifted = [0 * x, *found]
-        for k, term in enumerate(found):
+        shifted = [0 * x, *terms]
+        for k, term in enumerate(terms):
             shifted[k] = shifted[k] - steps[i] * term
         shifted[0] = shifted[0] + table[i]
-        found = shifted
-    return np.array(found, dtype=object)
+        terms = shifted
+    return np.array(terms, dtype=object)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.jet_polynomials import JetPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import JetPolynomials
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates
 from coadjoint.program.modified_energy.modified_series import Balls, ModifiedSeries
 from coadjoint.program.modified_energy.sweep_logarithm import Commutators
@@ -21,10 +21,10 @@ from coadjoint.validation import check_power, read_finite, read_number
 class ModifiedEnergyAtPoints:
     """The function H + h^2 H2 + ... of a Hamiltonian with Python functions, evaluated pointwise.
 
-    At each point the parts are expanded in Taylor polynomials, whose brackets are exact. Derivatives up to the second
-    are the given ones, so H + h^2 H2 of a symmetric scheme has their accuracy. Higher derivatives come from values on
-    circles in the complex plane, with about ten digits; fewer than six raise an error. A point takes milliseconds at
-    order 4, and a second at order 6 in six dimensions. `modified_hamiltonian` creates it.
+    At each point the parts are expanded in Taylor polynomials with exact brackets. Derivatives up to the second are
+    those of the Hamiltonian, so H + h^2 H2 of a symmetric scheme has their accuracy. Higher derivatives come from
+    values on circles in the complex plane, with about ten digits; fewer than six raise an error. A point takes
+    milliseconds at order 4, and a second at order 6 in six dimensions. `modified_hamiltonian` creates it.
 
     Attributes
     ----------
@@ -88,9 +88,9 @@ class ModifiedEnergyAtPoints:
             parts = parts_at(self._program.parts, x, highest - 1)
             flows = [{1: ring.at_point(piece)} for piece in part_polynomials(ring, parts)]
             series = ModifiedSeries(Commutators(ring, self._system.sign), flows, highest)
-            here = (0,) * self.dim
+            constant = (0,) * self.dim
             for weight in reversed(self._weights):
                 term = series.term(self._coordinates, weight)
-                value = term.coefficients.get(here, 0.0) if isinstance(term, Balls) else float(ring.at_origin(term))
+                value = term.coefficients.get(constant, 0.0) if isinstance(term, Balls) else float(ring.at_origin(term))
                 total += h ** (weight - 1) * value
         return total + float(self._system.energy(x))

@@ -33,9 +33,9 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).
 
     A scheme of order p solves x' = X(x, h) far more accurately than x' = f(x): f_0 = f, f_1 = ... = f_(p-1) = 0, and
-    f_p is its leading error. A scheme keeps an invariant if every f_k does; otherwise it loses it at h^k of the first
-    f_k that does not. Choose it to analyse a scheme on your own system. For splittings
-    `coadjoint.modified_hamiltonian` gives more detail.
+    f_p is its leading error. A scheme preserves an invariant if every f_k does; otherwise the first f_k that does not
+    gives the power of h at which the invariant changes. Choose it to analyse a scheme on your own system. For
+    splittings `coadjoint.modified_hamiltonian` gives more detail.
 
     Parameters
     ----------
@@ -92,16 +92,16 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     else:
         check_arguments(method, "method", "x, h")
     step = _step_of(system, method)
-    reason = "numerical was asked for"
+    reason = 'way="numerical" was given'
     if way != "numerical":
         try:
             return _exact(system, method, step, order)
         except MemoryError:
             raise
-        except Exception as refusal:  # user functions may raise anything on formal numbers
+        except Exception as error:  # user functions may raise anything on formal numbers
             if way == "exact":
-                raise TypeError(f"no exact modified field: {refusal}") from refusal
-            reason = f"{refusal}"
+                raise TypeError(f"no exact modified field: {error}") from error
+            reason = str(error)
     return FieldAtPoints(system, method, order, reason, step)
 
 
@@ -114,9 +114,8 @@ def _step_of(system: System, method: Any) -> Callable[[npt.NDArray[Any], Any], A
 def _exact(system: System, method: Any, step: Callable[..., Any], order: int) -> ExactField:
     exact = ExactSystem(system)
     exact.check_available_memory(order)
-    formal, known_to = step, UNIT_ROUNDOFF
+    formal, known_to, declared = step, UNIT_ROUNDOFF, order
     fractions: tuple[float, ...] = (1.0,)
-    declared = order
     if isinstance(method, Method):
         known_to, fractions, declared = method.known_to, method.fractions, method.order
 
@@ -126,8 +125,8 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     series = exact.series_of(formal, order)
     check_at_a_point(step, exact, series, known_to)
     fields = field_of_series(exact.ring, series)
-    off = max(size_of(a - b) for a, b in zip(fields[0], exact.field, strict=True))
-    if 0.0 < off <= MARGIN * max(known_to, UNIT_ROUNDOFF) * max(map(size_of, exact.field)):
+    difference = max(size_of(a - b) for a, b in zip(fields[0], exact.field, strict=True))
+    if 0.0 < difference <= MARGIN * max(known_to, UNIT_ROUNDOFF) * max(map(size_of, exact.field)):
         # The decomposition of a full M into squares is rounded as well.
         known_to, fields[0] = max(known_to, UNIT_ROUNDOFF), exact.field
     if known_to:

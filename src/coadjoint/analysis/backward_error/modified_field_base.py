@@ -1,4 +1,4 @@
-"""Base class of modified fields: terms by power of the step, exact or pointwise, and the invariants they keep."""
+"""Base class of modified fields: terms by power of the step, exact or pointwise, and tests of invariants."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ModifiedField(ABC):
 
     @abstractmethod
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h whose term changes an invariant; None if every term keeps it.
+        """Return the first power of h with a term that changes an invariant; None if every term preserves it.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class ModifiedField(ABC):
     @property
     @abstractmethod
     def first_error(self) -> int | None:
-        """The first power of h whose term differs from that of the exact motion; None if no term differs.
+        """The first power of h with a term that differs from that of the exact motion; None if no term differs.
 
         It is the order of the scheme; 0 if f_0 is not the field of the system (wrong coefficients or wrong speed).
         """
@@ -82,12 +82,12 @@ class ModifiedField(ABC):
         -------
         ndarray of the shape of x
         """
-        states, given = self._states(x)
+        states, shape = self._states(x)
         step = read_number(h, "h")
         total = np.zeros_like(states)
         for term in reversed(self.values(states)):
             total = total * step + term
-        return total.reshape(given)
+        return total.reshape(shape)
 
     @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
@@ -112,7 +112,7 @@ class ModifiedField(ABC):
         ValueError
             The scheme does not keep the energy; the message gives the power of h and the size.
         """
-        states, given = self._states(x)
+        states, shape = self._states(x)
         step = read_number(h, "h")
         self._check_energy()
         values = self.values(states)
@@ -123,17 +123,17 @@ class ModifiedField(ABC):
                 raise ValueError(
                     f"the gradient of H is zero at {short(state.tolist())}; the matrix is not defined there"
                 )
-            rest = sum((step**k * values[k, m] for k in range(1, self.order)), np.zeros_like(state))
-            skew = np.outer(rest, slope) - np.outer(slope, rest)
+            error = sum((step**k * values[k, m] for k in range(1, self.order)), np.zeros_like(state))
+            skew = np.outer(error, slope) - np.outer(slope, error)
             result[m] = self.system.structure_matrix(state) + self.system.sign * skew / (slope @ slope)
-        return result.reshape(*given, self.system.dim)
+        return result.reshape(*shape, self.system.dim)
 
     def _check_energy(self) -> None:
-        lost = self.keeps("energy")
-        if lost is not None:
+        power = self.keeps("energy")
+        if power is not None:
             raise ValueError(
-                f"{self.method} does not keep the energy of {self.system.name}: at h^{lost} {self._loss(lost)}, so its "
-                "field is not a skew matrix times the gradient of H"
+                f"{self.method} does not keep the energy of {self.system.name}: at h^{power} {self._loss(power)}, so "
+                "its field is not a skew matrix times the gradient of H"
             )
 
     @abstractmethod
@@ -147,18 +147,19 @@ class ModifiedField(ABC):
             raise ValueError(f"x has the shape {states.shape}; it must be ({n},) or (k, {n})")
         return np.atleast_2d(states), states.shape
 
-    def _invariant(self, given: Any) -> Any:
-        if isinstance(given, str):
-            if given == "energy":
+    def _invariant(self, invariant: Any) -> Any:
+        """Return the function for an invariant given by name, or a validated function itself."""
+        if isinstance(invariant, str):
+            if invariant == "energy":
                 return self.system.hamiltonian
-            if given not in self.system.casimirs:
+            if invariant not in self.system.casimirs:
                 known = ", ".join(["energy", *self.system.casimirs])
-                raise ValueError(f"{short(given)} is not an invariant of {self.system.name}; it has {known}")
-            return self.system.casimirs[given]
-        if isinstance(given, type) or not hasattr(given, "gradient"):
-            raise TypeError(f"{short(given)} has no gradient; give a Polynomial, a Quadratic or a name")
-        return given
+                raise ValueError(f"{short(invariant)} is not an invariant of {self.system.name}; it has {known}")
+            return self.system.casimirs[invariant]
+        if isinstance(invariant, type) or not hasattr(invariant, "gradient"):
+            raise TypeError(f"{short(invariant)} has no gradient; give a Polynomial, a Quadratic or a name")
+        return invariant
 
     def __repr__(self) -> str:
-        how = "exact polynomials" if self.exact else f"at points ({self.reason})"
-        return f"<modified field of {self.method} on {self.system.name}, below h^{self.order}: {how}>"
+        kind = "exact polynomials" if self.exact else f"at points ({self.reason})"
+        return f"<modified field of {self.method} on {self.system.name}, below h^{self.order}: {kind}>"

@@ -14,14 +14,20 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, readable, readable_latex
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.backward_error.modified_energy_at_points import ModifiedEnergyAtPoints
-from coadjoint.analysis.backward_error.scheme_terms import MAX_POWER, ErrorTerm, SchemeTerms, Term
-from coadjoint.analysis.backward_error.symbols_of_hamiltonian import no_symbols, symbols_of
+from coadjoint.analysis.backward_error.scheme_terms import (
+    MAX_POWER,
+    ErrorTerm,
+    SchemeTerms,
+    Symbols,
+    Term,
+    symbols_of,
+)
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import need
 from coadjoint.program.modified_energy.composition_logarithm import exact_sweeps
-from coadjoint.program.modified_energy.modified_terms import coordinates_of
+from coadjoint.program.modified_energy.modified_series import coordinates_of
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -30,7 +36,7 @@ from coadjoint.validation import read_integer, supports_arithmetic
 
 
 class ModifiedHamiltonian:
-    """The function H + h^2 H2 + ... that a splitting keeps: a step is its flow over h, up to O(h^(order + 1)).
+    """The function H + h^2 H2 + ... that a splitting preserves: a step is its flow over h, up to O(h^(order + 1)).
 
     `modified_hamiltonian` creates it. Call it as ``H(x, h)``, with h negative for backward runs. Along a run its value
     is constant to O(h^order).
@@ -45,7 +51,7 @@ class ModifiedHamiltonian:
     radius : float
         The largest relative error of a coefficient before rounding to float64; 0 if all are exact.
     neglected : float
-        Bound on the coefficients set to zero because they are within the rounding of the scheme's coefficients.
+        Bound on the coefficients that are set to zero, within the rounding of the scheme's coefficients.
     values : mapping of str to number
         Name of a symbol -> the coefficient of H that it represents; empty without symbols.
 
@@ -92,7 +98,7 @@ class ModifiedHamiltonian:
         """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; unchanged for other schemes."""
         if self._source is None:
             raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
-        return _made_of(self._source.kernel(), self.order)
+        return _from_terms(self._source.kernel(), self.order)
 
     def _numeric(self) -> Mapping[int, Polynomial]:
         if self.values:
@@ -122,8 +128,7 @@ class ModifiedHamiltonian:
 
     def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()
-        # Small terms are added first.
-        total: Any = 0
+        total: Any = 0  # small terms are added first
         try:
             for k in sorted(terms, reverse=True):
                 total = total + h**k * at(terms[k]) if k else total + at(terms[k])
@@ -164,18 +169,18 @@ class ModifiedHamiltonian:
         return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
 
     def __repr__(self) -> str:
-        return self._written(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
+        return self._format(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
 
     def to_latex(self) -> str:
         """Return the function as LaTeX without dollar signs, with all digits."""
-        return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
+        return self._format(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
 
     def _repr_latex_(self) -> str:
         def numeric(term: Polynomial) -> str:
             return readable_latex(term.monomials, coordinate_names(term.dim))
 
-        written = self._written(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
-        return f"${written}$"
+        text = self._format(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
+        return f"${text}$"
 
     def to_sympy(self) -> Any:
         """Return the function as a SymPy expression in h, x1, ..., xn and the symbols; fractions stay exact."""
@@ -185,12 +190,12 @@ class ModifiedHamiltonian:
         h = sympy.Symbol("h")
         return sum((h**k * term.to_sympy() for k, term in self.terms.items()), sympy.Integer(0))
 
-    def _written(self, symbolic: Any, numeric: Any, between: str, power: str = "h^{0}") -> str:
+    def _format(self, symbolic: Any, numeric: Any, times: str, power: str = "h^{0}") -> str:
         text = ""
         for k, term in self.terms.items():
-            own = symbolic(term) if isinstance(term, SymbolicPolynomial) else numeric(term)
+            coefficient = symbolic(term) if isinstance(term, SymbolicPolynomial) else numeric(term)
             step = "h" if k == 1 else power.format(k)
-            text += f" + {step}{between}({own})" if k else own
+            text += f" + {step}{times}({coefficient})" if k else coefficient
         return text
 
 
@@ -206,8 +211,8 @@ def modified_hamiltonian(
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
-    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it to see which energy a run keeps,
-    and to compare schemes of the same order by their leading terms.
+    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it for the energy that a run
+    preserves, and to compare schemes of the same order by their leading terms.
 
     Parameters
     ----------
@@ -219,8 +224,8 @@ def modified_hamiltonian(
     order : int
         From 1 to 12. Order 2 is H for a scheme of order 2, order 4 is H + h^2 H2, and so on.
     symbols : bool or sequence of str
-        Keep coefficients of H as symbols: m1 stands for the factor of x1^2/2, m12 for that of x1 x2, b1 for that of x1,
-        c113 for that of x1^2 x3 (from dimension 10 on m1_2 and so on). True for all of them, or some names.
+        Coefficients of H that become symbols: m1 is the factor of x1^2/2, m12 that of x1 x2, b1 that of x1, c113 that
+        of x1^2 x3 (from dimension 10 on m1_2 and so on). True for all of them, or a list of names.
 
     Returns
     -------
@@ -275,11 +280,11 @@ def modified_hamiltonian(
             )
         coordinates = coordinates_of(program, sweeps, after, order, scheme.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
-    chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
-    return _made_of(SchemeTerms(system, program, sweeps, after, scheme.order, chosen), order)
+    chosen = symbols_of(H, symbols, program) if symbols is not False else Symbols(H, {})
+    return _from_terms(SchemeTerms(system, program, sweeps, after, scheme.order, chosen), order)
 
 
-def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
+def _from_terms(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
     terms, radius, neglected = source.below(order)
     values = source.symbols.values
     return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)

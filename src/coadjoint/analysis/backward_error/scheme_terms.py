@@ -1,22 +1,27 @@
-"""Terms of the modified Hamiltonian of a scheme on a system, and its leading error term."""
+"""Terms of the modified Hamiltonian of a scheme on a system, its leading error term, and symbols for coefficients."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
-from coadjoint.analysis.backward_error.symbols_of_hamiltonian import Symbols
+from coadjoint.errors import unknown_name
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates
-from coadjoint.program.modified_energy.modified_terms import check_cost, coordinates_of, modified_terms
+from coadjoint.program.modified_energy.modified_series import check_cost, coordinates_of, modified_terms
 from coadjoint.program.parts.part_polynomials import part_polynomials, with_hamiltonian_coefficients
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
+from coadjoint.systems.hamiltonians.quadratic import factors_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.validation import read_list
 
 MAX_POWER = 12
 """Largest power of h: above it, the words in the free algebra alone take minutes."""
@@ -36,7 +41,7 @@ class ErrorTerm(NamedTuple):
 
 
 class SchemeTerms:
-    """The terms of a scheme on a system with a polynomial Hamiltonian, computed on request.
+    """The terms of a scheme on a system with a polynomial Hamiltonian.
 
     `sweeps` and `after` are the sweeps of the kernel and of the processor, in exact numbers; `program` is the table of
     the splitting.
@@ -78,15 +83,100 @@ class SchemeTerms:
         return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
 
     def _terms(self, coordinates: Coordinates, weights: Iterable[int]) -> tuple[dict[int, Term], float, float]:
-        wanted = [weight for weight in weights if coordinates.of_weight[weight]]
+        nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
         ring = ExactPolynomials(self._system.algebra, tuple(self.symbols.values))
         pieces = None
-        if (wanted or self.symbols.values) and not self._program.shift:
-            if wanted:
-                check_cost(self._system, self._program, max(wanted))
+        if (nonzero or self.symbols.values) and not self._program.shift:
+            if nonzero:
+                check_cost(self._system, self._program, max(nonzero))
             parts = self._program.parts
-            own, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
-            pieces = with_hamiltonian_coefficients(ring, parts, own, self.symbols.given, factors)
-        found = modified_terms(ring, self._system, self._program, coordinates, wanted, pieces)
-        terms = {power: self.symbols.written(term) for power, term in found.of_power.items()}
-        return terms, found.radius, found.neglected
+            polynomials, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
+            pieces = with_hamiltonian_coefficients(ring, parts, polynomials, self.symbols.polynomial, factors)
+        result = modified_terms(ring, self._system, self._program, coordinates, nonzero, pieces)
+        terms = {power: self.symbols.with_symbols(term) for power, term in result.of_power.items()}
+        return terms, result.radius, result.neglected
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """A Hamiltonian with symbols for some of its coefficients.
+
+    `names` maps exponents to the symbol of the coefficient; the symbol of a square represents twice the coefficient.
+    """
+
+    polynomial: Polynomial
+    names: Mapping[Exponents, str]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Name -> the number that the symbol represents."""
+        return {name: self.polynomial.monomials[e] * _divisor(e) for e, name in self.names.items()}
+
+    @property
+    def hamiltonian(self) -> Polynomial | SymbolicPolynomial:
+        """The Hamiltonian with symbols."""
+        positions = {e: k for k, e in enumerate(self.names)}
+        monomials: dict[Exponents, Any] = {}
+        for e, value in self.polynomial.monomials.items():
+            symbol_exponents = [0] * len(positions)
+            if e in positions:
+                symbol_exponents[positions[e]] = 1
+                value = Fraction(1, _divisor(e)) if _divisor(e) > 1 else 1
+            monomials[(*e, *symbol_exponents)] = value
+        return self.with_symbols(Polynomial(monomials, dim=self.polynomial.dim + len(positions)))
+
+    @property
+    def zero(self) -> Polynomial | SymbolicPolynomial:
+        """The polynomial 0."""
+        return self.with_symbols(Polynomial({}, dim=self.polynomial.dim + len(self.names)))
+
+    def with_symbols(self, polynomial: Polynomial) -> Polynomial | SymbolicPolynomial:
+        """Return a polynomial in coordinates and symbols as a `SymbolicPolynomial`, if there are symbols."""
+        return SymbolicPolynomial(polynomial, tuple(self.names.values())) if self.names else polynomial
+
+    def factors(self, ring: ExactPolynomials) -> dict[Exponents, Exact]:
+        """Return exponents -> the polynomial in symbols that represents the coefficient."""
+        return {e: ring.symbol[name] / _divisor(e) for e, name in self.names.items()}
+
+
+def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:
+    """Return a Hamiltonian with symbols for all coefficients (True), or for those with the given names.
+
+    Raise ValueError for unknown names, or if a Casimir was subtracted from H in the program of the splitting.
+
+    >>> names_of(Polynomial({(2, 0): 0.5, (1, 1): 1, (0, 3): 2, (0, 1): 1}))
+    {(0, 1): 'b2', (2, 0): 'm1', (1, 1): 'm12', (0, 3): 'c222'}
+    """
+    if program.shift:
+        raise ValueError(
+            f"a multiple of the Casimir {program.shift[0][0]!r} was subtracted from H, with a factor that depends "
+            'on its coefficients; for symbols use parts="coordinates"'
+        )
+    names = names_of(H)
+    if wanted is not True:
+        chosen = read_list(wanted, "symbols", "give True, or names such as 'm1'")
+        for name in chosen:
+            if name not in names.values():
+                raise unknown_name("symbol", name, list(names.values()))
+        names = {e: name for e, name in names.items() if name in chosen}
+    return Symbols(H, names)
+
+
+def names_of(H: Polynomial) -> dict[Exponents, str]:
+    """Return the names of the coefficients of a Hamiltonian, by the exponents of their monomials."""
+    between = "_" if H.dim >= 10 else ""
+    names = {}
+    for exponents in H.monomials:
+        if not any(exponents):
+            continue
+        factors = [str(i + 1) for i in factors_of(exponents)]
+        kind = {1: "b", 2: "m"}.get(len(factors), "c")
+        if len(factors) == 2 and factors[0] == factors[1]:
+            factors = factors[:1]
+        names[exponents] = kind + between.join(factors)
+    return names
+
+
+def _divisor(exponents: Exponents) -> int:
+    """Return 2 for squares: m1 x1^2 / 2."""
+    return 2 if sum(exponents) == 2 and 2 in exponents else 1

@@ -22,21 +22,21 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
-MAX_MONOMIALS = 10**5  # of a field: beyond, its products with itself take minutes
+MAX_MONOMIALS = 10**5  # of a field; products of larger ones take minutes
 DISPLACEMENT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
 MAX_OMITTED_COEFFICIENT = 1e6  # largest coefficient of the first omitted power of the series, in the same units
 
 
 class ExactSystem:
-    """A system whose J and H are polynomials in a ring; floats are converted to rationals exactly.
+    """A system with polynomial J and H in a ring; floats are converted to rationals exactly.
 
-    Raise TypeError, or what the functions of the system raise on polynomials, if J or H is not a polynomial.
+    Raise TypeError, or the error of a function of the system on polynomials, if J or H is not a polynomial.
 
     >>> import coadjoint as co
-    >>> found = ExactSystem(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1))
-    >>> found.energy
+    >>> exact = ExactSystem(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1))
+    >>> exact.energy
     1/2*x1^2 + 1/4*x2^2 + 1/8*x3^2
-    >>> found.field[0]
+    >>> exact.field[0]
     -1/4*x2*x3
     """
 
@@ -67,13 +67,13 @@ class ExactSystem:
     @cached_property
     def casimirs(self) -> dict[str, Exact]:
         """The polynomial Casimirs by name."""
-        found = {}
+        casimirs = {}
         for name, C in self.system.casimirs.items():
             if isinstance(C, Polynomial):
-                found[name] = self.ring.of(C)
+                casimirs[name] = self.ring.of(C)
             elif hasattr(C, "form") or hasattr(C, "bind"):
-                found[name] = self.value_of(as_hamiltonian(C, self.system.dim).value)
-        return found
+                casimirs[name] = self.value_of(as_hamiltonian(C, self.system.dim).value)
+        return casimirs
 
     def check_available_memory(self, order: int) -> None:
         """Raise an error if the polynomials of an order do not fit in memory."""
@@ -90,17 +90,15 @@ class ExactSystem:
         """Return the coefficients of h^0, ..., h^order of a step, a function of formal numbers x and h."""
         number = formal_numbers(self.ring, order + 1)
         x, h = vector(map(number.constant, self.ring.coordinates)), number.step()
-        found: list[FormalNumber] = [number(value) for value in step(x, h)]
-        short = min(len(value.terms) for value in found)
-        if short <= order:
-            raise TypeError(f"the series of the step is known up to h^{short - 1} only, not to h^{order}")
-        return [[value.terms[k] for value in found] for k in range(order + 1)]
+        end: list[FormalNumber] = [number(value) for value in step(x, h)]
+        count = min(len(value.terms) for value in end)
+        if count <= order:
+            raise TypeError(f"the series of the step is known up to h^{count - 1} only, not to h^{order}")
+        return [[value.terms[k] for value in end] for k in range(order + 1)]
 
 
 def _check_monomials(system: System) -> None:
-    """Raise an error for a field with too many monomials, counted before construction as those of the products in J(x)
-    M x.
-    """
+    """Raise an error for a field with too many monomials, estimated as the number of products in J(x) M x."""
     terms = system.hamiltonian.terms()
     if not isinstance(system, LiePoissonSystem) or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
         return
@@ -117,20 +115,18 @@ def _check_monomials(system: System) -> None:
 def check_at_a_point(
     step: Callable[[NDArray[Any], Any], Any], exact: ExactSystem, series: list[Field], known_to: float
 ) -> None:
-    """Raise TypeError if the series contradicts the step at a sample point: the step branches, or iterates to a
-    tolerance.
-    """
+    """Raise TypeError if the series contradicts the step at a point, as for steps that branch or iterate."""
     from mpmath import mp, workdps
 
     order = len(series) - 1
     digits = 30 - int((order + 2) * math.log10(DISPLACEMENT))
     with workdps(digits):
-        drawn = np.random.default_rng(order).uniform(0.5, 1.0, exact.system.dim)
-        x = vector(map(mp.mpf, drawn))
-        moved = max(abs(value) for value in values_at(exact.field, drawn)) or mp.mpf(1)
-        h = mp.mpf(DISPLACEMENT) / moved
+        point = np.random.default_rng(order).uniform(0.5, 1.0, exact.system.dim)
+        x = vector(map(mp.mpf, point))
+        speed = max(abs(value) for value in values_at(exact.field, point)) or mp.mpf(1)
+        h = mp.mpf(DISPLACEMENT) / speed
         end = np.asarray(step(x, h))
-        expected = sum(np.array(values_at(terms, drawn)) * h**k for k, terms in enumerate(series))
+        expected = sum(np.array(values_at(terms, point)) * h**k for k, terms in enumerate(series))
         size = max(abs(value) for value in end - expected)
         allowed = MAX_OMITTED_COEFFICIENT * (mp.mpf(DISPLACEMENT) ** (order + 1) + known_to * DISPLACEMENT)
         if not size <= allowed:
@@ -146,14 +142,14 @@ def values_at(polynomials: list[Exact], x: NDArray[np.float64]) -> list[Any]:
     from mpmath import mp
 
     at = [*(rational(float(value)) for value in x), 0]
-    found = [polynomial(*at) for polynomial in polynomials]
-    return [mp.mpf(int(value.numer())) / int(value.denom()) for value in found]
+    values = [polynomial(*at) for polynomial in polynomials]
+    return [mp.mpf(int(value.numer())) / int(value.denom()) for value in values]
 
 
 def scale_of_motion(exact: ExactSystem, count: int) -> list[float]:
     """Return the largest coefficients of the Taylor terms of the motion, of h^1, ..., h^count."""
-    found, term = [], list(exact.ring.coordinates)
+    scales, term = [], list(exact.ring.coordinates)
     for k in range(1, count + 1):
         term = [exact.ring.along(exact.field, F) / k for F in term]
-        found.append(max(map(size_of, term)))
-    return found
+        scales.append(max(map(size_of, term)))
+    return scales

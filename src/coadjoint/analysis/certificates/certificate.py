@@ -41,9 +41,9 @@ class Row:
     what : str
         The property checked.
     declared : str
-        The scheme's declaration on it.
+        The declaration of the scheme about the property.
     measured : str
-        The measurement, in words and numbers.
+        The measurement as text.
     verdict : str
         One of `VERDICTS`.
     claimed : bool
@@ -83,11 +83,11 @@ class Row:
         return {**named, "evidence": {name: _plain(value) for name, value in self.evidence.items()}}
 
 
-def verdict(claimed: bool, kept: bool | None) -> str:
-    """Return the verdict on a property; `kept` is None where the measurement does not decide."""
-    if kept is None:
+def verdict(claimed: bool, holds: bool | None) -> str:
+    """Return the verdict on a property; `holds` is None if the measurement does not decide."""
+    if holds is None:
         return UNDECIDED
-    return (HOLDS if kept else FAILS) if claimed else (UNDECLARED_KEPT if kept else UNDECLARED_LOST)
+    return (HOLDS if holds else FAILS) if claimed else (UNDECLARED_KEPT if holds else UNDECLARED_LOST)
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,7 +97,7 @@ class Certificate:
     Parameters
     ----------
     rows : tuple of Row
-        In the order of the checks; ``certificate["order"]`` is one by its name.
+        In the order of the checks; ``certificate["order"]`` is the row with this name.
     subject : mapping
         System, scheme, step, states and versions, as plain numbers and text.
 
@@ -150,9 +150,9 @@ class Certificate:
         sizes = [max(len(row.what) for row in self.rows), max(len(row.declared) for row in self.rows)]
         sizes = [min(sizes[0], 32), min(sizes[1], 16), max(len(row.verdict) for row in self.rows)]
         lines = []
-        for what, declared, found, said in (COLUMN_HEADINGS, *map(_cells, self.rows)):
-            entries = [textwrap.wrap(what, sizes[0]), textwrap.wrap(declared, sizes[1]), [found]]
-            entries.append(textwrap.wrap(said, max(30, MAX_WIDTH - sum(sizes) - 6)))
+        for what, declared, result, measured in (COLUMN_HEADINGS, *map(_cells, self.rows)):
+            entries = [textwrap.wrap(what, sizes[0]), textwrap.wrap(declared, sizes[1]), [result]]
+            entries.append(textwrap.wrap(measured, max(30, MAX_WIDTH - sum(sizes) - 6)))
             for number in range(max(map(len, entries))):
                 cells = [entry[number] if number < len(entry) else "" for entry in entries]
                 padded = [cell.ljust(size) for cell, size in zip(cells, sizes, strict=False)]
@@ -160,9 +160,9 @@ class Certificate:
         return "\n".join([*head, "", *lines, "", self._declared_text()])
 
     def _repr_html_(self) -> str:
-        head, (name, *others) = self._head(), COLUMN_HEADINGS
-        rows = {name: tuple(others), **{what: tuple(cells) for what, *cells in map(_cells, self.rows)}}
-        return html_table(f"{'; '.join(head)}; {self._declared_text()}", rows)
+        first, *rest = COLUMN_HEADINGS
+        rows = {first: tuple(rest), **{what: tuple(cells) for what, *cells in map(_cells, self.rows)}}
+        return html_table(f"{'; '.join(self._head())}; {self._declared_text()}", rows)
 
     def _head(self) -> list[str]:
         return [
@@ -207,10 +207,10 @@ class Certificate:
 
 
 def _cells(row: Row) -> tuple[str, str, str, str]:
-    said = row.measured
+    measured = row.measured
     if row.bound is not None and row.source:
-        said += f"; bound {row.bound:.2g}: {row.source}"
-    return row.what, row.declared, row.verdict, f"{said}; {row.reason}" if row.reason else said
+        measured += f"; bound {row.bound:.2g}: {row.source}"
+    return row.what, row.declared, row.verdict, f"{measured}; {row.reason}" if row.reason else measured
 
 
 def _plain(value: Any) -> Any:

@@ -42,7 +42,7 @@ def certify(
     properties: Properties | None = None,
     symmetric: bool | None = None,
 ) -> Certificate:
-    """Measure what a scheme keeps on a system, and compare it with what the scheme declares.
+    """Measure the properties of a scheme on a system, and compare them with the declared ones.
 
     Choose it for the first run of a new system, a new scheme or an unusual step, and for every scheme of your own.
     It measures the order and the convergence to a closed form or an independent integration (since a motion at the
@@ -112,36 +112,35 @@ def certify(
     size = float(np.max(np.abs(states), initial=0.0))
     if size != 0.0 and not ALLOWED_SIZES[0] <= size <= ALLOWED_SIZES[1]:
         raise ValueError(
-            f"x0 has entries up to {size!r}; products of their defects leave the range of float64, so choose units in "
-            "which they "
-            f"are from {ALLOWED_SIZES[0]} to {ALLOWED_SIZES[1]}"
+            f"x0 has entries up to {size!r}, whose products leave the range of float64; choose units in which they are "
+            f"from {ALLOWED_SIZES[0]} to {ALLOWED_SIZES[1]}"
         )
     with np.errstate(all="ignore"), long_operation("certify"):
         subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
         if count is not None:
-            taken = subject.seconds * len(subject.states) * count
+            seconds = subject.seconds * len(subject.states) * count
             warn_if_long(
-                f"the long run of {count} steps from {len(subject.states)} states", taken, "fewer steps= take less"
+                f"the long run of {count} steps from {len(subject.states)} states", seconds, "fewer steps= take less"
             )
-        return Certificate(_rows(subject), _subject_text(subject))
+        return Certificate(_rows(subject), _describe(subject))
 
 
 def _rows(subject: Subject) -> tuple[Row, ...]:
-    found = study(subject)
-    coarse_step = subject.h if found is None else found.coarse_step(subject.h)
+    convergence = study(subject)
+    coarse_step = subject.h if convergence is None else convergence.coarse_step(subject.h)
     run = long_run(subject)
     return (
-        *convergence_rows(subject, found),
+        *convergence_rows(subject, convergence),
         symmetry_row(subject, coarse_step),
         reversibility_row(subject, coarse_step),
         poisson_row(subject, coarse_step),
         *invariant_rows(subject, run, coarse_step),
-        *attitude_rows(subject, found, 0 if run.solution is None else run.solution.stats.steps),
+        *attitude_rows(subject, convergence, 0 if run.solution is None else run.solution.stats.steps),
         run_row(subject, run),
     )
 
 
-def _subject_text(subject: Subject) -> dict[str, Any]:
+def _describe(subject: Subject) -> dict[str, Any]:
     system, algebra = subject.system, subject.system.algebra
     return {
         "system": {

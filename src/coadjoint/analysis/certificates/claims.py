@@ -56,13 +56,13 @@ class FunctionStep(StepMethod):
 def scheme_and_claims(
     system: System, method: Any, order: int | None, properties: Properties | None, symmetric: bool | None
 ) -> tuple[Method, Claims]:
-    """Return the scheme to be certified, with its own claims or those given for a function.
+    """Return the scheme to be certified, with its own claims or, for a function, the claims in the arguments.
 
     Raise TypeError or ValueError if it is neither a scheme nor a function, or if the claims are invalid.
     """
-    said = {"order": order, "properties": properties, "symmetric": symmetric}
+    arguments = {"order": order, "properties": properties, "symmetric": symmetric}
     if isinstance(method, Method):
-        for name, value in said.items():
+        for name, value in arguments.items():
             if value is not None:
                 raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; omit {name}")
         # The error of a scheme with its own step size does not depend on the step of the run.

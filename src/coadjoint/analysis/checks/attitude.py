@@ -13,9 +13,9 @@ from coadjoint.algebra.representation import invariant_form
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.slope import FLOOR_FACTOR
 from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.fits import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -26,10 +26,10 @@ Floats = NDArray[np.float64]
 MAX_DIM = 64
 """Largest dimension in which the coadjoint matrix is integrated."""
 MAX_REFERENCE_DIM = 16
-"""Largest dimension in which the group element is compared with the independent integration."""
+"""Largest dimension in which the group element is compared with an independent integration."""
 SAVED_POINTS = 16
 MAX_WORK = 5e7
-"""Bound on steps times the cube of the dimension; on large algebras fewer steps carry the element."""
+"""Bound on steps times the cube of the dimension, which limits the steps with an element on large algebras."""
 TIME_LIMIT, MIN_STEPS, MAX_STEPS = 1.0, 4, 2**53
 """Approximate time limit of the steps with an element, and the limits of their number."""
 MAX_CONDITION = 1e3
@@ -42,7 +42,7 @@ Measurement = tuple[float, float, str]
 def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row]:
     """Return the rows on the group element, or one row with the reason if there is none.
 
-    The element takes `steps` steps, and is compared over the span of the study, which is None without a reference.
+    At most `steps` steps are run. The element is compared over the span of the study (None without a reference).
     """
     system, properties = subject.system, subject.claims.properties
     kind = "none" if properties is None else properties.attitude
@@ -57,8 +57,8 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
         why = f"the coadjoint matrix of dimension {system.dim} is not carried for this"
     if why:
         claimed = system.algebra is not None and kind != "none"
-        found = verdict(claimed, None) if claimed else INAPPLICABLE
-        return [Row("attitude", "group element", kind, "-", found, claimed=claimed, reason=why)]
+        result = verdict(claimed, None) if claimed else INAPPLICABLE
+        return [Row("attitude", "group element", kind, "-", result, claimed=claimed, reason=why)]
     steps = max(min(steps, SAVED_POINTS), min(steps, int(MAX_WORK / system.dim**3)))
     with_matrix = min(steps, _affordable(subject, "coadjoint"))
     claimed = kind in CONSERVING_KINDS
@@ -66,11 +66,11 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
         _row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, with_matrix))
     ]
     representation = system.representation
-    if representation is not None and _carried(subject):
+    if representation is not None and _supports_attitude(subject):
         form = invariant_form(representation)
         if form is not None:
-            few = min(steps, _affordable(subject, representation))
-            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, few)))
+            count = min(steps, _affordable(subject, representation))
+            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, count)))
         if kind == "every representation":
             rows.append(
                 _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, with_matrix))
@@ -85,26 +85,26 @@ def _row(
     subject: Subject, key: str, what: str, kind: str, claimed: bool, measure: Callable[[], Measurement | None]
 ) -> Row:
     try:
-        seen = measure()
-        reason = "" if seen is not None else "the group element could not be computed"
+        measurement = measure()
+        reason = "" if measurement is not None else "the group element could not be computed"
     except IntegrationError as error:
-        seen, reason = None, str(error)
-    if seen is None:
+        measurement, reason = None, str(error)
+    if measurement is None:
         return Row(key, what, kind, "-", verdict(claimed, None), claimed=claimed, reason=reason)
-    defect, bound, said = seen
+    defect, bound, text = measurement
     source = "round-off of the run, 4 d u each evaluation"
     if key == "attitude":
         source = "6 times the error that the last change of the step implies, and round-off"
-    return Row(key, what, kind, said, verdict(claimed, defect <= bound), claimed, defect, bound, source)
+    return Row(key, what, kind, text, verdict(claimed, defect <= bound), claimed, defect, bound, source)
 
 
 def _affordable(subject: Subject, representation: Any) -> int:
     """Return the number of steps with an element that fit into the time limit, by the cost model."""
-    each = subject.seconds_with(representation) * len(subject.states)
-    return max(MIN_STEPS, int(TIME_LIMIT / each)) if each > 0.0 else MAX_STEPS
+    seconds = subject.seconds_with(representation) * len(subject.states)
+    return max(MIN_STEPS, int(TIME_LIMIT / seconds)) if seconds > 0.0 else MAX_STEPS
 
 
-def _carried(subject: Subject) -> bool:
+def _supports_attitude(subject: Subject) -> bool:
     try:
         check_attitude(subject.method, subject.system, subject.system.representation)
     except ValueError:
@@ -115,9 +115,9 @@ def _carried(subject: Subject) -> bool:
 def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
     """Run the steps, halved until the run succeeds and the condition of the element is at most `MAX_CONDITION`.
 
-    A rounding at time s is multiplied by g_s^-1 g_t until time t, so elements that grow and shrink again lose digits.
     Return the run, its elements and their largest condition number.
     """
+    # A rounding error at time s is multiplied by g_s^-1 g_t until time t, so elements that grow and shrink lose digits.
     while True:
         try:
             run = subject.run(subject.states, subject.h, steps, max(1, steps // SAVED_POINTS), attitude)
@@ -164,17 +164,16 @@ def _form(subject: Subject, form: Floats, steps: int) -> Measurement:
 def _one_element(subject: Subject, steps: int) -> Measurement:
     """Compare the element of the representation with the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
     rho = np.asarray(subject.system.representation)
-    in_K, K, of_K = _run(subject, "coadjoint", steps)
-    in_rho, g, of_g = _run(subject, True, in_K.stats.steps)
-    if in_rho.stats.steps < in_K.stats.steps:
-        in_K, K, of_K = _run(subject, "coadjoint", in_rho.stats.steps)
+    K_run, K, K_condition = _run(subject, "coadjoint", steps)
+    g_run, g, g_condition = _run(subject, True, K_run.stats.steps)
+    if g_run.stats.steps < K_run.stats.steps:
+        K_run, K, K_condition = _run(subject, "coadjoint", g_run.stats.steps)
     left = np.einsum("iab,kmbc->kmiac", rho, g)
     right = np.einsum("kmab,kmij,jbc->kmiac", g, K, rho, optimize=True)
     defect = float(np.max(np.sqrt(np.sum((left - right) ** 2, axis=(-3, -2, -1)))))
-    size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho)) * max(of_g, of_K)
-    bound = 2 * (_rounding(subject, in_rho) + _rounding(subject, in_K)) * size
-    said = f"representation and coadjoint matrix differ by {defect:.2g} after {in_rho.stats.steps} steps"
-    return defect, bound, said
+    size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho)) * max(g_condition, K_condition)
+    bound = 2 * (_rounding(subject, g_run) + _rounding(subject, K_run)) * size
+    return defect, bound, f"representation and coadjoint matrix differ by {defect:.2g} after {g_run.stats.steps} steps"
 
 
 class _WithElement:
@@ -188,8 +187,8 @@ class _WithElement:
     def vector_field(self, y: Floats, t: float) -> Floats:
         system, n = self._system, self._system.dim
         x, K = y[:n], y[n:].reshape(n, n)
-        turned = K @ system.algebra.coadjoint(system.hamiltonian.gradient(x, t))
-        return np.concatenate([system.vector_field(x, t), -system.sign * turned.ravel()])
+        product = K @ system.algebra.coadjoint(system.hamiltonian.gradient(x, t))
+        return np.concatenate([system.vector_field(x, t), -system.sign * product.ravel()])
 
 
 # Cached for each system, so that a reference motion is integrated once.
@@ -197,7 +196,7 @@ _with_element = lru_cache(maxsize=16)(_WithElement)
 
 
 def _limit(subject: Subject, study: Study) -> Measurement | None:
-    """Compare the element at small steps with the independent integration."""
+    """Compare the element at small steps with an independent integration."""
     n, x = subject.system.dim, subject.states[0]
     start = np.concatenate([x, np.eye(n).ravel()])
     reference = motion(_with_element(subject.system), start[None], study.span)  # type: ignore[arg-type]
@@ -207,12 +206,11 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     size = float(np.linalg.norm(element))
     # The smallest step at which the error of the momentum is above round-off, else the smallest step.
     clear = [k for k, error in enumerate(study.errors) if error > FLOOR_FACTOR * study.floors[k]]
-    place = clear[-1] if clear else len(study.counts) - 1
-    counts = (study.counts[place], 2 * study.counts[place])
-    ends = [subject.run(x, study.span / count, count, attitude="coadjoint") for count in counts]
-    found = [run.attitude[-1] for run in ends if run.attitude is not None]
-    error = float(np.linalg.norm(found[1] - element)) / size
-    change = float(np.linalg.norm(found[1] - found[0])) / size
-    floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(ends[1].stats.evaluations)))
-    said = f"error {error:.2g} at the step {abs(study.span) / counts[1]:.3g}, against {reference.by}"
-    return error, floor + allowed_error(change, 2.0, subject.claims.order), said
+    count = study.counts[clear[-1] if clear else len(study.counts) - 1]
+    runs = [subject.run(x, study.span / steps, steps, attitude="coadjoint") for steps in (count, 2 * count)]
+    elements = [run.attitude[-1] for run in runs if run.attitude is not None]
+    error = float(np.linalg.norm(elements[1] - element)) / size
+    change = float(np.linalg.norm(elements[1] - elements[0])) / size
+    floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(runs[1].stats.evaluations)))
+    text = f"error {error:.2g} at the step {abs(study.span) / (2 * count):.3g}, against {reference.by}"
+    return error, floor + allowed_error(change, 2.0, subject.claims.order), text

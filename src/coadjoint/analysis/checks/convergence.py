@@ -8,9 +8,9 @@ import numpy as np
 
 from coadjoint.analysis.certificates.certificate import Row, verdict
 from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.slope import FLOOR_FACTOR, Slope, slope
 from coadjoint.analysis.checks.study import ERROR_RATIO, LARGE_ERROR, Study
 from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.fits import FLOOR_FACTOR, Slope, slope
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -21,43 +21,44 @@ MAX_UNCERTAINTY, MAX_RELATIVE_UNCERTAINTY = 0.4, 1.0 / 10.0
 ORDER_TOLERANCE, RELATIVE_ORDER_TOLERANCE = 0.5, 1.0 / 16.0
 # Orders are integers; a margin of 1/4 allows for higher terms of the error, which the uncertainty omits.
 MARGIN = 0.25
-# The error may exceed the estimate from the last change of the step by this factor. If steps are halved, errors of
-# half the declared order exceed it by at most 1 + 2^(p/2). Those of the first steps exceed it by their next term.
+# Largest ratio of the error to its estimate from the last change of the step. If steps are halved, errors of half the
+# declared order exceed the estimate by at most 1 + 2^(p/2).
 ERROR_FACTOR = 6.0
 LIMIT_ROW = "limit of small steps"
 
 
-def convergence_rows(subject: Subject, found: Study | None) -> list[Row]:
+def convergence_rows(subject: Subject, study: Study | None) -> list[Row]:
     """Return the rows on the order and on the limit of small steps, from the study (None without a reference)."""
     p = subject.claims.order
-    declared = "nothing" if p is None else str(p)
-    converges = "nothing" if p is None else "converges"
-    if found is None or subject.at_equilibrium:
-        why = "no reference: the motion is too fast for the step, or leaves the range of float64"
-        why = "every state rests" if subject.at_equilibrium else why
+    declared_order = "nothing" if p is None else str(p)
+    declared_limit = "nothing" if p is None else "converges"
+    if study is None or subject.at_equilibrium:
+        reason = "no reference: the motion is too fast for the step, or leaves the range of float64"
+        reason = "every state rests" if subject.at_equilibrium else reason
         return [
-            Row(key, what, said, "-", verdict(p is not None, None), claimed=p is not None, reason=why)
-            for key, what, said in (("order", "order", declared), ("reference", LIMIT_ROW, converges))
+            Row(key, what, declared, "-", verdict(p is not None, None), claimed=p is not None, reason=reason)
+            for key, what, declared in (("order", "order", declared_order), ("reference", LIMIT_ROW, declared_limit))
         ]
     evidence = {
-        "steps": np.array(found.steps),
-        "errors": np.array(found.errors),
-        "round-off": np.array(found.floors),
-        "span": found.span,
+        "steps": np.array(study.steps),
+        "errors": np.array(study.errors),
+        "round-off": np.array(study.floors),
+        "span": study.span,
     }
-    return [_order_row(subject, found, declared, evidence), _reference_row(subject, found, p, converges, evidence)]
+    return [
+        _order_row(subject, study, declared_order, evidence),
+        _reference_row(subject, study, p, declared_limit, evidence),
+    ]
 
 
 def _is_uncertain(fitted: Slope) -> bool:
     return fitted.uncertainty > max(MAX_UNCERTAINTY, MAX_RELATIVE_UNCERTAINTY * fitted.value)
 
 
-def _single_steps(subject: Subject, found: Study) -> Slope | None:
-    """Return the order from errors of single steps (their slope less one), since few steps of a high order fit into the
-    span.
-    """
+def _single_steps(subject: Subject, study: Study) -> Slope | None:
+    """Return the order from errors of single steps, their slope minus one, for high orders with few steps in a span."""
     p, size = subject.claims.order or 4, float(np.linalg.norm(subject.states)) or 1.0
-    largest = found.coarse_step(math.copysign(subject.span_time, subject.h))
+    largest = study.coarse_step(math.copysign(subject.span_time, subject.h))
     steps, errors, floors = [], [], []
     for k in range(MAX_SINGLE_STEPS):
         h = largest / ERROR_RATIO ** (k / (p + 1))
@@ -78,32 +79,32 @@ def _single_steps(subject: Subject, found: Study) -> Slope | None:
     return None if fitted is None else fitted._replace(value=fitted.value - 1.0)
 
 
-def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str, object]) -> Row:
+def _order_row(subject: Subject, study: Study, declared: str, evidence: dict[str, object]) -> Row:
     p = subject.claims.order
-    kept: bool | None = None
-    fitted, reason, of = found.slope, "", "over a span"
+    holds: bool | None = None
+    fitted, reason, of = study.slope, "", "over a span"
     if fitted is None or fitted.uncertainty > MAX_UNCERTAINTY:
-        alone = _single_steps(subject, found)
-        if alone is not None and (fitted is None or alone.uncertainty < fitted.uncertainty):
-            fitted, of = alone, "of single steps"
+        single = _single_steps(subject, study)
+        if single is not None and (fitted is None or single.uncertainty < fitted.uncertainty):
+            fitted, of = single, "of single steps"
     if fitted is None:
         measured = "-"
         reason = "fewer than three errors between 5 % and round-off; take another step"
-        if not any(error > FLOOR_FACTOR * floor for error, floor in zip(found.errors, found.floors, strict=True)):
-            kept, measured, reason = True, f"no error above round-off at any step up to {found.steps[0]:.3g}", ""
-        elif min(found.errors) > LARGE_ERROR:
-            kept, measured = False, f"errors of {min(found.errors):.1g} and more at every step"
-            reason = found.failed[-1] if found.failed else ""
+        if not any(error > FLOOR_FACTOR * floor for error, floor in zip(study.errors, study.floors, strict=True)):
+            holds, measured, reason = True, f"no error above round-off at any step up to {study.steps[0]:.3g}", ""
+        elif min(study.errors) > LARGE_ERROR:
+            holds, measured = False, f"errors of {min(study.errors):.1g} and more at every step"
+            reason = study.failed[-1] if study.failed else ""
     else:
-        unsure, least = _is_uncertain(fitted), 0.5 if p is None else p
+        uncertain, least = _is_uncertain(fitted), 0.5 if p is None else p
         measured = f"{fitted}, by errors {of}, steps from {fitted.steps[0]:.3g} to {fitted.steps[-1]:.3g}"
-        if fitted.value + (2.0 if unsure else 1.0) * fitted.uncertainty < least - MARGIN:
-            kept = None if fitted.steepening > MAX_UNCERTAINTY else False
-            reason = "" if kept is False else "errors fall ever faster; take a smaller step"
-        elif unsure or fitted.value < least - max(ORDER_TOLERANCE, RELATIVE_ORDER_TOLERANCE * least):
+        if fitted.value + (2.0 if uncertain else 1.0) * fitted.uncertainty < least - MARGIN:
+            holds = None if fitted.steepening > MAX_UNCERTAINTY else False
+            reason = "" if holds is False else "errors fall ever faster; take a smaller step"
+        elif uncertain or fitted.value < least - max(ORDER_TOLERANCE, RELATIVE_ORDER_TOLERANCE * least):
             reason = "the slope has not settled; take a smaller step"
         else:
-            kept = True
+            holds = True
             if p is not None and fitted.value - fitted.uncertainty > p + 0.5:
                 reason = "higher than declared on this motion"
         evidence = {
@@ -117,7 +118,7 @@ def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str
         "order",
         declared,
         measured,
-        verdict(p is not None, kept),
+        verdict(p is not None, holds),
         claimed=p is not None,
         value=None if fitted is None else fitted.value,
         bound=None if p is None else float(p),
@@ -127,43 +128,43 @@ def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str
     )
 
 
-def _reference_row(subject: Subject, found: Study, p: int | None, declared: str, evidence: dict[str, object]) -> Row:
-    """Return the row on the limit of small steps; the flow of another speed has another limit."""
-    last, bound = found.errors[-1], FLOOR_FACTOR * found.floors[-1]
-    size = float(np.linalg.norm(found.reference.states)) or 1.0
-    if len(found.counts) > 1:
-        change = float(np.linalg.norm(found.ends[-1] - found.ends[-2])) / size
-        bound += allowed_error(change, found.counts[-1] / found.counts[-2], p)
-    kept: bool | None = last <= bound
-    reason = found.reference.contradiction
-    if kept and last > LARGE_ERROR:
-        kept, reason = False, "no step came near the motion"
-    if found.given in found.counts:
-        at = found.errors[found.counts.index(found.given)]
-        measured = f"error {at:.2g} at the given step after t = {found.span:.3g}, {last:.2g} at {found.steps[-1]:.3g}"
+def _reference_row(subject: Subject, study: Study, p: int | None, declared: str, evidence: dict[str, object]) -> Row:
+    """Return the row on the limit of small steps, which detects motions at a wrong speed."""
+    last, bound = study.errors[-1], FLOOR_FACTOR * study.floors[-1]
+    size = float(np.linalg.norm(study.reference.states)) or 1.0
+    if len(study.counts) > 1:
+        change = float(np.linalg.norm(study.ends[-1] - study.ends[-2])) / size
+        bound += allowed_error(change, study.counts[-1] / study.counts[-2], p)
+    holds: bool | None = last <= bound
+    reason = study.reference.contradiction
+    if holds and last > LARGE_ERROR:
+        holds, reason = False, "no step came near the motion"
+    if study.given in study.counts:
+        error = study.errors[study.counts.index(study.given)]
+        measured = f"error {error:.2g} at the given step after t = {study.span:.3g}, "
+        measured += f"{last:.2g} at {study.steps[-1]:.3g}"
     else:
-        at = last
-        measured = f"error {last:.2g} at the step {found.steps[-1]:.3g} after t = {found.span:.3g}"
-        reason = reason or next(iter(found.failed), "the given step is below all of these")
+        error = last
+        measured = f"error {last:.2g} at the step {study.steps[-1]:.3g} after t = {study.span:.3g}"
+        reason = reason or next(iter(study.failed), "the given step is below all of these")
     return Row(
         "reference",
         LIMIT_ROW,
         declared,
-        f"{measured}, against {found.reference.by}",
-        verdict(p is not None, kept),
+        f"{measured}, against {study.reference.by}",
+        verdict(p is not None, holds),
         claimed=p is not None,
         value=last,
         bound=bound,
         source="6 times the error that the last change of the step implies, and round-off",
         reason=reason,
-        evidence={**evidence, "error at the given step": at, "error of the reference": found.reference.error},
+        evidence={**evidence, "error at the given step": error, "error of the reference": study.reference.error},
     )
 
 
 def allowed_error(change: float, ratio: float, order: int | None) -> float:
-    """Return the error at the smaller of two steps that is consistent with the change from the larger one to it.
+    """Return the allowed error at the smaller of two steps with a ratio > 1, from the change between their results.
 
-    6 change / (ratio^order - 1), where ratio > 1 is that of the steps; an undeclared order counts as 1. Without the
-    factor 6 this is the error of a scheme whose error is exactly C h^order.
+    Without the factor 6 it is that of a scheme with the error C h^order. An undeclared order counts as 1.
     """
     return ERROR_FACTOR * change / (ratio ** (order or 1) - 1.0)

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
-from coadjoint.analysis.checks.growth import growth
 from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.sizes import size_of
 from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.fits import growth
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.solution import Solution
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 Floats = NDArray[np.float64]
 
 STEPS = 2000
 MIN_STEPS = 32
-"""Lower limit on the default length of the long run; fewer steps do not show the growth of deviations."""
+"""Smallest default number of steps of the long run; fewer steps do not show the growth of deviations."""
 TIME_LIMIT = 3.0
 SAVED_POINTS = 128
 MAX_GROWTH_FACTOR = 16.0
@@ -33,7 +33,7 @@ SIZE_SAMPLES = 8
 
 
 def keeps(properties: Properties, casimir: Any) -> bool:
-    """Return whether a scheme declares to keep a Casimir."""
+    """Return whether a scheme declares that it preserves a Casimir."""
     if properties.casimirs == "all":
         return True
     if not isinstance(casimir, Polynomial | Quadratic) or properties.casimirs == "none":
@@ -83,22 +83,22 @@ def long_run(subject: Subject) -> LongRun:
 def run_row(subject: Subject, run: LongRun) -> Row:
     """Return the row on completion of the long run, if the motion itself exists that long.
 
-    A failed run keeps nothing, so a scheme that declares anything must complete it.
+    A failed run preserves nothing, so a scheme that declares anything must complete it.
     """
-    key, what, ends = "run", "long run", "ends"
+    key, what, declared = "run", "long run", "ends"
     count, reason = steps_of(subject), ""
     if subject.steps is None and count < STEPS:
-        whole = subject.seconds * len(subject.states) * STEPS
-        reason = f"a step takes about {subject.seconds:.1g} s; steps={STEPS} would take about {whole:.2g} s"
+        seconds = subject.seconds * len(subject.states) * STEPS
+        reason = f"a step takes about {subject.seconds:.1g} s; steps={STEPS} would take about {seconds:.2g} s"
     steps = f"{count} steps of {subject.h:g} from {len(subject.states)} states"
     claims = subject.claims
-    declares = any(said is not None for said in (claims.order, claims.symmetric, claims.properties))
+    declares = any(claim is not None for claim in (claims.order, claims.symmetric, claims.properties))
     if not run.failed:
-        return Row(key, what, ends, steps, verdict(declares, True), claimed=declares, reason=reason)
+        return Row(key, what, declared, steps, verdict(declares, True), claimed=declares, reason=reason)
     if motion(subject.system, subject.states, run.until + subject.h) is None:
         why = "an independent code cannot compute the motion so far either"
-        return Row(key, what, ends, run.failed, UNDECIDED, reason=why)
-    return Row(key, what, ends, run.failed, verdict(declares, False), claimed=declares)
+        return Row(key, what, declared, run.failed, UNDECIDED, reason=why)
+    return Row(key, what, declared, run.failed, verdict(declares, False), claimed=declares)
 
 
 def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[Row]:
@@ -126,13 +126,13 @@ def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[R
 
 
 def _single_steps(subject: Subject, coarse_step: float) -> list[tuple[float, Solution]]:
-    found = []
+    runs = []
     for h in dict.fromkeys((subject.h, coarse_step)):
         try:
-            found.append((h, subject.run(subject.states, h, 1)))
+            runs.append((h, subject.run(subject.states, h, 1)))
         except IntegrationError:
             continue
-    return found
+    return runs
 
 
 def _row(
@@ -140,7 +140,7 @@ def _row(
 ) -> Row:
     """Return the row of an invariant: its errors in one step and over the run, each with its round-off bound."""
     noise = subject.noise / (float(np.min(np.linalg.norm(subject.states, axis=1))) or 1.0)
-    looks: list[tuple[float, float, str, str]] = []
+    measurements: list[tuple[float, float, str, str]] = []  # error, bound, text, source of the bound
     evidence: dict[str, Any] = {}
     for h, step in single:
         values = _series(step, name)
@@ -148,47 +148,44 @@ def _row(
         errors = np.abs(values[1] - values[0])
         rounding = subject.rounding(h, step.stats.evaluations / len(subject.states)) + 8 * UNIT_ROUNDOFF + 8 * noise
         k = int(np.argmax(errors / np.where(sizes > 0.0, sizes, 1.0)))
-        said = f"{errors[k]:.2g} in a step of {h:.3g}"
-        looks.append((float(errors[k]), float(rounding * sizes[k]), said, "round-off of a step, 4 n u each evaluation"))
+        text, source = f"{errors[k]:.2g} in a step of {h:.3g}", "round-off of a step, 4 n u each evaluation"
+        measurements.append((float(errors[k]), float(rounding * sizes[k]), text, source))
         evidence[f"errors in a step of {h:.6g}"] = errors
-    kind = ""
     if run.solution is not None and len(run.solution.t) > 1:
         solution = run.solution
         values = _series(solution, name)
         evidence |= {"times": solution.t, "deviations": values - values[0]}
-        found = growth(solution.t, values - values[0])
-        evidence |= {"window times": found.times, "window sizes": found.sizes, "power of time": found.power}
-        kind = found.kind
+        fitted = growth(solution.t, values - values[0])
+        evidence |= {"window times": fitted.times, "window sizes": fitted.sizes, "power of time": fitted.power}
         worst = float(solution.drift()[name])
-        members = len(subject.states)
-        chosen = solution.x[np.linspace(0, len(solution.x) - 1, SIZE_SAMPLES).astype(int)].reshape(
-            -1, subject.system.dim
-        )
-        size = float(np.max(_sizes(invariant, chosen)))
-        evaluations = solution.stats.evaluations / members + solution.stats.steps + 1
+        samples = np.linspace(0, len(solution.x) - 1, SIZE_SAMPLES).astype(int)
+        size = float(np.max(_sizes(invariant, solution.x[samples].reshape(-1, subject.system.dim))))
+        evaluations = solution.stats.evaluations / len(subject.states) + solution.stats.steps + 1
         rounding = 4 * subject.system.dim * UNIT_ROUNDOFF * evaluations + 8 * noise * solution.stats.steps
-        said = f"{worst:.2g} after {solution.stats.steps} steps, growth {kind}"
-        looks.append((worst, rounding * size, said, "round-off of the run, 4 n u each evaluation, all of one sign"))
-    finite = [look for look in looks if np.isfinite(look[0]) and np.isfinite(look[1])]
-    if not finite or len(finite) < len(looks):
+        text = f"{worst:.2g} after {solution.stats.steps} steps, growth {fitted.kind}"
+        source = "round-off of the run, 4 n u each evaluation, all of one sign"
+        measurements.append((worst, rounding * size, text, source))
+    finite = [entry for entry in measurements if np.isfinite(entry[0]) and np.isfinite(entry[1])]
+    if not finite or len(finite) < len(measurements):
         return Row(**{**vars(row), "verdict": UNDECIDED, "reason": run.failed or "its value is not finite"})
-    value, bound, _, source = max(finite, key=lambda look: look[0] / look[1] if look[1] else np.inf * look[0])
+    value, bound, _, source = max(finite, key=lambda entry: entry[0] / entry[1] if entry[1] else np.inf * entry[0])
     return Row(
         row.key,
         row.what,
         row.declared,
-        ", ".join(said for _, _, said, _ in finite),
+        ", ".join(text for _, _, text, _ in finite),
         verdict(row.claimed, value <= bound),
         claimed=row.claimed,
         value=value,
         bound=bound,
         source=source,
-        reason=_half_run(subject, run),
+        reason=_shortening(subject, run),
         evidence=evidence,
     )
 
 
-def _half_run(subject: Subject, run: LongRun) -> str:
+def _shortening(subject: Subject, run: LongRun) -> str:
+    """Return the reason for a shorter long run; empty if it has all steps."""
     if run.failed:
         return "of the steps that did not fail"
     shorter = run.solution is not None and run.solution.stats.steps < steps_of(subject)
@@ -201,3 +198,47 @@ def _sizes(invariant: Any, states: Floats) -> Floats:
 
 def _series(solution: Solution, name: str) -> Floats:
     return np.asarray(solution.energy if name == "energy" else solution.casimirs[name])
+
+
+def size_of(invariant: Any, x: Floats) -> float:
+    """Return |gradient| |x| plus the sum of the absolute terms, the effect of rounding in units of u."""
+    value = invariant(x) if callable(invariant) else invariant.value(x)
+    terms = max(abs(float(value)), _sum_of_absolute_terms(invariant, x))
+    return terms + float(np.linalg.norm(_gradient(invariant, x)) * np.linalg.norm(x))
+
+
+def _gradient(invariant: Any, x: Floats) -> Floats:
+    if getattr(invariant, "gradient", None) is not None:
+        return np.asarray(invariant.gradient(x), dtype=np.float64)
+    small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
+    slopes = [(invariant(x + small * e) - invariant(x - small * e)) / (2 * small) for e in np.eye(len(x))]
+    return np.array(slopes, dtype=np.float64)
+
+
+def _sum_of_absolute_terms(invariant: Any, x: Floats) -> float:
+    """Return the sum of the absolute values of the terms; 0 for functions."""
+    if isinstance(invariant, Polynomial):
+        invariant = as_hamiltonian(invariant, len(x))
+    if not hasattr(invariant, "terms"):
+        return 0.0
+    return float(sum(term.given_to(_AbsoluteSum(np.abs(x))) or 0.0 for term in invariant.terms()))
+
+
+class _AbsoluteSum:
+    """Visitor of the terms of a Hamiltonian that returns the sum of their absolute values."""
+
+    def __init__(self, size: Floats) -> None:
+        self.size = size
+
+    def quadratic(self, term: Any) -> float:
+        x = self.size
+        couplings = float(np.sum(x[term.rows] * np.abs(term.values) * x[term.indices])) / 2
+        return abs(term.constant) + float(np.abs(term.linear) @ x) + couplings
+
+    def polynomial(self, term: Any) -> float:
+        return sum(
+            abs(float(c)) * float(np.prod(self.size ** np.array(e))) for e, c in term.polynomial.monomials.items()
+        )
+
+    def function(self, term: Any) -> float:
+        return 0.0

@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject, directions
-from coadjoint.analysis.checks.tangents import DIFFERENCE_FLOOR, tangent
+from coadjoint.analysis.fits import Slope, slope_of_defects
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
+from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SLOPE_STEPS = 4
 MAX_DIRECTIONAL_DIM = 1100
-"""Largest dimension for derivatives along directions on a Lie algebra, where each flow is evaluated in Python."""
+"""Largest dimension for derivatives along directions on a Lie algebra, for which flows are evaluated in Python."""
 MAX_UNDECLARED_DIM = 48
 """Largest dimension in which an undeclared bracket is measured."""
-# Roundings of a step given as a function are not counted; this many evaluations of the field are assumed.
+# The operations of a step of the user are not counted; at least this many evaluations of the field are assumed.
 MIN_OPERATIONS = 64
+DIFFERENCE_FLOOR = 1e-9  # relative error of tangents by differences
+DIGITS = 40  # of differences in multiprecision
 
 
 def poisson_row(subject: Subject, coarse_step: float) -> Row:
     """Return the row on the Poisson bracket.
 
-    `coarse_step` is a larger step at which the scheme still approximates the motion, so that defects of high order are
-    visible.
+    `coarse_step` is a larger step at which the scheme still approximates the motion; it shows defects of high order.
     """
     properties = subject.claims.properties
     claimed = properties is not None and properties.poisson
@@ -68,12 +69,12 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
     measured = f"defect {defect:.2g} at the step {h:.3g}, tangent by {by}"
     evidence: dict[str, Any] = {"tangent by": by}
     if defect > bound:
-        found = _slopes(subject, coarse_step)
-        if found is not None:
-            measured += f", of order {found}"
-            evidence |= {"steps": found.steps, "defects": found.errors, "slope": found.value}
+        fitted = _defect_slope(subject, coarse_step)
+        if fitted is not None:
+            measured += f", of order {fitted}"
+            evidence |= {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.value}
     elif by == "differences":
-        reason = reason or "differences see no smaller defect; complex numbers, or mpmath's, would"
+        reason = reason or "differences do not resolve smaller defects; a step in complex or mpmath numbers would"
     source = "64 u |P|^2 |J| times the operations" if by != "differences" else "floor of differences, 1e-9 |P|^2 |J|"
     return Row(
         key,
@@ -91,25 +92,22 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
 
 
 def _directional_row(subject: Subject, coarse_step: float, row: Row) -> Row:
-    """Return the row of a scheme with expensive steps, from derivatives of a step and of its inverse along some
-    directions.
-
-    P J(x) P^T = J(y) is equivalent to P J(x) = J(y) Q^T, where y is the step and Q the derivative of the step back at
-    y. For covectors a and b, the difference is measured by b.P J(x) a and -a.Q J(y) b.
-    """
+    """Return the row for expensive steps, from derivatives of a step and of the step back along some directions."""
+    # P J(x) P^T = J(y) is equivalent to P J(x) = J(y) Q^T, where y is the step and Q the derivative of the step back at
+    # y. For covectors a and b, the difference is measured by b.P J(x) a and -a.Q J(y) b.
     if not subject.claims.symmetric:
-        why = f"a step takes about {subject.seconds:.1g} s; without a step back that undoes it, the whole P is needed"
+        why = f"a step takes about {subject.seconds:.1g} s, and all of P is needed since no step back inverts it"
         return replace(row, reason=why)
     worst: tuple[float, float, bool, float] | None = None
     reason = ""
     for h in dict.fromkeys((subject.h, coarse_step) if row.claimed else (coarse_step,)):
         try:
-            seen = _directional_defect(subject, subject.states[0], h)
+            measured = _directional_defect(subject, subject.states[0], h)
         except (IntegrationError, TypeError, ValueError) as error:
             reason = reason or f"at the step {h:.3g}: {error}"
             continue
-        if worst is None or seen[0] * worst[1] > worst[0] * seen[1]:
-            worst = (*seen, h)
+        if worst is None or measured[0] * worst[1] > worst[0] * measured[1]:
+            worst = (*measured, h)
     if worst is None:
         return replace(row, reason=reason)
     defect, bound, exact, h = worst
@@ -130,14 +128,14 @@ def _directional_defect(subject: Subject, x: NDArray[np.float64], h: float) -> t
     a, b = directions(n, 1), directions(n, 2)
     after = subject.run(x, h, 1)
     y = after.x[-1]
-    at(f"derivatives of a step along {DIRECTIONS} directions")
+    note_progress(f"derivatives of a step along {DIRECTIONS} directions")
     forward = method.tangent_on(system, x, 0.0, h, _apply_structure(system, x, a))
     back = method.tangent_on(system, y, h, -h, _apply_structure(system, y, b))
     exact = method.tangent_by(system, x, 0.0, h) != "differences"
     defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
     operations = (max(after.stats.evaluations, MIN_OPERATIONS) + 4) * n
-    each = 64 * UNIT_ROUNDOFF * operations if exact else DIFFERENCE_FLOOR
-    return defect, each * (_mean_size(forward, n) + _mean_size(back, n)), exact
+    relative = 64 * UNIT_ROUNDOFF * operations if exact else DIFFERENCE_FLOOR
+    return defect, relative * (_mean_size(forward, n) + _mean_size(back, n)), exact
 
 
 def _apply_structure(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -154,16 +152,16 @@ def _mean_size(columns: NDArray[np.float64], n: int) -> float:
 def _defect(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, float, str]:
     system = subject.system
     after = subject.run(x, h, 1)
-    found = tangent(subject, x, h)
-    counted = after.stats.evaluations if found.by == "formula" else max(after.stats.evaluations, MIN_OPERATIONS)
+    P, by = tangent(subject, x, h)
+    counted = after.stats.evaluations if by == "formula" else max(after.stats.evaluations, MIN_OPERATIONS)
     operations = (counted + 4) * system.dim
     J = system.structure_matrix(x)
-    seen = defect_of_tangent(found.P, J, system.structure_matrix(after.x[-1]), operations=operations)
-    floor = 0.0 if found.exact else DIFFERENCE_FLOOR * float(np.linalg.norm(found.P) ** 2 * np.linalg.norm(J))
-    return seen.defect, max(seen.bound, floor), found.by
+    measured = defect_of_tangent(P, J, system.structure_matrix(after.x[-1]), operations=operations)
+    floor = DIFFERENCE_FLOOR * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J)) if by == "differences" else 0.0
+    return measured.defect, max(measured.bound, floor), by
 
 
-def _slopes(subject: Subject, largest: float) -> Slope | None:
+def _defect_slope(subject: Subject, largest: float) -> Slope | None:
     """Return the power of the step with which the defect at the first state scales."""
 
     def measure(h: float) -> tuple[float, float]:
@@ -171,3 +169,69 @@ def _slopes(subject: Subject, largest: float) -> Slope | None:
         return defect, bound / 64
 
     return slope_of_defects(largest, SLOPE_STEPS, measure)
+
+
+class Tangent(NamedTuple):
+    """The derivative P (n, n) of a step at a state, d step_i / d x_j, and the way it was computed.
+
+    `by` is "formula", "complex step", "multiprecision" or "differences"; all but the last are accurate to round-off.
+    """
+
+    P: NDArray[np.float64]
+    by: str
+
+
+def tangent(subject: Subject, x: NDArray[np.float64], h: float) -> Tangent:
+    """Return the derivative of a step of length h at x, from time 0, in the most accurate way available."""
+    method, system = subject.method, subject.system
+    try:
+        by = method.tangent_by(system, x, 0.0, h)
+        P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
+    except TypeError:
+        # The system lacks a derivative; differentiate the step itself.
+        by, P = _differences(subject, x, h)
+    if by == "differences":
+        # A step that rounds to float64 internally is detected by the disagreement of both derivatives.
+        precise = _multiprecision_differences(subject, x, h)
+        size = 1.0 + float(np.linalg.norm(P))
+        if precise is not None and np.max(np.abs(precise - P)) <= AGREEMENT * size:
+            return Tangent(precise, "multiprecision")
+    return Tangent(P, by)
+
+
+def _differences(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[str, NDArray[np.float64]]:
+    def step(y: Any) -> Any:
+        if np.iscomplexobj(y):
+            return subject.method.step(subject.system, y, 0.0, h)
+        return subject.run(np.asarray(y, dtype=np.float64), h, 1).x[-1]
+
+    result = derivative_of(step, x)
+    return result.by, result.derivative
+
+
+def _multiprecision_differences(subject: Subject, x: NDArray[np.float64], h: float) -> NDArray[np.float64] | None:
+    """Return central differences in 40 digits, or None if the step does not accept mpmath numbers."""
+    try:
+        import mpmath
+    except ImportError:
+        return None
+    with mpmath.workdps(DIGITS):
+        point = np.array([mpmath.mpf(float(v)) for v in x])
+        length, size = mpmath.mpf(h), float(np.max(np.abs(x))) or 1.0
+        # The truncation error is 1e-26, the cancellation error 1e-27.
+        small = mpmath.mpf(10) ** -13 * size
+        columns = []
+        try:
+            for j in range(len(x)):
+                sides = []
+                for side in (1, -1):
+                    moved = point.copy()
+                    moved[j] += side * small
+                    after = np.asarray(subject.method.step(subject.system, moved, mpmath.mpf(0), length))
+                    if not all(isinstance(value, mpmath.mpf) for value in after.ravel()):
+                        return None
+                    sides.append(after)
+                columns.append([float(value) for value in (sides[0] - sides[1]) / (2 * small)])
+        except (TypeError, ValueError, AttributeError, ArithmeticError, IntegrationError):
+            return None
+        return np.array(columns).T

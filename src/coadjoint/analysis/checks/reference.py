@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system_checks import System
 
@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 
 # The smallest tolerance that DOP853 accepts, and a larger one; the difference of the two runs estimates the error.
 FINE_TOLERANCE, COARSE_TOLERANCE = 2.3e-14, 1e-12
-# DOP853 has order 8, so its error per unit of time is proportional to the tolerance. The finer run has 1/43 of the
-# difference as its error; 1/8 is assumed.
+# The error of DOP853 per unit of time is proportional to the tolerance, so that of the finer run is 1/43 of the
+# difference; 1/8 is assumed.
 ERROR_SHARE = 0.125
 MAX_STEPS = 1500
 # Largest relative difference of a closed form from the integrated field; beyond it, one of them is wrong.
@@ -47,28 +47,28 @@ def motion(system: System, x: Floats, t: float) -> Motion | None:
 @lru_cache(maxsize=64)
 def _motion(system: System, start: bytes, shape: tuple[int, int], t: float) -> Motion | None:
     x = np.frombuffer(start).reshape(shape)
-    found = [(_integrated(system, y, t, FINE_TOLERANCE), _integrated(system, y, t, COARSE_TOLERANCE)) for y in x]
-    if any(fine is None or coarse is None for fine, coarse in found):
+    pairs = [(_integrated(system, y, t, FINE_TOLERANCE), _integrated(system, y, t, COARSE_TOLERANCE)) for y in x]
+    if any(fine is None or coarse is None for fine, coarse in pairs):
         return None
-    fine, coarse = (np.array([pair[k] for pair in found]) for k in (0, 1))
+    fine, coarse = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
     size = float(np.linalg.norm(fine)) or 1.0
     error = ERROR_SHARE * float(np.linalg.norm(fine - coarse)) / size + 16 * UNIT_ROUNDOFF
-    followed = Motion(fine, error, "DOP853 on the vector field")
-    closed, halved = _closed(system, x, t), _closed(system, x, t / 2)
-    again = None if halved is None else _closed(system, halved, t / 2)
-    if closed is None or again is None:
-        return followed
+    integrated = Motion(fine, error, "DOP853 on the vector field")
+    closed, half = _closed_form(system, x, t), _closed_form(system, x, t / 2)
+    two_halves = None if half is None else _closed_form(system, half, t / 2)
+    if closed is None or two_halves is None:
+        return integrated
     # Two half steps estimate the rounding of the closed form.
-    rounding = 2 * float(np.linalg.norm(again - closed)) / size + 16 * UNIT_ROUNDOFF
-    apart = float(np.linalg.norm(closed - fine)) / size
-    if apart > CLOSED_FORM_TOLERANCE:
-        return followed._replace(
-            contradiction=f"the closed form of {system.name} is off the vector field by {apart:.1g}"
+    rounding = 2 * float(np.linalg.norm(two_halves - closed)) / size + 16 * UNIT_ROUNDOFF
+    difference = float(np.linalg.norm(closed - fine)) / size
+    if difference > CLOSED_FORM_TOLERANCE:
+        return integrated._replace(
+            contradiction=f"the closed form of {system.name} is off the vector field by {difference:.1g}"
         )
     return Motion(closed, rounding, "the closed form")
 
 
-def _closed(system: System, x: Floats, t: float) -> Floats | None:
+def _closed_form(system: System, x: Floats, t: float) -> Floats | None:
     if getattr(system, "closed_form", None) is None:
         return None
     try:
@@ -91,7 +91,7 @@ def _integrated(system: System, x: Floats, t: float, tolerance: float) -> Floats
     try:
         solver = DOP853(field, 0.0, x.ravel(), t, rtol=tolerance, atol=0.1 * tolerance * size)
         for _ in range(MAX_STEPS):
-            at("the motion by an independent code")
+            note_progress("the motion by an independent code")
             solver.step()
             if solver.status != "running":
                 break
@@ -108,8 +108,8 @@ def natural_time(system: System, x: Floats) -> float:
     speed, size = float(np.linalg.norm(velocity)), float(np.linalg.norm(x))
     if not speed > 64 * UNIT_ROUNDOFF * size or size == 0.0:
         return 0.0
-    ahead = 2.0**-20 * size / speed
-    turned = np.asarray(system.vector_field(x + ahead * velocity, 0.0), dtype=np.float64) - velocity
-    rates = [speed / size, float(np.linalg.norm(turned)) / (ahead * speed)]
+    dt = 2.0**-20 * size / speed
+    change = np.asarray(system.vector_field(x + dt * velocity, 0.0), dtype=np.float64) - velocity
+    rates = [speed / size, float(np.linalg.norm(change)) / (dt * speed)]
     fastest = max((rate for rate in rates if np.isfinite(rate)), default=0.0)
     return 1.0 / fastest if fastest else 0.0

@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.checks.reference import Motion, motion
-from coadjoint.analysis.checks.slope import FLOOR_FACTOR, Slope, slope
 from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.fits import FLOOR_FACTOR, Slope, slope
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = NDArray[np.float64]
 
-# The span in natural times: long enough to sample the motion, short enough not to amplify errors.
+# Span in natural times: long enough to sample the motion, short enough not to amplify errors.
 NATURAL_TIMES = 2.0
 SPANS_TRIED = 4
-"""Number of spans tried, each half of the previous one, if the motion has no reference over the longer ones."""
+"""Number of spans, each half of the previous one, that are tried until the motion has a reference."""
 # Larger relative errors are outside the asymptotic range.
 LARGE_ERROR = 0.05
 MAX_STEPS_COMPILED, MAX_STEPS_PYTHON = 512, 128
@@ -63,8 +63,8 @@ class Study:
 
     def coarse_step(self, h: float) -> float:
         """Return the largest step at which the scheme still approximates the motion; at least the given one."""
-        near = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < LARGE_ERROR / 5]
-        largest = near[0] if near else h
+        accurate = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < LARGE_ERROR / 5]
+        largest = accurate[0] if accurate else h
         return largest if abs(largest) > 1.01 * abs(h) else h
 
 
@@ -73,63 +73,64 @@ def study(subject: Subject) -> Study | None:
     p = subject.claims.order
     finest = MAX_STEPS_COMPILED if subject.compiled else MAX_STEPS_PYTHON
     # All runs together take about twice the steps of the longest.
-    most = subject.affordable(TIME_LIMIT / 2)
-    most_given, few, finest = min(MAX_GIVEN_STEPS, most), min(FIRST_STEPS, max(1, most // 4)), min(finest, most)
+    limit = subject.affordable(TIME_LIMIT / 2)
+    max_given, default, finest = min(MAX_GIVEN_STEPS, limit), min(FIRST_STEPS, max(1, limit // 4)), min(finest, limit)
     for halving in range(SPANS_TRIED):
-        wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
+        duration = NATURAL_TIMES / 2.0**halving * subject.span_time
         # For a tiny given step the order is measured with larger steps, for a huge one with smaller steps.
-        given = round(min(wanted / abs(subject.h), 2.0 * MAX_GIVEN_STEPS))
+        given = round(min(duration / abs(subject.h), 2.0 * MAX_GIVEN_STEPS))
         given = given if halving else max(1, given)
-        given = 0 if given > most_given else given
-        span, first = (given * subject.h, given) if given else (math.copysign(wanted, subject.h), few)
+        given = 0 if given > max_given else given
+        span, first = (given * subject.h, given) if given else (math.copysign(duration, subject.h), default)
         reference = motion(subject.system, subject.states, span)
         if reference is not None:
             break
     else:
         return None
     ratio = min(2.0, ERROR_RATIO ** (1.0 / p)) if p else math.sqrt(2.0)
-    found = Study(span, [], [], [], [], reference, given, [])
+    result = Study(span, [], [], [], [], reference, given, [])
     size = float(np.linalg.norm(reference.states)) or 1.0
 
-    def tried(count: int) -> bool:
-        if count in found.counts:
+    def run(count: int) -> bool:
+        """Add the run with `count` steps to the study; return whether it succeeded."""
+        if count in result.counts:
             return True
         try:
             end = subject.run(subject.states, span / count, count).x[-1]
         except IntegrationError as error:
-            found.failed.append(f"{count} steps: {error}")
+            result.failed.append(f"{count} steps: {error}")
             return False
-        place = int(np.searchsorted(found.counts, count))
+        index = int(np.searchsorted(result.counts, count))
         rounding = UNIT_ROUNDOFF * (8 + 2 * math.sqrt(count * subject.evaluations)) + subject.noise * count / size
-        found.counts.insert(place, count)
-        found.ends.insert(place, end)
-        found.errors.insert(place, float(np.linalg.norm(end - reference.states)) / size)
-        found.floors.insert(place, 2 * reference.error + rounding)
+        result.counts.insert(index, count)
+        result.ends.insert(index, end)
+        result.errors.insert(index, float(np.linalg.norm(end - reference.states)) / size)
+        result.floors.insert(index, 2 * reference.error + rounding)
         return True
 
-    def clear(count: int) -> bool:
-        k = found.counts.index(count)
-        return found.errors[k] > FLOOR_FACTOR * found.floors[k]
+    def above_floor(count: int) -> bool:
+        k = result.counts.index(count)
+        return result.errors[k] > FLOOR_FACTOR * result.floors[k]
 
-    # First steps grow until errors are above round-off; then finer steps down to round-off, coarser ones up to
+    # First larger steps until errors are above round-off, then smaller ones down to round-off, then larger ones up to
     # `LARGE_ERROR`.
-    known = tried(first)
-    while known and first > 1 and not clear(first):
+    succeeded = run(first)
+    while succeeded and first > 1 and not above_floor(first):
         first = max(1, first // 2)
-        known = tried(first)
+        succeeded = run(first)
     count = first
     for _ in range(MAX_TRIALS):
-        if count in found.counts and not clear(count):
+        if count in result.counts and not above_floor(count):
             break
         count = max(count + 1, math.ceil(count * ratio))
-        if count > min(max(finest, 4 * first), most):
+        if count > min(max(finest, 4 * first), limit):
             break
-        tried(count)
+        run(count)
     count = first
     for _ in range(MAX_TRIALS):
-        if count == 1 or (found.errors and found.errors[0] > LARGE_ERROR):
+        if count == 1 or (result.errors and result.errors[0] > LARGE_ERROR):
             break
         count = min(count - 1, math.floor(count / ratio))
-        if not tried(count):
+        if not run(count):
             break
-    return found if found.counts else None
+    return result if result.counts else None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.analysis.certificates.claims import Claims
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.errors import IntegrationError
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
@@ -31,7 +31,7 @@ MAX_DENSE_DIM = 256
 SECONDS_PER_COST = 1.1e-8
 """Seconds on one core for a unit of the cost model."""
 EXPENSIVE_SECONDS = 2.5e-4
-"""Seconds per step above which derivatives are taken along some directions, at fewer states."""
+"""Seconds per step above which derivatives are computed along a few directions only, at fewer states."""
 STATES_OF_EXPENSIVE_STEPS = 2
 DIRECTIONS = 4
 SEED = 1993
@@ -41,8 +41,7 @@ SEED = 1993
 class Subject:
     """A system, a scheme with its claims, a signed step h, and the given states (k, n).
 
-    `steps` of the long run is None for the default; `compiled` is false for steps by a function of the user, whose cost
-    is unknown.
+    `steps` of the long run is None for the default; `compiled` is false for steps by a user function of unknown cost.
     """
 
     system: System
@@ -61,26 +60,26 @@ class Subject:
         fewest, most = (STATES_OF_EXPENSIVE_STEPS,) * 2 if self.expensive else (MIN_STATES, MAX_STATES)
         if len(self.given) >= fewest:
             return self.given[:most]
-        found, x = list(self.given), self.given[0]
-        apart = np.copysign(STATE_SPACING * self.time, self.h)
-        while len(found) < fewest:
-            ahead = motion(self.system, x[None], float(apart))
-            if ahead is None:
+        states, x = list(self.given), self.given[0]
+        spacing = np.copysign(STATE_SPACING * self.time, self.h)
+        while len(states) < fewest:
+            moved = motion(self.system, x[None], float(spacing))
+            if moved is None:
                 break
-            x = ahead.states[0]
-            found.append(x)
-        return np.array(found)
+            x = moved.states[0]
+            states.append(x)
+        return np.array(states)
 
     @cached_property
     def seconds(self) -> float:
-        """Estimated seconds on one core for a step of one state, by the cost model (no clock).
-
-        0 if unknown: for a step by a function of the user, or a step that fails.
-        """
+        """Estimated seconds on one core for a step of one state, by the cost model; 0 if unknown."""
         return self.seconds_with(None)
 
     def seconds_with(self, representation: Any) -> float:
-        """Return the estimate for a step with a group element in a representation, (n, d, d) or "coadjoint"."""
+        """Return the estimate for a step with a group element in a representation, (n, d, d) or "coadjoint".
+
+        0 if unknown: for a step by a user function, or a step that fails.
+        """
         if not self.compiled:
             return 0.0
         try:
@@ -92,13 +91,13 @@ class Subject:
 
     @property
     def expensive(self) -> bool:
-        """Whether steps are so expensive that fewer states and steps are taken."""
+        """Whether steps are so expensive that fewer states and steps are used."""
         return self.seconds > EXPENSIVE_SECONDS
 
     def affordable(self, seconds: float) -> int:
-        """Return how many steps of all states fit into some seconds; 2^53 if steps are cheap."""
-        each = self.seconds * len(self.states)
-        return max(1, int(seconds / each)) if self.expensive else 2**53
+        """Return the number of steps of all states that fit into some seconds; 2^53 if steps are cheap."""
+        step = self.seconds * len(self.states)
+        return max(1, int(seconds / step)) if self.expensive else 2**53
 
     @cached_property
     def time(self) -> float:
@@ -114,10 +113,8 @@ class Subject:
     @cached_property
     def span_time(self) -> float:
         """The shortest natural time over all states."""
-        return min([self.time, *(time for time in map(self._time_at, self.states) if time > 0.0)])
-
-    def _time_at(self, x: Floats) -> float:
-        return natural_time(self.system, x)
+        times = [natural_time(self.system, x) for x in self.states]
+        return min([self.time, *(time for time in times if time > 0.0)])
 
     @cached_property
     def evaluations(self) -> float:
@@ -159,12 +156,12 @@ class Subject:
         """
         key = x.tobytes(), h
         if key not in self._conditions:
-            self._conditions[key] = self._estimate(x, h) if self.expensive else self._condition(x, h)
+            self._conditions[key] = self._estimated_condition(x, h) if self.expensive else self._condition(x, h)
         return self._conditions[key]
 
-    def _estimate(self, x: Floats, h: float) -> float:
-        there = self.step(x[None], h)[0]
-        return self.tangent_norm(x, h) * self.tangent_norm(there, -h)
+    def _estimated_condition(self, x: Floats, h: float) -> float:
+        end = self.step(x[None], h)[0]
+        return self.tangent_norm(x, h) * self.tangent_norm(end, -h)
 
     def tangent_norm(self, x: Floats, h: float) -> float:
         """Return the norm of the derivative of a step, by differences along some directions."""
@@ -176,10 +173,9 @@ class Subject:
     def _condition(self, x: Floats, h: float) -> float:
         small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
         units = small * np.eye(len(x))
-        ahead, behind = self.step(x + units, h), self.step(x - units, h)
-        P = (ahead - behind) / (2 * small)
+        P = (self.step(x + units, h) - self.step(x - units, h)) / (2 * small)
         if isinstance(self.system, MatrixSystem):
-            # Directions outside the algebra do not move: their singular values are zero.
+            # The singular values of directions outside the algebra are zero.
             values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
             return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))
         return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
@@ -199,9 +195,8 @@ class Subject:
         t: float = 0.0,
     ) -> Solution:
         """Run `count` steps of length h from time t."""
-        at("a run of one step" if count == 1 else f"a run of {count} steps")
-        kind = attitude if isinstance(attitude, bool | str) else "given"
-        key = (abs(h), kind, watch)
+        note_progress("a run of one step" if count == 1 else f"a run of {count} steps")
+        key = (abs(h), attitude if isinstance(attitude, bool | str) else "given", watch)
         if key not in self._prepared:
             self._prepared[key] = PreparedRun(
                 self.system, self.method, abs(h), attitude=attitude, watch=watch, threads=1
@@ -211,5 +206,5 @@ class Subject:
 
 def directions(size: int, number: int = 0) -> Floats:
     """Return `DIRECTIONS` unit vectors in columns, the same in every run; `number` selects an independent set."""
-    found = np.random.default_rng([SEED, number]).standard_normal((size, DIRECTIONS))
-    return np.asarray(found / np.linalg.norm(found, axis=0))
+    vectors = np.random.default_rng([SEED, number]).standard_normal((size, DIRECTIONS))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=0))

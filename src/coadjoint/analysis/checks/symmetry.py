@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject
+from coadjoint.analysis.fits import Slope, slope_of_defects
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 StepMap = Callable[[Floats, float], Floats]
 
 MAX_COORDINATES = 10
-"""Largest dimension in which all reflections of coordinates are tried; above it, only x -> -x."""
+"""Largest dimension in which all reflections of coordinates are tested; above it, only x -> -x."""
 SLOPE_STEPS = 6
 DIRECTIONS_NOTE = f", seen along {DIRECTIONS} directions"
 # Largest relative noise allowed for the iteration error of a step given as a function.
@@ -40,31 +40,30 @@ def symmetry_row(subject: Subject, coarse_step: float) -> Row:
 
 
 def reversibility_row(subject: Subject, coarse_step: float) -> Row:
-    """Return the row on R psi_h R psi_h = 1 for a reflection R of coordinates that reverses the motion; it has no
-    claim.
-    """
+    """Return the row on R psi_h R psi_h = 1, without a claim, for a reflection R that reverses the motion."""
     what = "reversible as the motion"
     signs = None if subject.system.hamiltonian.timed else reversing(subject)
     if signs is None:
-        timed = "the Hamiltonian depends on time" if subject.system.hamiltonian.timed else "no reflection was found"
-        return Row("reversibility", what, "nothing", "-", INAPPLICABLE, reason=f"{timed} that reverses the motion")
+        timed = subject.system.hamiltonian.timed
+        why = "the Hamiltonian depends on time" if timed else "no reflection was found that reverses the motion"
+        return Row("reversibility", what, "nothing", "-", INAPPLICABLE, reason=why)
 
-    def turned(x: Floats, h: float) -> Floats:
+    def reflected(x: Floats, h: float) -> Floats:
         return np.asarray(signs * subject.step(signs * subject.step(x, h), h))
 
-    row = _row(subject, coarse_step, "reversibility", what, None, turned)
-    shown = ", ".join(("-" if sign < 0 else "+") for sign in signs[:12])
-    return Row(**{**vars(row), "reason": f"under the reflection ({shown})"})
+    row = _row(subject, coarse_step, "reversibility", what, None, reflected)
+    text = ", ".join(("-" if sign < 0 else "+") for sign in signs[:12])
+    return Row(**{**vars(row), "reason": f"under the reflection ({text})"})
 
 
 def reversing(subject: Subject) -> Floats | None:
-    """Return signs R with R f(R x) = -f(x) at every state, x -> -x tried first; None if no candidate fits."""
+    """Return signs R with R f(R x) = -f(x) at every state, preferably x -> -x; None if there are none."""
     n, field = subject.system.dim, subject.system.vector_field
-    tried: Any = [(-1.0,) * n]
+    candidates: Any = [(-1.0,) * n]
     if n <= MAX_COORDINATES:
-        tried = itertools.chain(tried, itertools.product((-1.0, 1.0), repeat=n))
+        candidates = itertools.chain(candidates, itertools.product((-1.0, 1.0), repeat=n))
     velocities = [np.asarray(field(x)) for x in subject.states]
-    for candidate in tried:
+    for candidate in candidates:
         signs = np.array(candidate)
         for x, velocity in zip(subject.states, velocities, strict=True):
             size = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(x)))
@@ -98,7 +97,7 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
     measured = f"defect {defect:.2g} at the step {h:.3g}"
     if defect > bound and fitted is not None:
         measured += f", of order {fitted}"
-    points = {} if fitted is None else {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.value}
+    evidence = {} if fitted is None else {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.value}
     return Row(
         key,
         what,
@@ -110,7 +109,7 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
         bound=bound,
         source="round-off of two steps times the condition of one" + (DIRECTIONS_NOTE if subject.expensive else ""),
         reason=failed,
-        evidence=points,
+        evidence=evidence,
     )
 
 

@@ -39,11 +39,11 @@ def reproduce(
     out : str or Path
         Output folder, created if needed; OSError if it cannot be written.
     echo : callable
-        Receives a line of text at the start of each section.
+        Called with a line of text at the start of each section.
     phase_end : float
-        End of the runs that follow phase errors (a whole number of time units, at least 50).
+        End of the runs for phase errors (a whole number of time units, at least 50).
     steps : int
-        Steps of the runs that follow the drift of invariants (a multiple of 10,000).
+        Steps of the runs for the drift of invariants (a multiple of 10,000).
     """
     if phase_end < 50.0 or phase_end != int(phase_end):
         raise ValueError(f"phase_end is {short(phase_end)}; it must be a whole number from 50 up")
@@ -54,9 +54,7 @@ def reproduce(
     folder.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
     rows = measured_statements(echo, phase_end)
-    from coadjoint.experiments.reich1993.figures import write_figures
-    from coadjoint.experiments.reich1993.long_time import write_long_time
-    from coadjoint.experiments.reich1993.modified_energies import write_modified_energies
+    from coadjoint.experiments.reich1993.figures import write_figures, write_long_time, write_modified_energies
 
     echo("figures 1 to 5, and one of section 6")
     figures = write_figures(folder)
@@ -77,7 +75,7 @@ def check_packages() -> None:
 def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 500.0) -> list[Statement]:
     """Return a measured row for every testable statement of the paper, in the order of the paper.
 
-    `echo` receives a line of text per section; `phase_end` is the end of the runs that follow phase errors.
+    `echo` is called with a line of text per section; `phase_end` is the end of the runs for phase errors.
     """
     from coadjoint.experiments.reich1993 import (
         section2,
@@ -91,7 +89,7 @@ def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 
     )
 
     parts: list[tuple[str, Callable[[], list[Statement]]]] = [
-        ("section 2: what the exact motion keeps", section2.statements),
+        ("section 2: invariants of the exact motion", section2.statements),
         ("section 3: orders of Gauss and modified Gauss methods", section3.statements),
         ("section 3: orthogonality", section3_orthogonality.statements),
         ("section 4: splitting", section4.statements),

@@ -1,4 +1,4 @@
-"""Reproductions of figures 1 to 5 of Reich (1993)."""
+"""Figures 1 to 5 of Reich (1993), modified energies along the runs of section 5, and long-time behaviour."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.experiments.reich1993.body_runs import MODIFIED, RUNGE, SPLITTING, BodyRun, body_run
 from coadjoint.experiments.reich1993.section5_spiral import MODIFIED as MODIFIED_ON_SPIRAL
 from coadjoint.experiments.reich1993.section5_spiral import spiral_run
 from coadjoint.experiments.reich1993.systems import (
@@ -15,19 +14,43 @@ from coadjoint.experiments.reich1993.systems import (
     BODY_LATER,
     BODY_START,
     BODY_STEP,
+    CALM_START,
+    CALM_STEP,
     COORDINATES,
+    MIDPOINT,
+    MODIFIED,
+    RUNGE,
     SPIRAL_END,
     SPIRAL_STEP,
+    SPLITTING,
+    BodyRun,
+    body_run,
 )
 from coadjoint.methods.protocol.method import Method
+from coadjoint.pictures.modified_energy import draw_deviations
+from coadjoint.pictures.phase_drift import with_error
 from coadjoint.pictures.style import INK, colour, key, plain_axes
+from coadjoint.runs.integrate import integrate
 from coadjoint.runs.solution import Solution
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
 RESOLUTION = 160  # dots per inch
 DENSE_SPACING = 1e-3  # time spacing of the exact motion in plots
+
+LONG_RUN_SCHEMES: dict[str, tuple[Method, str]] = {
+    "implicit midpoint rule": (MIDPOINT, "--"),
+    "modified midpoint rule": (MODIFIED, "-."),
+    "splitting": (SPLITTING, "-"),
+}
+LONG_RUN_POINTS = 10_000  # saved points of the longest runs
+
+MODIFIED_ENERGY_ORDERS = (4, 6, 8)
+# At the paper's step of 0.1 the body turns by a radian or more per step, too much for the series in h.
+MODIFIED_ENERGY_STEP = 0.025
 
 
 def write_figures(folder: Path) -> list[Path]:
@@ -95,8 +118,8 @@ def attitude_figure(method: Method, number: int, scheme: str) -> Figure:
         plain_axes(axes)
     axes.set_xlabel("time $t$")
     handles, labels = axes.get_legend_handles_labels()
-    drawn = figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
-    for line in drawn.get_lines():
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
+    for line in legend.get_lines():
         line.set_linewidth(1.4)
     _caption(
         figure,
@@ -138,3 +161,98 @@ def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
 
 def _caption(figure: Any, title: str, setting: str) -> None:
     figure.suptitle(f"{title}\n{setting}", fontsize=9.5, color=INK)
+
+
+def write_long_time(folder: Path, phase_end: float, steps: int) -> Path:
+    """Draw long_time.png in an existing folder and return its path; parameters as in `reproduce`."""
+    path = folder / "long_time.png"
+    long_time_figure(phase_end, steps).savefig(path, dpi=RESOLUTION)
+    return path
+
+
+def long_time_figure(phase_end: float, steps: int) -> Figure:
+    """Plot phase errors against time, and the drift of energy and Casimir over many steps, in four panels."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.2, 6.6), layout="constrained")
+    (angle, phase), (energy, casimir) = figure.subplots(2, 2)
+    for number, (name, (method, style)) in enumerate(LONG_RUN_SCHEMES.items()):
+        line: dict[str, Any] = {"color": colour(number), "linestyle": style, "linewidth": 1.2, "label": name}
+        run = body_run(method, CALM_START, phase_end, CALM_STEP, 10)
+        angle.plot(run.solution.t[1:], run.angle[1:], **line)
+        if method is SPLITTING:
+            drift = run.drift
+            phase.plot(run.solution.t, run.phase, **{**line, "linewidth": 0.9})
+            phase.plot(drift.t, drift.intercept + drift.slope * drift.t, color=INK, linestyle=":", linewidth=1.2)
+            fitted = f"{drift.growth}, slope {with_error(drift.slope, drift.uncertainty)}"
+        _draw_drift(energy, casimir, method, steps, line)
+    angle.set(xlabel="time $t$", ylabel="attitude error [rad]", xscale="log", yscale="log")
+    angle.set_title("angle between computed and exact attitude")
+    phase.set(xlabel="time $t$", ylabel="phase error [rad]")
+    phase.axhline(0.0, color=INK, linewidth=0.6)
+    phase.ticklabel_format(axis="y", style="sci", scilimits=(0, 0), useMathText=True)
+    phase.set_title(f"splitting: signed angle about the spatial momentum $A\\,x$\n{fitted}")
+    energy.set(xlabel="steps", ylabel="largest $|H - H(0)|$ so far", xscale="log", yscale="log")
+    energy.set_title("drift of the energy")
+    casimir.set(xlabel="steps", ylabel="largest change of $|x|^2$ so far", xscale="log", yscale="log")
+    casimir.set_title("drift of the Casimir $|x|^2 = 5.25$")
+    for axes in (angle, phase, energy, casimir):
+        plain_axes(axes)
+    handles, labels = angle.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False, handlelength=3.0)
+    figure.suptitle(
+        "Rigid body over long times\n"
+        rf"$M = \mathrm{{diag}}(1, 1/2, 1/3)$, $x(0) = (1, 2, 1/2)$, $A(0) = I$, $h = {CALM_STEP:g}$",
+        fontsize=10,
+        color=INK,
+    )
+    return figure
+
+
+def _draw_drift(energy: Any, casimir: Any, method: Method, steps: int, line: dict[str, Any]) -> None:
+    save_every = steps // LONG_RUN_POINTS
+    run = integrate(paper_rigid_body(), CALM_START, (0.0, steps * CALM_STEP), CALM_STEP, method, save_every=save_every)
+    for axes, values in ((energy, run.energy), (casimir, run.casimirs["|x|^2"])):
+        largest = np.maximum.accumulate(np.abs(values - values[0]))
+        seen = largest > 0.0
+        axes.plot(run.t[seen] / CALM_STEP, largest[seen], **line)
+
+
+def write_modified_energies(folder: Path) -> Path:
+    """Draw modified_energies.png in an existing folder and return its path."""
+    path = folder / "modified_energies.png"
+    modified_energy_figure().savefig(path, dpi=RESOLUTION)
+    return path
+
+
+def modified_energy_figure() -> Figure:
+    """Plot the deviation of H and of the modified Hamiltonians of orders 4, 6 and 8 along three runs of the splitting.
+
+    A3,7 as in figure 1; the rigid body near its separatrix at a quarter of the paper's step; the body far from it.
+    """
+    from matplotlib.figure import Figure
+
+    body = paper_rigid_body()
+    runs = {
+        "$A_{3,7}^a$ as in figure 1, $h = 0.01$": spiral_run(COORDINATES),
+        f"rigid body, $x(0) = (1, 10, 1)$, $h = {MODIFIED_ENERGY_STEP:g}$": integrate(
+            body, BODY_START, (0.0, BODY_LATER), MODIFIED_ENERGY_STEP, COORDINATES
+        ),
+        f"rigid body, $x(0) = (1, 2, 1/2)$, $h = {MODIFIED_ENERGY_STEP:g}$": integrate(
+            body, CALM_START, (0.0, BODY_LATER), MODIFIED_ENERGY_STEP, COORDINATES
+        ),
+    }
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
+    for axes, (title, run) in zip(panels, runs.items(), strict=True):
+        draw_deviations(axes, run, MODIFIED_ENERGY_ORDERS)
+        axes.set_title(title, fontsize=9.5, color=INK)
+        axes.set(ylim=(1e-18, 1e1))
+        axes.label_outer()
+    key(panels[0])
+    figure.suptitle(
+        "Section 6. The Lie-Poisson integrator solves a nearby system: energy $H$ and modified energies $\\tilde H$",
+        fontsize=9.5,
+        color=INK,
+    )
+    return figure

@@ -27,9 +27,9 @@ def _poisson_flow() -> Statement:
     defects, printed, bounds = [], [], []
     for system, start in ((paper_rigid_body(), CALM_START), (paper_a37(), SPIRAL_START)):
         flow, x = stepper(system, GaussLegendre(STAGES), TIME), np.array(start)
-        found, P = poisson_defect(flow, x), flow.tangent(x)
-        defects.append(found.defect)
-        bounds.append(found.bound)
+        defect, P = poisson_defect(flow, x), flow.tangent(x)
+        defects.append(defect.defect)
+        bounds.append(defect.bound)
         printed.append(float(np.linalg.norm(P.T @ system.structure_matrix(x) @ P - system.structure_matrix(flow(x)))))
     return judge(
         "flow_poisson",

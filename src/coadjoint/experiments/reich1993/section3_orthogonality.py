@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order
 from coadjoint.experiments.convergence import roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START
 from coadjoint.experiments.statement import Statement, judge
@@ -176,7 +176,7 @@ def _gauss_both() -> Statement:
     agree = float(np.linalg.norm(by_structure @ x - by_gradient @ x))
     first = float(np.linalg.norm(by_structure.T @ M @ by_structure - M))
     second = float(np.linalg.norm(by_gradient.T @ by_gradient - np.eye(3)))
-    other = float(np.linalg.norm(by_structure.T @ by_structure - np.eye(3)))
+    both_defect = float(np.linalg.norm(by_structure.T @ by_structure - np.eye(3)))
     return judge(
         "example_3_1_gauss",
         "example 3.1",
@@ -186,9 +186,9 @@ def _gauss_both() -> Statement:
         "for one matrix, B = C",
         measured=f"|B x - C x| = {agree:.0e}, |B^T M B - M| = {first:.0e}, |C^T C - I| = {second:.0e}, "
         "but |B^T B - I| = "
-        f"{other:.2g}: two different matrices",
+        f"{both_defect:.2g}: two different matrices",
         holds=max(agree, first, second) <= bound,
-        limited=other > bound,
+        limited=both_defect > bound,
     )
 
 
@@ -199,7 +199,7 @@ def _modified_either() -> Statement:
         run = integrate(body, CALM_START, (0.0, 100.0), STEP, ModifiedGaussLegendre(1, freeze=freeze), save_every=1000)
         drifts[freeze] = {name: float(value) for name, value in run.drift().items()}
     bound = roundoff(1000, float(np.dot(CALM_START, CALM_START)))
-    kept = max(drifts["structure"]["energy"], drifts["gradient"]["|x|^2"])
+    preserved = max(drifts["structure"]["energy"], drifts["gradient"]["|x|^2"])
     lost = min(drifts["structure"]["|x|^2"], drifts["gradient"]["energy"])
     return judge(
         "example_3_1_modified",
@@ -211,5 +211,5 @@ def _modified_either() -> Statement:
         measured=f"J(x) M x: max |dH| = {drifts['structure']['energy']:.0e}, max |d|x|^2| = "
         f"{drifts['structure']['|x|^2']:.2g}; -J(M x) x: {drifts['gradient']['energy']:.2g} and "
         f"{drifts['gradient']['|x|^2']:.0e}",
-        holds=kept <= bound and lost > 1000 * bound,
+        holds=preserved <= bound and lost > 1000 * bound,
     )

@@ -76,10 +76,10 @@ def _order() -> Statement:
 def _symmetric() -> Statement:
     ratios = {}
     for name, (system, x) in _systems().items():
-        there = stepper(system, COORDINATES, STEP)(x)
-        back = stepper(system, COORDINATES, -STEP)(there)
+        forward = stepper(system, COORDINATES, STEP)(x)
+        back = stepper(system, COORDINATES, -STEP)(forward)
         # Two steps of 2 n - 1 flows, each rounding every component a few times.
-        bound = roundoff(2 * (2 * system.dim - 1), float(np.linalg.norm(there)))
+        bound = roundoff(2 * (2 * system.dim - 1), float(np.linalg.norm(forward)))
         ratios[name] = float(np.linalg.norm(back - x)) / bound
     return judge(
         "lemma_4_1_symmetric",
@@ -93,15 +93,15 @@ def _symmetric() -> Statement:
 
 
 def _poisson() -> Statement:
-    found = {name: poisson_defect(stepper(s, COORDINATES, STEP), x) for name, (s, x) in _systems().items()}
+    defects = {name: poisson_defect(stepper(s, COORDINATES, STEP), x) for name, (s, x) in _systems().items()}
     return judge(
         "lemma_4_1_poisson",
         "lemma 4.1",
         "the splitting is a Poisson map",
         paper="Lie-Poisson",
         criterion="|P J(x) P^T - J(psi(x))| below 64 u operations |P|^2 |J|, exact tangent P",
-        measured=", ".join(f"{name}: {value.defect:.0e} ({value.bound:.0e})" for name, value in found.items()),
-        holds=all(value.poisson for value in found.values()),
+        measured=", ".join(f"{name}: {value.defect:.0e} ({value.bound:.0e})" for name, value in defects.items()),
+        holds=all(value.poisson for value in defects.values()),
     )
 
 
@@ -144,17 +144,17 @@ def _example_flows() -> Statement:
 def _orthogonal_not_poisson() -> Statement:
     body, x = paper_rigid_body(), np.array(CALM_START)
     method = ModifiedGaussLegendre(1, freeze="gradient")
-    found = poisson_defect(stepper(body, method, STEP), x)
-    kept = float(integrate(body, x, (0.0, 100.0), STEP, method, save_every=1000).drift()["|x|^2"])
+    defect = poisson_defect(stepper(body, method, STEP), x)
+    drift = float(integrate(body, x, (0.0, 100.0), STEP, method, save_every=1000).drift()["|x|^2"])
     bound = roundoff(1000, float(x @ x))
     return judge(
         "orthogonal_not_poisson",
         "example 4.1",
         "I-orthogonality does not imply the Lie-Poisson structure",
         paper="does not imply",
-        criterion=f"a scheme with |x|^2 kept to {bound:.0e} and a Poisson defect above its bound {found.bound:.0e}",
-        measured=f"modified midpoint rule, -J(M x) x: max |d|x|^2| = {kept:.0e}, Poisson defect {found.defect:.1e}",
-        holds=kept <= bound and not found.poisson,
+        criterion=f"a scheme with |x|^2 kept to {bound:.0e} and a Poisson defect above its bound {defect.bound:.0e}",
+        measured=f"modified midpoint rule, -J(M x) x: max |d|x|^2| = {drift:.0e}, Poisson defect {defect.defect:.1e}",
+        holds=drift <= bound and not defect.poisson,
     )
 
 
@@ -168,17 +168,17 @@ def _fourth_order() -> Statement:
         "so(4)": fitted_order(four_dimensional_trial(), method, counts).order,
     }
     condition = abs(2 * c1**3 + c2**3)
-    found = poisson_defect(stepper(paper_a37(), method, STEP), np.array(SPIRAL_START))
+    defect = poisson_defect(stepper(paper_a37(), method, STEP), np.array(SPIRAL_START))
     return judge(
         "fourth_order",
         "section 4",
         "composition with 2 c1 + c2 = 1, 2 c1^3 + c2^3 = 0",
         paper="of fourth order, Lie-Poisson",
-        criterion=f"slopes within {SLOPE_TOLERANCE}, t = 2; Poisson defect on A3,7 below {found.bound:.0e}",
+        criterion=f"slopes within {SLOPE_TOLERANCE}, t = 2; Poisson defect on A3,7 below {defect.bound:.0e}",
         measured=", ".join(f"{name}: {slope:.2f}" for name, slope in slopes.items())
-        + f"; 2 c1^3 + c2^3 = {condition:.0e}; Poisson defect {found.defect:.0e}",
+        + f"; 2 c1^3 + c2^3 = {condition:.0e}; Poisson defect {defect.defect:.0e}",
         holds=all(within(slope, 4) for slope in slopes.values())
-        and found.poisson
+        and defect.poisson
         and condition <= 16 * UNIT_ROUNDOFF * c1**3,
     )
 

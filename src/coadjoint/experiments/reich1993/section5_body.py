@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order
 from coadjoint.analysis.phase_drift import PhaseDrift, phase_drift
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
-from coadjoint.experiments.reich1993.body_runs import MIDPOINT, MODIFIED, RUNGE, SPLITTING, BodyRun, body_run
-from coadjoint.experiments.reich1993.systems import BODY_END, BODY_LATER, BODY_START, BODY_STEP, CALM_START, CALM_STEP
+from coadjoint.experiments.reich1993.systems import (
+    BODY_END,
+    BODY_LATER,
+    BODY_START,
+    BODY_STEP,
+    CALM_START,
+    CALM_STEP,
+    MIDPOINT,
+    MODIFIED,
+    RUNGE,
+    SPLITTING,
+    BodyRun,
+    body_run,
+)
 from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
@@ -22,10 +34,7 @@ SMALL_ANGLE = 0.2  # rad, 11 degrees; just visible in the figures
 
 
 def statements(long_time: float = 500.0) -> list[Statement]:
-    """Return the measured statements of section 5.2; `long_time` is the end of the runs that follow a phase error.
-
-    The paper's claims are about "constantly" and "oscillates".
-    """
+    """Return the measured statements of section 5.2; `long_time` is the end of the runs for phase errors."""
     calm = {name: body_run(method, CALM_START, long_time, CALM_STEP, 20) for name, method in CONSERVING_SCHEMES.items()}
     return [
         _attitude_update(),

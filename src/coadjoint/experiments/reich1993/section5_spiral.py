@@ -47,8 +47,8 @@ def _flows() -> Statement:
     x, time = np.array([1.0, -0.7, 3.0]), 0.4
     errors = []
     for i in range(3):
-        alone = paper_a37(A, np.where(np.arange(3) == i, MASSES, 0.0))
-        run = integrate(alone, x, (0.0, time), time / 4, GaussLegendre(8), save_every=4)
+        single_term = paper_a37(A, np.where(np.arange(3) == i, MASSES, 0.0))
+        run = integrate(single_term, x, (0.0, time), time / 4, GaussLegendre(8), save_every=4)
         errors.append(float(np.linalg.norm(run.x[-1] - _printed_flow(i, time, x))))
     y = x
     for i, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):

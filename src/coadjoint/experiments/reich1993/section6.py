@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
-from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.fits import fit_order, fit_power
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
 from coadjoint.experiments.statement import Statement, judge
@@ -25,16 +25,16 @@ def statements() -> list[Statement]:
 
 def _perturbed_hamiltonian() -> Statement:
     body = paper_rigid_body()
-    kept = modified_hamiltonian(body, COORDINATES, order=4)
-    assert isinstance(kept, ModifiedHamiltonian)
-    second = kept.terms[2]
+    modified = modified_hamiltonian(body, COORDINATES, order=4)
+    assert isinstance(modified, ModifiedHamiltonian)
+    second = modified.terms[2]
     steps = [10.0 / count for count in (40, 60, 80, 120, 160, 240)]
     plain, perturbed = [], []
     for h in steps:
         run = integrate(body, CALM_START, (0.0, 10.0), h, COORDINATES, observe={"H2": second})
-        both = run.energy + h**2 * run.observed["H2"]
+        perturbed_energy = run.energy + h**2 * run.observed["H2"]
         plain.append(float(np.max(np.abs(run.energy - run.energy[0]))))
-        perturbed.append(float(np.max(np.abs(both - both[0]))))
+        perturbed.append(float(np.max(np.abs(perturbed_energy - perturbed_energy[0]))))
     floor = [roundoff(10.0 / h, float(body.energy(CALM_START))) for h in steps]
     slopes = fit_order(steps, plain, floor).order, fit_order(steps, perturbed, floor).order
     return judge(
@@ -63,11 +63,11 @@ def _lemma_6_1() -> Statement:
     slopes = {}
     for name, (method, invariant) in cases.items():
         # Y^[3] is the limit of (psi_h - phi_h) / h^3; the field of the subgroup is tangent to the level set.
-        lead = [
+        leading_errors = [
             abs(float(gradients[invariant] @ (stepper(body, method, h)(x) - body.exact(x, h)))) / h**3 for h in steps
         ]
-        slopes[name] = float(np.polyfit(np.log(steps), np.log(lead), 1)[0])
-    inside = [slope for name, slope in slopes.items() if name != "Runge, T"]
+        slopes[name] = fit_power(steps, leading_errors)
+    preserving_slopes = [slope for name, slope in slopes.items() if name != "Runge, T"]
     return judge(
         "lemma_6_1",
         "lemma 6.1",
@@ -77,7 +77,7 @@ def _lemma_6_1() -> Statement:
         f"{SLOPE_TOLERANCE} or more), "
         "and tends to a constant where it is not kept (slope 0)",
         measured=", ".join(f"{name}: slope {slope:.2f}" for name, slope in slopes.items()),
-        holds=min(inside) >= 1 - SLOPE_TOLERANCE and within(slopes["Runge, T"], 0),
+        holds=min(preserving_slopes) >= 1 - SLOPE_TOLERANCE and within(slopes["Runge, T"], 0),
     )
 
 
@@ -123,7 +123,7 @@ def _remark_6_1() -> Statement:
             errors.append(float(np.linalg.norm(x - case.exact)))
         return fit_order([case.end / count for count in counts], errors, 1e4 * UNIT_ROUNDOFF).order
 
-    alone = slope([(sweep, share) for share in fractions])
+    sweeps_alone = slope([(sweep, share) for share in fractions])
     paired = slope([(method, share / 2) for share in fractions for method in (sweep, adjoint)])
     return judge(
         "remark_6_1",
@@ -131,9 +131,9 @@ def _remark_6_1() -> Statement:
         "higher orders by composition of a first-order splitting",
         paper="from a first order integrator, any order by the method of [25]",
         criterion="order 4 from (c1, c2, c1): slopes within 0.2 of 4",
-        measured=f"first-order sweeps alone: slope {alone:.2f}; each with its adjoint, psi(h/2) psi*(h/2): "
+        measured=f"first-order sweeps alone: slope {sweeps_alone:.2f}; each with its adjoint, psi(h/2) psi*(h/2): "
         f"slope {paired:.2f}; "
         "the adjoint is needed",
         holds=within(paired, 4),
-        limited=not within(alone, 4),
+        limited=not within(sweeps_alone, 4),
     )

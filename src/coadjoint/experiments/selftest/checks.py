@@ -59,9 +59,9 @@ def motions() -> Iterator[Finding]:
     for key, reference in references().items():
         system = systems()[key]
         method: Method = IsospectralGauss(6) if isinstance(system, MatrixSystem) else GaussLegendre(6)
-        found = integrate(system, state_of(system), (0.0, 1.0), STEP, method)
-        allowed = rounding(system, found.stats.steps, found.stats.evaluations / found.stats.steps)
-        yield Finding(f"motion on {key}", float(abs(found.x[-1] - reference).max()), allowed, str(method))
+        solution = integrate(system, state_of(system), (0.0, 1.0), STEP, method)
+        allowed = rounding(system, solution.stats.steps, solution.stats.evaluations / solution.stats.steps)
+        yield Finding(f"motion on {key}", float(abs(solution.x[-1] - reference).max()), allowed, str(method))
 
 
 def orders() -> Iterator[Finding]:
@@ -75,15 +75,15 @@ def orders() -> Iterator[Finding]:
                 continue
             errors, floor = [], 0.0
             for step in (STEP, STEP / 2):
-                found = integrate(system, state_of(system), (0.0, 1.0), step, method)
-                errors.append(float(abs(found.x[-1] - references()[key]).max()))
-                work = found.stats.evaluations / found.stats.steps
-                floor = max(floor, rounding(system, found.stats.steps, work))
-            # At the round-off floor there is no slope; the result is exact.
+                solution = integrate(system, state_of(system), (0.0, 1.0), step, method)
+                errors.append(float(abs(solution.x[-1] - references()[key]).max()))
+                work = solution.stats.evaluations / solution.stats.steps
+                floor = max(floor, rounding(system, solution.stats.steps, work))
+            # Errors at the round-off floor have no slope; the result is exact.
             slopes[key] = math.inf if errors[1] <= floor else math.log2(errors[0] / errors[1])
-        told = [key for key, slope in slopes.items() if slope < math.inf]
-        if told:
-            worst = min(told, key=lambda key: slopes[key])
+        measurable = [key for key, slope in slopes.items() if slope < math.inf]
+        if measurable:
+            worst = min(measurable, key=lambda key: slopes[key])
             yield Finding(
                 f"order of {_scheme_name(method)}", slopes[worst], method.order - ORDER_TOLERANCE, worst, least=True
             )
@@ -100,69 +100,76 @@ def certificates() -> Iterator[Finding]:
     Schemes that choose their own steps are omitted: their certificates take half a minute.
     """
     rows: dict[str, list[tuple[str, Row]]] = {}
-    lacking, count = [], 0
+    failing, count = [], 0
     for method in (each for each in schemes() if not each.own_steps):
         for key, system in supported_systems(method).items():
-            found = certify(system, method, state_of(system), STEP / 2, steps=CERTIFIED_STEPS)
+            certificate = certify(system, method, state_of(system), STEP / 2, steps=CERTIFIED_STEPS)
             count += 1
-            for row in found.table:
+            for row in certificate.table:
                 if row.claimed and row.verdict != HOLDS:
-                    lacking.append(f"{_scheme_name(method)} on {key}: {row.what}")
+                    failing.append(f"{_scheme_name(method)} on {key}: {row.what}")
                 kind = next((kind for kind in CHECK_DESCRIPTIONS if row.key.startswith(kind)), None)
                 if kind and row.claimed and row.value is not None and row.bound:
                     rows.setdefault(kind, []).append((f"{_scheme_name(method)} on {key}", row))
-    for kind, said in CHECK_DESCRIPTIONS.items():
+    for kind, description in CHECK_DESCRIPTIONS.items():
         if kind in rows:
-            place, row = max(rows[kind], key=lambda one: _part(one[1]))
-            yield Finding(f"{said}, {len(rows[kind])} times", row.value or 0.0, row.bound or 0.0, place)
-    yield Finding(f"of {count} certificates fail", float(len(lacking)), 0.0, "; ".join(lacking)[:200])
+            where, row = max(rows[kind], key=lambda entry: _bound_ratio(entry[1]))
+            yield Finding(f"{description}, {len(rows[kind])} times", row.value or 0.0, row.bound or 0.0, where)
+    yield Finding(f"of {count} certificates fail", float(len(failing)), 0.0, "; ".join(failing)[:200])
 
 
 def _scheme_name(method: Method) -> str:
     return in_one_line(str(method), MAX_NAME_LENGTH)
 
 
-def _part(row: Row) -> float:
+def _bound_ratio(row: Row) -> float:
     return (row.value or 0.0) / (row.bound or 1.0)
 
 
 def same_bits() -> Iterator[Finding]:
     """Run members alone, in ensembles, on threads, saved and watched or not; count those whose bits differ."""
-    alone, looked, tried = [], [], 0
+    differing_members, differing_output, count = [], [], 0
     for method in more_schemes():
         for key, system in supported_systems(method).items():
             x0 = np.array([state_of(system, number) for number in range(5)])
             together = integrate(system, x0, (0.0, 1.0), STEP, method, threads=1)
-            others = integrate(system, x0[::-1], (0.0, 1.0), STEP, method, threads=2)
-            one = integrate(system, x0[3], (0.0, 1.0), STEP, method)
-            last = integrate(system, x0[3], (0.0, 1.0), STEP, method, save_every=5, watch=False)
-            tried += 1
-            if not (_same(together.x, others.x[:, ::-1]) and _same(together.x[:, 3], one.x)):
-                alone.append(f"{_scheme_name(method)} on {key}")
-            if not _same(last.x[-1], one.x[-1]):
-                looked.append(f"{_scheme_name(method)} on {key}")
-    yield Finding(f"bits alone, in ensembles, on threads: {tried}", float(len(alone)), 0.0, "; ".join(alone)[:200])
-    yield Finding(f"bits saved and watched or not: {tried}", float(len(looked)), 0.0, "; ".join(looked)[:200])
+            reversed_members = integrate(system, x0[::-1], (0.0, 1.0), STEP, method, threads=2)
+            single = integrate(system, x0[3], (0.0, 1.0), STEP, method)
+            sparse = integrate(system, x0[3], (0.0, 1.0), STEP, method, save_every=5, watch=False)
+            count += 1
+            if not (_same(together.x, reversed_members.x[:, ::-1]) and _same(together.x[:, 3], single.x)):
+                differing_members.append(f"{_scheme_name(method)} on {key}")
+            if not _same(sparse.x[-1], single.x[-1]):
+                differing_output.append(f"{_scheme_name(method)} on {key}")
+    yield Finding(
+        f"bits alone, in ensembles, on threads: {count}",
+        float(len(differing_members)),
+        0.0,
+        "; ".join(differing_members)[:200],
+    )
+    yield Finding(
+        f"bits saved and watched or not: {count}", float(len(differing_output)), 0.0, "; ".join(differing_output)[:200]
+    )
 
 
-def _same(one: Any, other: Any) -> bool:
-    return np.ascontiguousarray(one).tobytes() == np.ascontiguousarray(other).tobytes()
+def _same(first: Any, second: Any) -> bool:
+    return np.ascontiguousarray(first).tobytes() == np.ascontiguousarray(second).tobytes()
 
 
 def interpreted_steps() -> Iterator[Finding]:
     """Compare a step of the compiled kernels with one in Python; yield the scheme with the largest difference."""
-    worst, tried = (0.0, 1.0, ""), 0
+    worst, count = (0.0, 1.0, ""), 0
     for method in more_schemes():
         for key, system in supported_systems(method).items():
             x = state_of(system)
-            found = integrate(system, x, (0.0, STEP), STEP, method)
+            solution = integrate(system, x, (0.0, STEP), STEP, method)
             plain = np.asarray(method.step(system, x, 0.0, STEP))
-            error = float(abs(found.x[-1] - plain).max())
-            allowed = rounding(system, 1, max(1.0, float(found.stats.evaluations)))
-            tried += 1
+            error = float(abs(solution.x[-1] - plain).max())
+            allowed = rounding(system, 1, max(1.0, float(solution.stats.evaluations)))
+            count += 1
             if error / allowed >= worst[0] / worst[1]:
                 worst = error, allowed, f"{_scheme_name(method)} on {key}"
-    yield Finding(f"compiled steps beside Python: {tried}", *worst)
+    yield Finding(f"compiled steps beside Python: {count}", *worst)
 
 
 def resumed() -> Iterator[Finding]:
@@ -174,15 +181,15 @@ def resumed() -> Iterator[Finding]:
         return
     from coadjoint.files.archives.resume import resume
 
-    other, tried = [], 0
+    differing, count = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for method in schemes():
             key, system = next(iter(supported_systems(method).items()))
             x0 = np.array([state_of(system, number) for number in range(2)])
-            whole = integrate(system, x0, (0.0, 1.0), STEP, method)
-            path = Path(folder, f"{tried}.zarr")
+            uninterrupted = integrate(system, x0, (0.0, 1.0), STEP, method)
+            path = Path(folder, f"{count}.zarr")
             integrate(system, x0, (0.0, 5 * STEP), STEP, method, archive=path)
-            tried += 1
-            if not _same(np.asarray(resume(path, t_end=1.0).x), whole.x):
-                other.append(f"{_scheme_name(method)} on {key}")
-    yield Finding(f"cut and resumed: {tried}", float(len(other)), 0.0, "; ".join(other)[:200])
+            count += 1
+            if not _same(np.asarray(resume(path, t_end=1.0).x), uninterrupted.x):
+                differing.append(f"{_scheme_name(method)} on {key}")
+    yield Finding(f"cut and resumed: {count}", float(len(differing)), 0.0, "; ".join(differing)[:200])

@@ -50,6 +50,6 @@ class Finding:
     def __str__(self) -> str:
         if self.skipped:
             return f"skip  {self.what:42}  {self.skipped}"
-        said, bound = "ok" if self.passed else "FAIL", "at least" if self.least else "at most"
+        verdict, bound = "ok" if self.passed else "FAIL", "at least" if self.least else "at most"
         numbers = f"{self.measured:9.3g}   {bound:8}  {self.allowed:7.2g}"
-        return f"{said:4}  {self.what:42}  {numbers}  {self.where}".rstrip()
+        return f"{verdict:4}  {self.what:42}  {numbers}  {self.where}".rstrip()

@@ -15,8 +15,8 @@ CHECKS = (motions, orders, certificates, same_bits, interpreted_steps, resumed)
 def selftest() -> Iterator[Finding]:
     """Check the installed package on this machine; yield each measurement with its bound.
 
-    For untested machines, compilers and package versions. All schemes of the library are tried on seven systems; no
-    optional package is required, and checks that need one are skipped with the reason.
+    Use it on untested machines, compilers and package versions. All schemes of the library run on seven systems. No
+    optional package is required; checks that need one are skipped, with the reason.
 
     Yields
     ------
@@ -30,12 +30,14 @@ def selftest() -> Iterator[Finding]:
     True
     """
     for check in CHECKS:
-        found: list[Finding] = []
+        findings: list[Finding] = []
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                found.extend(check())
+                findings.extend(check())
         except Exception as error:
             # A check that raises an error has failed; the others still run.
-            found.append(Finding(f"{check.__name__} ended", 1.0, 0.0, in_one_line(f"{type(error).__name__}: {error}")))
-        yield from found
+            findings.append(
+                Finding(f"{check.__name__} ended", 1.0, 0.0, in_one_line(f"{type(error).__name__}: {error}"))
+            )
+        yield from findings

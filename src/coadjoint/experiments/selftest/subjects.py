@@ -36,11 +36,11 @@ SYSTEM_NAMES = {
 @cache
 def systems() -> Mapping[str, Any]:
     """Return the systems by the name of their algebra: bodies, a top, a solvable algebra, matrices."""
-    known = ready_made_systems()
-    found = {key: known[name]() for key, name in SYSTEM_NAMES.items() if name not in ("", "torus_euler")}
-    found["su(3)"] = LiePoissonSystem(catalogue.get("su(3)"), Quadratic(np.linspace(0.5, 2.25, 8)), name="su(3)")
-    found["torus"] = known["torus_euler"](N=5)
-    return {key: found[key] for key in SYSTEM_NAMES}
+    factories = ready_made_systems()
+    result = {key: factories[name]() for key, name in SYSTEM_NAMES.items() if name not in ("", "torus_euler")}
+    result["su(3)"] = LiePoissonSystem(catalogue.get("su(3)"), Quadratic(np.linspace(0.5, 2.25, 8)), name="su(3)")
+    result["torus"] = factories["torus_euler"](N=5)
+    return {key: result[key] for key in SYSTEM_NAMES}
 
 
 def state_of(system: Any, number: int = 0) -> Array:
@@ -60,23 +60,23 @@ def as_matrix(entries: Array, n: int) -> Array:
     >>> as_matrix(np.array([1.0, 2.0, 3.0]), 3).tolist()
     [[0.0, -1.0, -2.0], [1.0, 0.0, -3.0], [2.0, 3.0, 0.0]]
     """
-    found = np.zeros((n, n))
-    found[np.tril_indices(n, -1)] = entries
-    return found - found.T
+    matrix = np.zeros((n, n))
+    matrix[np.tril_indices(n, -1)] = entries
+    return matrix - matrix.T
 
 
 @cache
 def references() -> Mapping[str, Array]:
     """Return reference states at t = 1, computed with 40 digits; the torus has none."""
     file = importlib.resources.files(__package__) / "references.json"
-    found = json.loads(file.read_text(encoding="utf-8"))["states"]
-    return {key: as_matrix(np.array(state), 5) if key == "so(5)" else np.array(state) for key, state in found.items()}
+    states = json.loads(file.read_text(encoding="utf-8"))["states"]
+    return {key: as_matrix(np.array(state), 5) if key == "so(5)" else np.array(state) for key, state in states.items()}
 
 
-def schemes(place: int = 0) -> list[Method]:
+def schemes(index: int = 0) -> list[Method]:
     """Return one example of every scheme of the library, by default the first."""
     kinds = [registry.scheme(name) for name in registry.names()]
-    return [kind.examples()[place] for kind in kinds if kind.__module__.startswith("coadjoint.")]
+    return [kind.examples()[index] for kind in kinds if kind.__module__.startswith("coadjoint.")]
 
 
 def more_schemes() -> list[Method]:
@@ -86,11 +86,11 @@ def more_schemes() -> list[Method]:
 
 def supported_systems(method: Method) -> dict[str, Any]:
     """Return the systems that a scheme supports, by name."""
-    found = {}
+    supported = {}
     for key, system in systems().items():
         try:
             check_supports(system, method)
         except (TypeError, ValueError):
             continue
-        found[key] = system
-    return found
+        supported[key] = system
+    return supported

@@ -31,7 +31,7 @@ from coadjoint.runs.solution import Statistics
 class ArchivedEnsemble(ArchivedSolution):
     """An ensemble in an archive, as of the time it was opened.
 
-    All times are present from the beginning; what is not computed yet is NaN, and `status` has the progress.
+    All times are present from the beginning; values not computed yet are NaN, and `status` has the progress.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ArchivedEnsemble(ArchivedSolution):
             _ending=None,
             _error=None,
             _began=None,
-            _given=system,
+            _system_argument=system,
             _arrays=arrays,
             attributes=attributes,
             _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS_ATTRIBUTE])),
@@ -76,21 +76,21 @@ class ArchivedEnsemble(ArchivedSolution):
             return None
         axis, rows = array.dims.index(MEMBER), array.chunk[0]
 
-        def not_written(place: tuple[int, ...]) -> bool:
-            about = self._marker_heads[place[axis]]
-            return not about or (array.grows and place[0] * rows >= about["rows"])
+        def not_written(indices: tuple[int, ...]) -> bool:
+            head = self._marker_heads[indices[axis]]
+            return not head or (array.grows and indices[0] * rows >= head["rows"])
 
         return not_written
 
     @cached_property
     def finished(self) -> bool:  # type: ignore[override]
         """Whether every block is finished."""
-        return all(about.get(FINISHED, 0) for about in self._marker_heads)
+        return all(head.get(FINISHED, 0) for head in self._marker_heads)
 
     @cached_property
     def reached(self) -> int:  # type: ignore[override]
         """Number of steps that every member has taken."""
-        return min(int(about.get(STEPS, 0)) for about in self._marker_heads)
+        return min(int(head.get(STEPS, 0)) for head in self._marker_heads)
 
     @cached_property
     def status(self) -> NDArray[np.int64]:
@@ -100,9 +100,9 @@ class ArchivedEnsemble(ArchivedSolution):
     @cached_property
     def stats(self) -> Statistics:
         """Work of the run; the seconds are summed over all workers."""
-        done = {name: sum(about.get(name, 0) for about in self._marker_heads) for name in ("evaluations", "iterations")}
+        work = {name: sum(head.get(name, 0) for head in self._marker_heads) for name in ("evaluations", "iterations")}
         return Statistics(
-            self.reached, **done, seconds=sum(float(about.get("seconds", 0.0)) for about in self._marker_heads)
+            self.reached, **work, seconds=sum(float(head.get("seconds", 0.0)) for head in self._marker_heads)
         )
 
     @cached_property
@@ -117,12 +117,12 @@ class ArchivedEnsemble(ArchivedSolution):
         return np.concatenate([np.moveaxis(self._read_entire(name), 1, 2) for name in names], axis=-1)
 
     @property
-    def said(self) -> str:
-        """Number of computed members, as text."""
+    def progress_text(self) -> str:
+        """Number of computed members as text."""
         return f"{int(np.count_nonzero(self.status != PENDING))} of {len(self.status)} members"
 
     def __repr__(self) -> str:
-        return f"<archive {self.path}: {self.said} are computed>"
+        return f"<archive {self.path}: {self.progress_text} are computed>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return open_archive, (self.path, self._given)
+        return open_archive, (self.path, self._system_argument)

@@ -47,15 +47,15 @@ class ArchivedRun:
     def __init__(
         self,
         store: ArchiveStore,
-        ready: PreparedRun,
+        prepared: PreparedRun,
         times: Times,
         start: Start,
         stored: Mapping[str, Any] | None = None,
     ) -> None:
-        self.store, self.run = store, PiecewiseRun(ready, times, start, store.arrays["time"].chunk[0], stored)
+        self.store, self.run = store, PiecewiseRun(prepared, times, start, store.arrays["time"].chunk[0], stored)
         self._states = states_of(store.attributes)
         self._seconds = float(store.attributes.get("seconds", 0.0))
-        self._took = 0.0
+        self._commit_seconds = 0.0
         self._committed = self.run.number
         self._failure: IntegrationError | None = None
 
@@ -65,24 +65,24 @@ class ArchivedRun:
         ArchiveUnwritten: the archive could not be written, and holds the last commit.
         """
         run, stretch, last = self.run, FIRST_ADVANCE, self.run.run.times.steps if until is None else until
-        begun = time.perf_counter()
+        last_commit = time.perf_counter()
         with progress_bar(last - run.number, progress) as bar:
             while not run.is_over and run.number < last:
-                target, before = min(last, run.reach, run.number + stretch), time.perf_counter()
-                done = run.number
+                target, began = min(last, run.reach, run.number + stretch), time.perf_counter()
+                first_number = run.number
                 try:
                     run.advance(target)
                 except KeyboardInterrupt:
                     if not run.order_undefined:
                         self.commit()
                     raise
-                bar(target - done)
+                bar(target - first_number)
                 now = time.perf_counter()
-                pace = (target - done) / max(now - before, 1e-6)
+                pace = (target - first_number) / max(now - began, 1e-6)
                 stretch = max(1, min(int(pace * ADVANCE_SECONDS), 4 * stretch))
-                if target == run.reach or now - begun > max(COMMIT_INTERVAL, COMMIT_RATIO * self._took):
+                if target == run.reach or now - last_commit > max(COMMIT_INTERVAL, COMMIT_RATIO * self._commit_seconds):
                     self.commit()
-                    begun = time.perf_counter()
+                    last_commit = time.perf_counter()
         self.commit()
         return self._failure
 
@@ -101,29 +101,35 @@ class ArchivedRun:
             self._failure = failure = run.failure(piece) if run.is_over else None
             lengths = {"time": run.first + run.points_held}
             states = self._store_states(lengths)
-            said = {**self._attributes(piece, states), **(failure_attributes(failure) if failure else {})}
-            self.store.commit(said, lengths, states)
+            attributes = {**self._attributes(piece, states), **(failure_attributes(failure) if failure else {})}
+            self.store.commit(attributes, lengths, states)
             self._states = states
         except (OSError, ArchiveError) as reason:
-            points_held = self.store.attributes.get(STEPS) == run.number
-            raise unwritten_error(self.store, reason, None if points_held else piece) from reason
+            was_committed = self.store.attributes.get(STEPS) == run.number
+            raise unwritten_error(self.store, reason, None if was_committed else piece) from reason
         run.release_points()
-        self._took, self._committed = time.perf_counter() - began, run.number
+        self._commit_seconds, self._committed = time.perf_counter() - began, run.number
 
     def _store_states(self, lengths: Mapping[str, int]) -> list[StoredState]:
-        """Store the state; return all states to retain: those at block starts, and the last of an unfinished run."""
+        """Store the state; return the states to retain: those at block starts, and the last of an unfinished run."""
         run, store = self.run, self.store
-        blocks = [kept for kept in self._states if kept.about["block"]]
+        blocks = [state for state in self._states if state.about["block"]]
         bytes_of_state = 8 * run.run.state.arrays.numbers.size
-        room = max(
+        max_state_bytes = max(
             MIN_STATE_BYTES, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4
         )
-        since = run.number - (blocks[-1].about["number"] if blocks else 0)
-        block = not run.is_over and since * BLOCKS >= run.run.times.steps and (len(blocks) + 1) * bytes_of_state <= room
-        kept = store.store_state(run.stored(block), {"number": run.number, **lengths, "block": int(block)})
+        steps_of_block = run.number - (blocks[-1].about["number"] if blocks else 0)
+        starts_block = (
+            not run.is_over
+            and steps_of_block * BLOCKS >= run.run.times.steps
+            and (len(blocks) + 1) * bytes_of_state <= max_state_bytes
+        )
+        state = store.store_state(
+            run.stored(starts_block), {"number": run.number, **lengths, "block": int(starts_block)}
+        )
         if run.is_over and not self._states[-1].about["block"]:
             blocks.append(self._states[-1])
-        return [*blocks, kept]
+        return [*blocks, state]
 
     def _attributes(self, piece: Solution, states: Sequence[StoredState]) -> dict[str, Any]:
         stats = piece.stats
@@ -139,7 +145,7 @@ class ArchivedRun:
 
 def states_of(attributes: Mapping[str, Any]) -> list[StoredState]:
     """Return the states of an archive: of its blocks, and the last one."""
-    return [StoredState(*kept) for kept in json.loads(attributes[STATES])]
+    return [StoredState(*entry) for entry in json.loads(attributes[STATES])]
 
 
 def growing_variables(piece: Solution) -> Variables:
@@ -147,13 +153,13 @@ def growing_variables(piece: Solution) -> Variables:
     return {**time_variables(piece), **time_coordinate(piece.t)}
 
 
-def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
-    """Return the arrays of a new archive, the first values of those that grow, and the values of the others."""
+def new_arrays(piece: Solution, more: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
+    """Return the arrays of a new archive, the first values of growing arrays, and the values of the fixed ones."""
     growing = growing_variables(piece)
-    fixed: Variables = {**start_variables(piece), **summary_variables(piece), **others}
+    fixed: Variables = {**start_variables(piece), **summary_variables(piece), **more}
     fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
-    longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
-    rows = rows_of_chunk(longest, piece._times.total_points)
+    row_size = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
+    rows = rows_of_chunk(row_size, piece._times.total_points)
     arrays = {}
     for name, (dims, values, attributes) in (growing | fixed).items():
         kind = TYPES.get(np.asarray(values).dtype.kind, "string")
@@ -163,9 +169,9 @@ def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArra
     return arrays, growing, fixed
 
 
-def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
+def first_step(prepared: PreparedRun, times: Times, start: Start) -> str:
     """Return a digest of the state after the first step, which identifies the computation of a run."""
-    run = ready.begun(times._replace(max_points=2), start)
+    run = prepared.begun(times._replace(max_points=2), start)
     run.advance(until=min(1, times.steps))
     return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
 
@@ -173,13 +179,13 @@ def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
 def unwritten_error(
     store: ArchiveStore, reason: OSError | ArchiveError, partial: Solution | None = None
 ) -> ArchiveUnwritten:
-    """Return the error for an archive that could not be written, with the points that it lacks."""
+    """Return the error for an archive that could not be written, with the points missing from it."""
     steps = store.attributes.get(STEPS, 0)
-    found = unwritten_archive(
+    error = unwritten_archive(
         store.path,
         reason,
-        f"the run was written up to step {steps}, and nothing of what is there now was changed",
-        f"it holds the run up to step {steps}, and the run goes on from there when it is resumed",
+        f"the run was written up to step {steps}, and the new content of this path was not changed",
+        f"it holds the run up to step {steps}, from which co.resume continues",
     )
-    found.partial = partial
-    return found
+    error.partial = partial
+    return error

@@ -64,9 +64,9 @@ class ArchivedSolution(ReadSolution):
     def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
         check_archive(path, arrays, attributes)
-        kept = read_state(path, states_of(attributes)[-1])
+        state = read_state(path, states_of(attributes)[-1])
         with as_archive_errors(path):
-            check_reported(kept, arrays)
+            check_reported(state, arrays)
         self.__dict__.update(
             path=path,
             finished=bool(attributes[FINISHED]),
@@ -76,22 +76,22 @@ class ArchivedSolution(ReadSolution):
             _ending=None,
             _error=None,
             _began=None,
-            _given=system,
+            _system_argument=system,
             _arrays=arrays,
             attributes=attributes,
-            _stored={name: kept[name] for name in REPORTED_ARRAYS},
+            _stored={name: state[name] for name in REPORTED_ARRAYS},
             _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS_ATTRIBUTE])),
         )
 
     path: Path
     finished: bool
     reached: int
-    _given: Any
+    _system_argument: Any
     _arrays: dict[str, StoredArray]
     _stored: dict[str, NDArray[Any]]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return open_archive, (self.path, self._given)
+        return open_archive, (self.path, self._system_argument)
 
     def __repr__(self) -> str:
         state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
@@ -104,7 +104,7 @@ class ArchivedSolution(ReadSolution):
         if self.attributes["between_steps"]:
             names.append("time")
         values = {name: (self._arrays[name].dims, self._read_entire(name)) for name in names}
-        return stored_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
+        return stored_inputs(xarray.Dataset(values, attrs=self.attributes), self._system_argument, events)
 
     def _read_entire(self, name: str) -> NDArray[Any]:
         array = self._arrays[name]
@@ -116,7 +116,7 @@ class ArchivedSolution(ReadSolution):
         """Return a predicate for chunks that may not be written yet; None if all chunks are committed."""
         return None
 
-    def check_whole(self) -> None:
+    def check_complete(self) -> None:
         """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
         with open_folder(self.path) as folder:
             for name, array in self._arrays.items():
@@ -124,12 +124,12 @@ class ArchivedSolution(ReadSolution):
                     files = folder.names(name)
                 except OSError as reason:
                     raise ArchiveError(f"{self.path}: {name} cannot be read ({reason.strerror})") from None
-                for place, _, _ in array.chunks_in([range(0, size, chunk) for size, chunk in array.extent]):
-                    if chunk_file(place) not in files:
-                        raise missing_chunk_error(self.path, name, place)
+                for indices, _, _ in array.chunks_in([range(0, size, chunk) for size, chunk in array.extent]):
+                    if chunk_file(indices) not in files:
+                        raise missing_chunk_error(self.path, name, indices)
                 if array.grows:
-                    begun = array.shape[0] - array.shape[0] % array.chunk[0]
-                    rows = range(begun, array.shape[0])
+                    first_row = array.shape[0] - array.shape[0] % array.chunk[0]
+                    rows = range(first_row, array.shape[0])
                     read_array(self.path, name, array, [rows, *map(range, array.shape[1:])])
 
     @cached_property
@@ -154,15 +154,17 @@ class ArchivedSolution(ReadSolution):
 
         from coadjoint.files.archives.archived_variables import ArchivedArray, variable
 
-        found: dict[str, Any] = {}
+        variables: dict[str, Any] = {}
         for name, array in self._arrays.items():
             if array.kind == "string":
-                found[name] = (array.dims, list(map(str, self._read_entire(name))), dict(array.attributes))
+                variables[name] = (array.dims, list(map(str, self._read_entire(name))), dict(array.attributes))
             else:
-                found[name] = variable(ArchivedArray(self.path, name, array, self._may_be_missing(name)))
-        given = str(self.attributes.get("coordinates", "")).split()
+                variables[name] = variable(ArchivedArray(self.path, name, array, self._may_be_missing(name)))
+        coordinates = str(self.attributes.get("coordinates", "")).split()
         attributes = {name: value for name, value in self.attributes.items() if name != "coordinates"}
-        return xarray.Dataset(found, attrs=attributes).set_coords([name for name in given if name in found])
+        return xarray.Dataset(variables, attrs=attributes).set_coords(
+            [name for name in coordinates if name in variables]
+        )
 
 
 def _opened(path: Path, system: Any) -> ArchivedSolution:
@@ -205,10 +207,10 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     (101, 3)
     """
     need("an archive of a run", "xarray", "zarr")
-    place = read_archive_path(path)
+    archive_path = read_archive_path(path)
     for attempt in range(ATTEMPTS):
         try:
-            return _opened(place, system)
+            return _opened(archive_path, system)
         except ArchiveMoved as reason:  # a commit happened in between
             if attempt == ATTEMPTS - 1:
                 raise ArchiveError(str(reason)) from None

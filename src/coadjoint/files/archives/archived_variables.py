@@ -32,20 +32,20 @@ class ArchivedArray(BackendArray):
 
     def _part(self, key: tuple[Any, ...]) -> NDArray[Any]:
         """Read a part given by integers and slices."""
-        chosen = [
-            range(size)[one] if isinstance(one, slice) else range(one, one + 1)
-            for one, size in zip(key, self.shape, strict=True)
+        ranges = [
+            range(size)[index] if isinstance(index, slice) else range(index, index + 1)
+            for index, size in zip(key, self.shape, strict=True)
         ]
-        ascending = [one if one.step > 0 else one[::-1] for one in chosen]
+        ascending = [index if index.step > 0 else index[::-1] for index in ranges]
         check_available_memory(
-            16 * prod(map(len, chosen)), f"{self.name} of the archive {self.path}", "read a part of it"
+            16 * prod(map(len, ranges)), f"{self.name} of the archive {self.path}", "read a part of it"
         )
-        found = read_array(self.path, self.name, self.array, ascending, self.may_be_missing)
-        back = (
-            (slice(None) if each.step > 0 else slice(None, None, -1)) if isinstance(one, slice) else 0
-            for one, each in zip(key, chosen, strict=True)
+        values = read_array(self.path, self.name, self.array, ascending, self.may_be_missing)
+        restored = (
+            (slice(None) if chosen_range.step > 0 else slice(None, None, -1)) if isinstance(index, slice) else 0
+            for index, chosen_range in zip(key, ranges, strict=True)
         )
-        return np.asarray(found[tuple(back)])
+        return np.asarray(values[tuple(restored)])
 
 
 def variable(array: ArchivedArray) -> xarray.Variable:

@@ -38,15 +38,15 @@ BUSY = {"busy": True}
 class BlockRun(ArchivedRun):
     """The run of a block of an ensemble, written like that of an archive."""
 
-    def __init__(self, store: ArchiveStore, ready: PreparedRun, times: Times, block: Block) -> None:
+    def __init__(self, store: ArchiveStore, prepared: PreparedRun, times: Times, block: Block) -> None:
         marker = read_marker(store.folder, block.number)
         x0, attitude = (_of_block(store, name, block) for name in ("x0", "attitude0"))
-        start = ready.start(x0, attitude)
+        start = prepared.start(x0, attitude)
         rows, stored = store.arrays["time"].chunk[0], None if marker is None else marker.stored
-        self.store, self.block, self.run = store, block, PiecewiseRun(ready, times, start, rows, stored)
+        self.store, self.block, self.run = store, block, PiecewiseRun(prepared, times, start, rows, stored)
         self.about: dict[str, Any] = {FINISHED: 0} if marker is None else marker.about
         self._seconds = float(self.about.get("seconds", 0.0))
-        self._took, self._failure = 0.0, None
+        self._commit_seconds, self._failure = 0.0, None
         self._committed = -1 if marker is None else self.run.number
         if marker is None:
             self.run.advance(0)
@@ -60,14 +60,14 @@ class BlockRun(ArchivedRun):
         if run.number == self._committed:
             return
         piece = run.piece()
-        written = {**time_variables(piece), **summary_variables(piece)}
-        for name, (dims, values, _) in written.items():
+        variables = {**time_variables(piece), **summary_variables(piece)}
+        for name, (dims, values, _) in variables.items():
             store.write(name, values, (run.first, block.first) if dims[0] == "time" else (block.first,))
         self._failure = run.failure(piece) if run.is_over else None
         failed = np.asarray(piece.failed)
         status = np.where(failed, FAILED, DONE) if run.is_over else np.full(len(failed), PENDING)
         store.write(STATUS, status, (block.first,))
-        store.folder.sync_to_disk((*written, STATUS))
+        store.folder.sync_to_disk((*variables, STATUS))
         stats = piece.stats
         self.about = {
             STEPS: run.number,
@@ -81,22 +81,24 @@ class BlockRun(ArchivedRun):
         }
         if self._failure is not None:
             self.about |= failure_attributes(self._failure)
-            # Members are numbered within the block here; the ensemble adds who failed.
-            who = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
-            self.about["failed_reason"] = str(self._failure).replace(who, "")
+            # Members are numbered within the block here; the ensemble adds the member that failed.
+            failed_members = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
+            self.about["failed_reason"] = str(self._failure).replace(failed_members, "")
         write_marker(store.folder, block.number, self.about, run.stored())
         store.check_not_replaced()
         run.release_points()
-        self._took, self._committed = time.perf_counter() - began, run.number
+        self._commit_seconds, self._committed = time.perf_counter() - began, run.number
 
 
-def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threads: int | None) -> dict[str, Any]:
+def run_block(
+    archive: str, block: Block, prepared: PreparedRun, all_members: bool, threads: int | None
+) -> dict[str, Any]:
     """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if it is locked.
 
-    `ready` is prepared for all members (`whole`) or for those of the block. ArchiveError: the archive is missing, or of
-    another version of the library. ArchiveUnwritten: it cannot be written.
+    `prepared` is the run of all members (`all_members`) or of those of the block. ArchiveError: the archive is missing,
+    or of another version of the library. ArchiveUnwritten: it cannot be written.
     """
-    path, here = Path(archive), platform.node()
+    path, host = Path(archive), platform.node()
     try:
         folder = open_folder(path)
     except ArchiveError as reason:
@@ -109,7 +111,7 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
             raise _unreadable_error(reason) from None
         if attributes["coadjoint_version"] != __version__:
             raise ArchiveError(
-                f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {here} has "
+                f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {host} has "
                 f"{__version__}; install the same version everywhere"
             )
         lock = folder.lock(HIDDEN_FOLDER, lock_file(block.number))
@@ -117,8 +119,8 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
             return BUSY
         store = ArchiveStore(path, arrays, attributes, lock, lock_file(block.number), folder)
         times = times_of(_span(attributes), float(attributes["step"]), int(attributes["save_every"]))
-        first, last = (block.first, block.last) if whole else (0, block.last - block.first)
-        run = BlockRun(store, ready.among(first, last, threads), times, block)
+        first, last = (block.first, block.last) if all_members else (0, block.last - block.first)
+        run = BlockRun(store, prepared.among(first, last, threads), times, block)
         if not run.about[FINISHED]:
             run.advance()
             run.commit()
@@ -126,9 +128,9 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
     except ArchiveUnwritten:
         raise
     except OSError as reason:
-        said = reason.strerror or str(reason)
+        problem = reason.strerror or str(reason)
         raise ArchiveUnwritten(
-            f"{path}: members {block.first} to {block.last - 1} could not be written on {here} ({said}); "
+            f"{path}: members {block.first} to {block.last - 1} could not be written on {host} ({problem}); "
             "the next call with this archive continues"
         ) from reason
     finally:
@@ -139,7 +141,9 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
 
 def _unreadable_error(reason: ArchiveError) -> ArchiveError:
     """Return the error for an archive that a worker cannot read."""
-    return ArchiveError(f"{reason} on the machine {platform.node()}; every worker must see the folder by the same name")
+    return ArchiveError(
+        f"{reason} on the machine {platform.node()}; every worker must reach the folder by the same path"
+    )
 
 
 def _span(attributes: dict[str, Any]) -> Any:

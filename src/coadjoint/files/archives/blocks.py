@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from numpy.typing import NDArray
 
 from coadjoint.files.archives.store import HIDDEN_FOLDER, chunk_file
-from coadjoint.files.archives.stored_numbers import deserialize_numbers, serialize_numbers
+from coadjoint.files.archives.stored_arrays import deserialize_numbers, serialize_numbers
 
 if TYPE_CHECKING:
     from coadjoint.files.archives.folder import ArchiveFolder
@@ -104,7 +104,7 @@ def lock_file(number: int) -> str:
 
 
 def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
-    """Write the marker of a block atomically: a line of JSON with check sums, then the numbers."""
+    """Write the marker of a block atomically: a line of JSON with checksums, then the numbers."""
     raw = serialize_numbers(stored)
     head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
     line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
@@ -114,8 +114,8 @@ def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], s
 
 def read_head(folder: ArchiveFolder, number: int) -> dict[str, Any] | None:
     """Return the head of a block's marker, without its numbers; None if it is missing or damaged."""
-    marker = _marker(folder, number, MAX_HEAD_BYTES)
-    return None if marker is None else marker[0]["about"]
+    content = _marker(folder, number, MAX_HEAD_BYTES)
+    return None if content is None else content[0]["about"]
 
 
 def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
@@ -142,14 +142,14 @@ def _head(line: bytes) -> dict[str, Any]:
     digest, _, text = line.decode("utf-8").rstrip("\n").partition(" ")
     if hashlib.sha256(text.encode()).hexdigest() != digest:
         raise ValueError("the marker is damaged")
-    found = json.loads(text)
-    if not isinstance(found, dict) or not isinstance(found.get("about"), dict):
+    content = json.loads(text)
+    if not isinstance(content, dict) or not isinstance(content.get("about"), dict):
         raise ValueError("the marker is damaged")
-    about = found["about"]
+    about = content["about"]
     for name, kinds in HEAD_TYPES.items():
         if isinstance(about.get(name), bool) or not isinstance(about.get(name), kinds) or not 0 <= about[name] < 2**62:
             raise ValueError("the marker is damaged")
-    return found
+    return content
 
 
 def is_computed(name: str, array: StoredArray) -> bool:
@@ -162,17 +162,17 @@ def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Ite
     for name, array in arrays.items():
         if MEMBER not in array.dims or name in START_ARRAYS:
             continue
-        along = [range(-(-size // chunk)) for size, chunk in zip(array.shape, array.chunk, strict=True)]
-        along[array.dims.index(MEMBER)] = range(block.number, block.number + 1)
+        ranges = [range(-(-size // chunk)) for size, chunk in zip(array.shape, array.chunk, strict=True)]
+        ranges[array.dims.index(MEMBER)] = range(block.number, block.number + 1)
         if array.grows:
-            along[0] = range(-(-rows // array.chunk[0]))
-        for place in itertools.product(*along):
-            yield name, place
+            ranges[0] = range(-(-rows // array.chunk[0]))
+        for indices in itertools.product(*ranges):
+            yield name, indices
 
 
 def is_complete(folder: ArchiveFolder, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
     """Whether all chunks that a marker refers to exist; some may have been removed."""
-    wanted = dict[str, set[str]]()
-    for name, place in chunks_of(arrays, block, rows):
-        wanted.setdefault(name, set()).add(chunk_file(place))
-    return all(files <= folder.names(name) for name, files in wanted.items())
+    files_of = dict[str, set[str]]()
+    for name, indices in chunks_of(arrays, block, rows):
+        files_of.setdefault(name, set()).add(chunk_file(indices))
+    return all(files <= folder.names(name) for name, files in files_of.items())

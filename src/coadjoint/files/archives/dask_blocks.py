@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import secrets
 import time
+from collections.abc import Iterator
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+from distributed import Client, Nanny, Scheduler, SpecCluster, Worker
+from distributed.security import Security
 
 from coadjoint.files.archives.block_run import BUSY, run_block
 from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten
+from coadjoint.private_folders import private_folder
 from coadjoint.runs.progress import progress_bar
 from coadjoint.systems.batch import Batch
 
@@ -26,22 +33,26 @@ RETRY_SECONDS = 2.0
 
 
 def on_processes(
-    workers: int, store: ArchiveStore, remaining: list[Block], ready: PreparedRun, threads: int | None, progress: bool
+    workers: int,
+    store: ArchiveStore,
+    remaining: list[Block],
+    prepared: PreparedRun,
+    threads: int | None,
+    progress: bool,
 ) -> None:
     """Run blocks in processes of this machine, which end with this call."""
     if not remaining:
         return
-    from coadjoint.files.archives.local_cluster import local_cluster
 
     with local_cluster(min(workers, len(remaining))) as client:
-        on_client(client, store, remaining, ready, threads, progress)
+        on_client(client, store, remaining, prepared, threads, progress)
 
 
 def on_client(
     client: Any,
     store: ArchiveStore,
     remaining: list[Block],
-    ready: PreparedRun,
+    prepared: PreparedRun,
     threads: int | None,
     progress: bool,
 ) -> None:
@@ -52,15 +63,15 @@ def on_client(
     archive, or has another version of the library.
     """
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
-        tries = 0
-        while tries < RETRIES:
-            before = len(remaining)
-            remaining, failure = _run_round(client, store, remaining, ready, threads or 1, bar)
+        attempts = 0
+        while attempts < RETRIES:
+            remaining_before = len(remaining)
+            remaining, failure = _run_round(client, store, remaining, prepared, threads or 1, bar)
             if not remaining:
                 return
             if isinstance(failure, ArchiveError | ArchiveUnwritten):
                 raise failure
-            tries = 0 if len(remaining) < before else tries + 1
+            attempts = 0 if len(remaining) < remaining_before else attempts + 1
     members = sum(block.last - block.first for block in remaining)
     raise ArchiveUnwritten(
         f"{store.path}: {members} members could not be computed, since workers were lost repeatedly "
@@ -69,56 +80,56 @@ def on_client(
 
 
 def _run_round(
-    client: Any, store: ArchiveStore, remaining: list[Block], ready: PreparedRun, threads: int, bar: Any
+    client: Any, store: ArchiveStore, remaining: list[Block], prepared: PreparedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
-    """Submit blocks and wait for them; return the unfinished ones, and the first reason."""
-    archive, token, whole = str(store.path), secrets.token_hex(4), not isinstance(ready.system, Batch)
-    ready.loops(_signed_step(store, ready)).build_all()  # built here rather than by each worker
+    """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
+    archive, token, shared_tables = str(store.path), secrets.token_hex(4), not isinstance(prepared.system, Batch)
+    prepared.loops(_signed_step(store, prepared)).build_all()  # built here rather than by each worker
     try:
-        everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
+        shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None
     except (OSError, CancelledError) as lost:
         # A worker that dies while it receives the tables fails this request, but not the cluster.
         if not _scheduler_responds(client):
             raise _cluster_lost_error(store) from lost
         return remaining, lost
 
-    def submitted(block: Block, again: int) -> Any:
-        given = everything if whole else ready.among(block.first, block.last)
-        key = f"coadjoint-{token}-{block.number}-{again}"
-        return client.submit(run_block, archive, block, given, whole, threads, key=key, pure=False)
+    def submitted(block: Block, attempt: int) -> Any:
+        prepared_run = shared_run if shared_tables else prepared.among(block.first, block.last)
+        key = f"coadjoint-{token}-{block.number}-{attempt}"
+        return client.submit(run_block, archive, block, prepared_run, shared_tables, threads, key=key, pure=False)
 
     tasks = {submitted(block, 0): block for block in remaining}
-    undone: list[Block] = []
+    unfinished: list[Block] = []
     failure: BaseException | None = None
-    tries, seen = 0, time.monotonic()
+    attempts, last_response = 0, time.monotonic()
     try:
         while tasks:
             try:
-                done = _wait_for_tasks(client, tasks)
+                ended_tasks = _wait_for_tasks(client, tasks)
             except CancelledError as lost:
                 # All workers with the tables are lost, or the scheduler is.
                 if not _scheduler_responds(client):
                     raise
-                return [*undone, *tasks.values()], failure or lost
-            seen = time.monotonic() if client.status == "running" else seen
-            if time.monotonic() - seen > SCHEDULER_TIMEOUT:
+                return [*unfinished, *tasks.values()], failure or lost
+            last_response = time.monotonic() if client.status == "running" else last_response
+            if time.monotonic() - last_response > SCHEDULER_TIMEOUT:
                 raise _cluster_lost_error(store)
-            busy = []
-            for task in done:
+            locked = []
+            for task in ended_tasks:
                 block = tasks.pop(task)
-                ended, reason = _task_result(client, task)
+                result, reason = _task_result(client, task)
                 if reason is not None:
-                    undone.append(block)
+                    unfinished.append(block)
                     failure = failure or reason
-                elif ended == BUSY:
-                    busy.append(block)
+                elif result == BUSY:
+                    locked.append(block)
                 else:
                     bar(block.last - block.first)
-            if busy:
-                # A task of an earlier call still runs them; it ends, or is lost with its worker.
+            if locked:
+                # A task of an earlier call still runs these blocks; it will end, or be lost with its worker.
                 time.sleep(RETRY_SECONDS)
-                tries += 1
-                tasks |= {submitted(block, tries): block for block in busy}
+                attempts += 1
+                tasks |= {submitted(block, attempts): block for block in locked}
     except ArchiveUnwritten:
         raise
     except (OSError, CancelledError) as reason:
@@ -128,11 +139,11 @@ def _run_round(
         if client.status == "running":
             client.cancel(list(tasks), force=True)
         raise
-    return undone, failure
+    return unfinished, failure
 
 
 def _wait_for_tasks(client: Any, tasks: Any) -> Any:
-    """Wait until a task has ended, or for a timeout; return those that have."""
+    """Wait until a task has ended, or for a timeout; return the ended tasks."""
     distributed: Any = importlib.import_module("distributed")
     try:
         return distributed.wait(list(tasks), timeout=POLL_SECONDS, return_when="FIRST_COMPLETED").done
@@ -141,7 +152,7 @@ def _wait_for_tasks(client: Any, tasks: Any) -> Any:
 
 
 def _task_result(client: Any, task: Any) -> tuple[Any, BaseException | None]:
-    """Return the result of a task, or the reason why it has none."""
+    """Return the result of a task, or the exception that prevented it."""
     try:
         if task.status == "finished":
             return task.result(), None
@@ -164,12 +175,68 @@ def _scheduler_responds(client: Any) -> bool:
 
 def _cluster_lost_error(store: ArchiveStore) -> ArchiveUnwritten:
     return ArchiveUnwritten(
-        f"{store.path}: the scheduler of the cluster is lost; what was done is kept, and the next call with this "
-        "archive goes on"
+        f"{store.path}: the scheduler of the cluster is lost; computed blocks are in the archive, and the next call "
+        "with this archive continues"
     )
 
 
-def _signed_step(store: ArchiveStore, ready: PreparedRun) -> float:
+def _signed_step(store: ArchiveStore, prepared: PreparedRun) -> float:
     """Return the step with its sign."""
     first, last = json.loads(store.attributes["t_span"])
-    return ready.step if last >= first else -ready.step
+    return prepared.step if last >= first else -prepared.step
+
+
+LOOPBACK = "127.0.0.1"
+
+
+class QuietScheduler(Scheduler):
+    """A scheduler without an HTTP server."""
+
+    def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+        """Do not start it: it has no authentication, and runs even without a dashboard."""
+
+
+class QuietWorker(Worker):
+    """A worker without an HTTP server."""
+
+    def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+        """Do not start it, as in `QuietScheduler`."""
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[Client]:
+    """Start single-threaded worker processes, which end with the context, and connect to them.
+
+    Connections use TLS with temporary credentials, passed to the workers through pipes. RuntimeError: the workers did
+    not start, or there is no private folder for temporary files.
+    """
+    security = Security.temporary()  # type: ignore[no-untyped-call]
+    with private_folder() as folder:
+        # Dask imports code from its temporary folder, whose default name all users share.
+        options = {"host": LOOPBACK, "protocol": "tls://", "security": security, "dashboard": False}
+        options["local_directory"] = str(folder)
+        worker = {
+            "cls": Nanny,
+            "options": {
+                **options,
+                "worker_class": QuietWorker,
+                "nthreads": 1,
+                "memory_limit": None,
+                # The call raises failures; a worker that dies within a block is replaced.
+                "silence_logs": logging.CRITICAL,
+            },
+        }
+        try:
+            cluster = SpecCluster(  # type: ignore[no-untyped-call]
+                workers=dict.fromkeys(range(workers), worker),
+                scheduler={"cls": QuietScheduler, "options": options},
+                security=security,
+                silence_logs=logging.CRITICAL,
+            )
+        except RuntimeError as reason:
+            raise RuntimeError(
+                "the workers of ensemble(workers=) did not start; each of them imports the script, so that the call "
+                'must be guarded by if __name__ == "__main__":'
+            ) from reason
+        with cluster, Client(cluster) as client:  # type: ignore[no-untyped-call]
+            yield client

@@ -103,26 +103,28 @@ def ensemble(
     progress, pool = read_progress(progress), read_worker_pool(client, workers, threads)
     if archive is None and client is not None:
         raise TypeError(
-            "ensemble was given a client and no archive; give archive=, a folder that all workers see: results never "
-            "pass through the client"
+            "ensemble was given a client and no archive; give archive=, a folder that all workers can reach, since "
+            "results do not pass through the client"
         )
     size = None if members_per_block is None else read_integer(members_per_block, "members_per_block", floats=True)
-    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=pool.threads)
-    members = len(ready.start(x0).momenta)
-    about = ExtraMetadata(_along_members({} if coordinates is None else coordinates, members), {})
-    return run_in_blocks(ready, x0, t_span, save_every, archive, pool, size=size, progress=progress, about=about)
+    prepared = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=pool.threads)
+    members = len(prepared.start(x0).momenta)
+    metadata = ExtraMetadata(_along_members({} if coordinates is None else coordinates, members), {})
+    return run_in_blocks(prepared, x0, t_span, save_every, archive, pool, size=size, progress=progress, about=metadata)
 
 
-def _along_members(given: Mapping[str, Any], members: int) -> Variables:
+def _along_members(coordinates: Mapping[str, Any], members: int) -> Variables:
     """Validate coordinates and return them as variables of an archive."""
-    if not isinstance(given, Mapping):
-        raise TypeError(f"coordinates is {short(given)}; give a mapping from names to numbers, one for each member")
-    found: Variables = {}
-    for name, values in given.items():
+    if not isinstance(coordinates, Mapping):
+        raise TypeError(
+            f"coordinates is {short(coordinates)}; give a mapping from names to numbers, one for each member"
+        )
+    variables: Variables = {}
+    for name, values in coordinates.items():
         if not isinstance(name, str) or not name.isidentifier():
             raise ValueError(f"coordinates has the name {short(name)}; give one of letters, digits and underscores")
         numbers = read_numbers(values, f"coordinates[{short(name)}]")
         if numbers.shape != (members,):
             raise ValueError(f"coordinates has {short(numbers)} for {name!r}; give numbers of shape ({members},)")
-        found[name] = (("member",), numbers, {})
-    return found
+        variables[name] = (("member",), numbers, {})
+    return variables

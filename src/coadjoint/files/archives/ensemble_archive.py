@@ -72,63 +72,67 @@ IDENTITY_ATTRIBUTES = {
 class Ensemble(NamedTuple):
     """A prepared run of all members, with its start and times."""
 
-    ready: PreparedRun
+    prepared: PreparedRun
     times: Times
     start: Start
 
     def at_start(self) -> Solution:
         """Return the solution before the first step."""
-        run = PiecewiseRun(self.ready, self.times, self.start, 1)
+        run = PiecewiseRun(self.prepared, self.times, self.start, 1)
         run.advance(0)
         return run.piece()
 
 
 def create_archive(
-    ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, about: ExtraMetadata
+    ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, metadata: ExtraMetadata
 ) -> ArchiveStore:
     """Create an archive with the initial states of all members.
 
-    `size` is the number of members per block; if None, it is chosen for this number of workers. `about` has further
-    metadata to write.
+    `size` is the number of members per block; if None, it is chosen for this number of workers.
     """
     target = check_new(archive)
-    piece = ensemble.at_start()
-    about = about.with_batch_parameters(piece.system)
+    start_solution = ensemble.at_start()
+    metadata = metadata.with_batch_parameters(start_solution.system)
     members = len(ensemble.start.momenta)
-    growing = time_variables(piece)
-    longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
-    size = min(members, size or size_of_blocks(members, longest, workers))
-    rows = rows_of_chunk(longest * size, ensemble.times.total_points)
+    growing = time_variables(start_solution)
+    row_size = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
+    size = min(members, size or size_of_blocks(members, row_size, workers))
+    rows = rows_of_chunk(row_size * size, ensemble.times.total_points)
     times = time_coordinate(ensemble.times.saved_times)
-    fixed: Variables = {**start_variables(piece), **about.coordinates, **coordinates_of(piece), **times}
-    later: Variables = {
+    fixed: Variables = {
+        **start_variables(start_solution),
+        **metadata.coordinates,
+        **coordinates_of(start_solution),
+        **times,
+    }
+    computed: Variables = {
         **growing,
-        **summary_variables(piece),
+        **summary_variables(start_solution),
         STATUS: ((MEMBER,), np.full(members, PENDING), STATUS_ATTRIBUTES),
     }
-    taken = sorted(
+    reserved = sorted(
         name
-        for name in about.coordinates
+        for name in metadata.coordinates
         if name in RESERVED_NAMES or name.startswith((*SERIES_PREFIXES, CROSSING_PREFIX))
     )
-    if taken:
-        raise ValueError(f"coordinates has the name {taken[0]!r}, which is reserved")
+    if reserved:
+        raise ValueError(f"coordinates has the name {reserved[0]!r}, which is reserved")
     points = ensemble.times.total_points
-    arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
-    here = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
+    arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | computed).items()}
+    platform_text = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
     attributes = {
-        **identity_attributes(ensemble, piece),
-        "platform": here,
+        **identity_attributes(ensemble, start_solution),
+        "platform": platform_text,
         BLOCK_SIZE_ATTRIBUTE: size,
         FINISHED: 0,
         STEPS: 0,
     }
-    attributes |= about.attributes
-    if about.coordinates:
-        attributes["coordinates"] = " ".join(about.coordinates)
+    attributes |= metadata.attributes
+    if metadata.coordinates:
+        attributes["coordinates"] = " ".join(metadata.coordinates)
     try:
         with PendingOutput(target) as unfinished:
-            store = ArchiveStore.create_archive(unfinished.place, arrays)
+            store = ArchiveStore.create_archive(unfinished.path, arrays)
             try:
                 for name, (_, values, _) in fixed.items():
                     store.write(name, np.asarray(values))
@@ -147,8 +151,8 @@ def identity_attributes(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
     return {
         **attributes_of(piece),
         ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
-        **function_attributes(ensemble.ready, ()),
-        FIRST_STEP: first_step(ensemble.ready, ensemble.times, ensemble.start),
+        **function_attributes(ensemble.prepared, ()),
+        FIRST_STEP: first_step(ensemble.prepared, ensemble.times, ensemble.start),
     }
 
 
@@ -167,72 +171,77 @@ def _array(
 
 def check_same_run(ensemble: Ensemble, store: ArchiveStore) -> None:
     """Raise ArchiveError if the archive is that of another run, with the first difference."""
-    piece = ensemble.at_start()
-    mine, theirs = identity_attributes(ensemble, piece), store.attributes
-    if BLOCK_SIZE_ATTRIBUTE not in theirs:
+    start_solution = ensemble.at_start()
+    own_attributes, stored_attributes = identity_attributes(ensemble, start_solution), store.attributes
+    if BLOCK_SIZE_ATTRIBUTE not in stored_attributes:
         raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
-    for name, (_, values, _) in start_variables(piece).items():
+    for name, (_, values, _) in start_variables(start_solution).items():
         array = store.arrays.get(name)
         if array is None or not _equal(store, name, array, np.asarray(values)):
             what = {"x0": "x0", "attitude0": "the initial attitude"}[name]
             raise _different_run_error(store, f"{what} differs")
-    known, given = json.loads(theirs[FUNCTIONS_ATTRIBUTE]), json.loads(mine[FUNCTIONS_ATTRIBUTE])
-    for name in known.keys() | given.keys():
-        if not same_fingerprint(known.get(name, {}), given.get(name, {})):
+    stored_fingerprints, fingerprints = (
+        json.loads(stored_attributes[FUNCTIONS_ATTRIBUTE]),
+        json.loads(own_attributes[FUNCTIONS_ATTRIBUTE]),
+    )
+    for name in stored_fingerprints.keys() | fingerprints.keys():
+        if not same_fingerprint(stored_fingerprints.get(name, {}), fingerprints.get(name, {})):
             raise _different_run_error(store, f"the code or the numbers of functions of {name} differ")
     for key, what in IDENTITY_ATTRIBUTES.items():
-        if mine.get(key) != theirs.get(key):
+        if own_attributes.get(key) != stored_attributes.get(key):
             raise _different_run_error(store, f"{what} differs")
 
 
-def _different_run_error(store: ArchiveStore, said: str) -> ArchiveError:
-    return ArchiveError(f"{store.path}: is the archive of another ensemble: {said}; give another name")
+def _different_run_error(store: ArchiveStore, difference: str) -> ArchiveError:
+    return ArchiveError(f"{store.path}: is the archive of another ensemble: {difference}; give another name")
 
 
 def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> bool:
     """Whether an array is bitwise equal to these numbers; read chunk by chunk."""
     if array.shape != values.shape:
         return False
-    for place, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
-        held = store.chunk(name, place)[inside]
-        if held.tobytes() != np.ascontiguousarray(values[outside]).tobytes():
+    for indices, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
+        chunk = store.chunk(name, indices)[inside]
+        if chunk.tobytes() != np.ascontiguousarray(values[outside]).tobytes():
             return False
     return True
 
 
 def unfinished_blocks(store: ArchiveStore) -> list[Block]:
     """Return the unfinished blocks."""
-    found = []
+    unfinished = []
     for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[BLOCK_SIZE_ATTRIBUTE])):
-        about = read_head(store.folder, block.number)
-        if about is not None and not is_complete(store.folder, store.arrays, block, int(about["rows"])):
+        head = read_head(store.folder, block.number)
+        if head is not None and not is_complete(store.folder, store.arrays, block, int(head["rows"])):
             store.folder.remove(HIDDEN_FOLDER, marker_file(block.number))
-            about = None
-        if about is None or not about[FINISHED]:
-            found.append(block)
-    return found
+            head = None
+        if head is None or not head[FINISHED]:
+            unfinished.append(block)
+    return unfinished
 
 
 def finish_ensemble(store: ArchiveStore) -> dict[str, Any]:
     """Mark the ensemble as finished in the root; return its attributes, including those of failures."""
     blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[BLOCK_SIZE_ATTRIBUTE]))
-    abouts = [read_head(store.folder, block.number) or {} for block in blocks]
-    said: dict[str, Any] = {
+    heads = [read_head(store.folder, block.number) or {} for block in blocks]
+    attributes: dict[str, Any] = {
         FINISHED: 1,
-        STEPS: min(int(about[STEPS]) for about in abouts),
-        "evaluations": sum(int(about["evaluations"]) for about in abouts),
-        "iterations": sum(int(about["iterations"]) for about in abouts),
-        "seconds": sum(float(about["seconds"]) for about in abouts),
+        STEPS: min(int(head[STEPS]) for head in heads),
+        "evaluations": sum(int(head["evaluations"]) for head in heads),
+        "iterations": sum(int(head["iterations"]) for head in heads),
+        "seconds": sum(float(head["seconds"]) for head in heads),
     }
-    broken = [about for about in abouts if about.get("run_failed")]
-    if broken:
-        count, first = sum(about["failed"] for about in abouts), broken[0]
+    failures = [head for head in heads if head.get("run_failed")]
+    if failures:
+        count, first = sum(head["failed"] for head in heads), failures[0]
         members = store.arrays["x0"].shape[0]
-        said |= {name: value for name, value in first.items() if name.startswith(("run_failed", "failed_"))}
+        attributes |= {name: value for name, value in first.items() if name.startswith(("run_failed", "failed_"))}
         if count:
-            who = f"{count} of {members} members failed, the first of them is member {first['first_failed']}: "
-            said["failed_reason"] = f"{who}{first['failed_reason']}"
-    store.commit(said, {"time": store.arrays["time"].shape[0]})
+            failed_members = (
+                f"{count} of {members} members failed, the first of them is member {first['first_failed']}: "
+            )
+            attributes["failed_reason"] = f"{failed_members}{first['failed_reason']}"
+    store.commit(attributes, {"time": store.arrays["time"].shape[0]})
     for block in blocks:
         store.folder.remove(HIDDEN_FOLDER, lock_file(block.number))
-    return said
+    return attributes

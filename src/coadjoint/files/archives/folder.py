@@ -9,8 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from coadjoint.files.output.atomic_files import TEMPORARY_SUFFIX, sync_to_disk, write_atomically
-from coadjoint.files.output.atomic_output import open_locked
+from coadjoint.files.output.atomic_output import TEMPORARY_SUFFIX, open_locked, sync_to_disk, write_atomically
 from coadjoint.memory import check_available_memory
 
 USE_DIR_FD = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
@@ -24,7 +23,7 @@ READ_MEMORY_FACTOR = 2
 class ArchiveFolder:
     """The open folder of an archive; it stays the same folder if its path is renamed.
 
-    `path` itself, given by a user, may lead through links.
+    Only `path` itself, from the user, may contain links.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,14 +58,14 @@ class ArchiveFolder:
             yield self._descriptor
             return
         try:
-            found = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
         except OSError:
             _reject_link(Path(folder), self._descriptor)
             raise
         try:
-            yield found
+            yield descriptor
         finally:
-            os.close(found)
+            os.close(descriptor)
 
     def _locate(self, folder: str, file: str) -> Path:
         return Path(file) if USE_DIR_FD else self.path / folder / file
@@ -77,25 +76,25 @@ class ArchiveFolder:
         OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
         """
         with self._at(folder) as inside:
-            place = self._locate(folder, file)
+            path = self._locate(folder, file)
 
             def opened(name: str, flags: int) -> int:
                 if not USE_DIR_FD:
-                    _reject_link(place, None)
+                    _reject_link(path, None)
                 flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
                 try:
                     return os.open(name, flags, dir_fd=inside)
                 except OSError:
-                    _reject_link(place, inside)
+                    _reject_link(path, inside)
                     raise
 
-            with open(place, "rb", opener=opened) as content:
-                found = os.fstat(content.fileno())
-                if not stat.S_ISREG(found.st_mode):
+            with open(path, "rb", opener=opened) as content:
+                status = os.fstat(content.fileno())
+                if not stat.S_ISREG(status.st_mode):
                     raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
-                if most is not None and found.st_size > most:
-                    raise ValueError(f"it has {found.st_size} bytes, and at most {most} belong there")
-                length = found.st_size if head is None else min(head, found.st_size)
+                if most is not None and status.st_size > most:
+                    raise ValueError(f"it has {status.st_size} bytes; the limit is {most}")
+                length = status.st_size if head is None else min(head, status.st_size)
                 check_available_memory(READ_MEMORY_FACTOR * length, "it")
                 return content.read(length)
 
@@ -122,12 +121,12 @@ class ArchiveFolder:
             return False
 
     def status(self, folder: str, file: str) -> os.stat_result:
-        """Return the status of a file, or of a link itself."""
+        """Return the status of a file; links are not followed."""
         with self._at(folder) as inside:
             return os.stat(self._locate(folder, file), dir_fd=inside, follow_symlinks=False)
 
     def remove(self, folder: str, file: str) -> None:
-        """Remove a file or a link itself, if present."""
+        """Remove a file, if present; links are not followed."""
         with self._at(folder) as inside, suppress(FileNotFoundError):
             os.unlink(self._locate(folder, file), dir_fd=inside)
 
@@ -147,18 +146,18 @@ class ArchiveFolder:
     def lock(self, folder: str, file: str) -> int | None:
         """Lock a file, created if missing; return its descriptor, or None if another process holds the lock."""
         with self._at(folder) as inside:
-            place = self._locate(folder, file)
+            path = self._locate(folder, file)
             try:
-                return open_locked(place, os.O_CREAT, inside)
+                return open_locked(path, os.O_CREAT, inside)
             except OSError:
-                _reject_link(place, inside)
+                _reject_link(path, inside)
                 raise
 
 
-def _reject_link(place: Path, folder: int | None) -> None:
+def _reject_link(path: Path, folder: int | None) -> None:
     """Raise OSError if the path is a symbolic link."""
     try:
-        linked = stat.S_ISLNK(os.stat(place, dir_fd=folder, follow_symlinks=False).st_mode)
+        linked = stat.S_ISLNK(os.stat(path, dir_fd=folder, follow_symlinks=False).st_mode)
     except OSError:
         return
     if linked:

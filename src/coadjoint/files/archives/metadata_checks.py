@@ -53,57 +53,57 @@ def as_archive_errors(path: str | Path) -> Iterator[None]:
     except (OneLineError, IntegrationError):
         raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError) as reason:
-        said = in_one_line(str(reason), 300) or type(reason).__name__
-        raise ArchiveError(f"{path}: the archive is damaged ({said})") from reason
+        problem = in_one_line(str(reason), 300) or type(reason).__name__
+        raise ArchiveError(f"{path}: the archive is damaged ({problem})") from reason
 
 
 def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Raise `ArchiveError` unless attributes and arrays describe one run, or one ensemble."""
     with as_archive_errors(path):
-        given = Entry(attributes, "attributes")
+        entry = Entry(attributes, "attributes")
         for name in TEXT_ATTRIBUTES:
             if not isinstance(attributes[name], str):
-                raise given[name].invalid_error("text")
+                raise entry[name].invalid_error("text")
         for name in (STEPS, "steps", "evaluations", "iterations"):
-            given[name].integer()
+            entry[name].integer()
         for name in (FINISHED, "between_steps", "watch"):
-            given[name].flag()
-        if given["seconds"].number() < 0.0:
-            raise given["seconds"].invalid_error("a number from 0 up")
+            entry[name].flag()
+        if entry["seconds"].number() < 0.0:
+            raise entry["seconds"].invalid_error("a number from 0 up")
         accounts = [
             [name.text() for name in pair.entries(2)]
             for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()
         ]
-        for known in parsed(attributes[FUNCTIONS_ATTRIBUTE], FUNCTIONS_ATTRIBUTE).table().values():
-            for each in known["named"].entries():
-                each.text()
+        for fingerprint in parsed(attributes[FUNCTIONS_ATTRIBUTE], FUNCTIONS_ATTRIBUTE).table().values():
+            for name_entry in fingerprint["named"].entries():
+                name_entry.text()
         observed = parsed(attributes[OBSERVED_ATTRIBUTE], OBSERVED_ATTRIBUTE)
-        for each in observed["names"].entries():
-            each.text()
+        for name_entry in observed["names"].entries():
+            name_entry.text()
         observed["stored"].table()
         if "run_failed" in attributes:
-            given["run_failed"].flag()
-            given["failed_step"].integer()
+            entry["run_failed"].flag()
+            entry["failed_step"].integer()
             for name in ("failed_time", "failed_residual"):
                 if isinstance(attributes[name], bool) or not isinstance(attributes[name], int | float):
-                    raise given[name].invalid_error("a number")
+                    raise entry[name].invalid_error("a number")
             if not isinstance(attributes["failed_reason"], str):
-                raise given["failed_reason"].invalid_error("text")
+                raise entry["failed_reason"].invalid_error("text")
         span = tuple(time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
-        times = times_of(span, given["step"].number(), given["save_every"].integer(1))
+        times = times_of(span, entry["step"].number(), entry["save_every"].integer(1))
         if times.steps != attributes["steps"] or attributes[STEPS] > times.steps:
-            raise given["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
+            raise entry["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
         sizes = _check_arrays(arrays, accounts)
         if BLOCK_SIZE_ATTRIBUTE in attributes:
-            given[BLOCK_SIZE_ATTRIBUTE].integer(1)
+            entry[BLOCK_SIZE_ATTRIBUTE].integer(1)
             if STATUS not in arrays or MEMBER not in sizes or arrays["x0"].dims[0] != MEMBER:
                 raise ValueError("an array over the members is missing")
-            if given[FINISHED].flag() and attributes[STEPS] != times.steps and "run_failed" not in attributes:
-                raise given[STEPS].invalid_error(f"{times.steps}, since the ensemble is finished")
+            if entry[FINISHED].flag() and attributes[STEPS] != times.steps and "run_failed" not in attributes:
+                raise entry[STEPS].invalid_error(f"{times.steps}, since the ensemble is finished")
             expected = times.total_points
         else:
-            given[SAVE_EVERY].integer(1)
-            expected = _check_states(given, attributes, times, sizes[TIME])
+            entry[SAVE_EVERY].integer(1)
+            expected = _check_states(entry, attributes, times, sizes[TIME])
         if not attributes["between_steps"] and sizes[TIME] != expected:
             raise ValueError(f"there are {sizes[TIME]} saved points after {attributes[STEPS]} steps, not {expected}")
 
@@ -125,8 +125,8 @@ def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) 
         for dim, size in zip(array.dims, array.shape, strict=True):
             if dim not in VARYING_DIMENSIONS and sizes.setdefault(dim, size) != size:
                 raise ValueError(f"the arrays along {dim} have the lengths {sizes[dim]} and {size}")
-    start, over = arrays["x0"].dims, arrays["energy"].dims
-    if arrays["x"].dims != (TIME, *start) or over != (TIME, *start[: int(MEMBER in start)]):
+    start, energy_dims = arrays["x0"].dims, arrays["energy"].dims
+    if arrays["x"].dims != (TIME, *start) or energy_dims != (TIME, *start[: int(MEMBER in start)]):
         raise ValueError("the arrays x, x0 and energy are over other dimensions than the states of one run")
     if arrays["x"].shape[1:] != arrays["x0"].shape or not all(arrays["x0"].shape):
         raise ValueError("the arrays x and x0 have states of other shapes")
@@ -135,17 +135,17 @@ def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) 
     return sizes
 
 
-def _check_states(given: Entry, attributes: Mapping[str, Any], times: Times, rows: int) -> int:
+def _check_states(entry: Entry, attributes: Mapping[str, Any], times: Times, rows: int) -> int:
     """Validate the stored states; return the expected number of saved points."""
-    for kept in parsed(attributes[STATES], STATES).entries():
-        file, digest, about = kept.entries(3)
+    for state in parsed(attributes[STATES], STATES).entries():
+        file, digest, about = state.entries(3)
         file.text(), digest.text(), about["block"].flag()
         for name in ("number", TIME):
             about[name].integer()
     states = states_of(attributes)
-    numbers = [kept.about["number"] for kept in states]
+    numbers = [state.about["number"] for state in states]
     if not states or numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
-        raise given[STATES].invalid_error("a list of states, of which the last one is that of the last commit")
+        raise entry[STATES].invalid_error("a list of states, of which the last one is that of the last commit")
     expected = times.after(attributes[STEPS]).passed
     # A failed run has saved the points before its failure.
     return min(rows, expected) if attributes.get("run_failed") else expected

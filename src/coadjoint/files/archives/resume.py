@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 def archive_run(
-    ready: PreparedRun,
+    prepared: PreparedRun,
     x0: Any,
     t_span: tuple[float, float],
     save_every: int,
@@ -65,45 +65,45 @@ def archive_run(
     if t_eval is not None or read_events(events):
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     target = check_new(archive)
-    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
+    times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
     try:
         with PendingOutput(target) as unfinished:
-            store = create_archive(ready, times, start, unfinished.place, int(save_every), about)
+            store = create_archive(prepared, times, start, unfinished.path, int(save_every), about)
             store.moved(target)
     except OSError as reason:
         raise creation_error(target, reason) from None
-    return _continue_run(store, ready, times, start, None, progress, until)
+    return _continue_run(store, prepared, times, start, None, progress, until)
 
 
 def create_archive(
-    ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int, about: ExtraMetadata
+    prepared: PreparedRun, times: Times, start: Start, folder: Path, save_every: int, metadata: ExtraMetadata
 ) -> ArchiveStore:
     """Create an archive from which the run can be resumed, before its first step."""
-    run = PiecewiseRun(ready, times, start, 1)
+    run = PiecewiseRun(prepared, times, start, 1)
     run.advance(0)
     piece = run.piece()
-    about = about.with_batch_parameters(piece.system)
-    arrays, growing, fixed = new_arrays(piece, about.coordinates)
-    store = ArchiveStore.create_archive(place, arrays)
+    metadata = metadata.with_batch_parameters(piece.system)
+    arrays, growing, fixed = new_arrays(piece, metadata.coordinates)
+    store = ArchiveStore.create_archive(folder, arrays)
     try:
         for name, (_, values, _) in (growing | fixed).items():
             store.write(name, values)
         lengths = {"time": run.points_held}
-        kept = store.store_state(run.stored(), {"number": 0, **lengths, "block": 1})
+        state = store.store_state(run.stored(), {"number": 0, **lengths, "block": 1})
         attributes = {
             **attributes_of(piece),
-            **about.attributes,
-            **({"coordinates": " ".join(about.coordinates)} if about.coordinates else {}),
+            **metadata.attributes,
+            **({"coordinates": " ".join(metadata.coordinates)} if metadata.coordinates else {}),
             ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
-            **function_attributes(ready, ()),
-            FIRST_STEP: first_step(ready, times, start),
+            **function_attributes(prepared, ()),
+            FIRST_STEP: first_step(prepared, times, start),
             "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
             FINISHED: int(run.is_over),
             STEPS: 0,
-            STATES: json.dumps([kept]),
+            STATES: json.dumps([state]),
             SAVE_EVERY: save_every,
         }
-        store.commit(attributes, lengths, [kept])
+        store.commit(attributes, lengths, [state])
     except BaseException:
         store.close()
         raise
@@ -117,7 +117,7 @@ def check_new(archive: str | Path) -> Path:
         if os.path.lexists(target):
             raise ArchiveError(f"{target}: exists; co.resume continues an archive, and a new one needs another name")
         if not target.parent.is_dir():
-            raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
+            raise ArchiveError(f"{target}: the folder {target.parent} does not exist; create it first")
         remove_leftovers(target)
     except OSError as reason:
         raise creation_error(target, reason) from None
@@ -126,7 +126,7 @@ def check_new(archive: str | Path) -> Path:
 
 def creation_error(target: Path, reason: OSError) -> ArchiveError:
     """Return the error for a new archive that cannot be created."""
-    return ArchiveError(f"{target}: cannot be made ({reason.strerror}); give another name")
+    return ArchiveError(f"{target}: cannot be created ({reason.strerror}); give another name")
 
 
 def resume(
@@ -194,90 +194,98 @@ def resume(
     from coadjoint.runs.prepared_run import PreparedRun
 
     need("an archive of a run", "xarray", "zarr")
-    place = read_archive_path(path)
-    found = open_archive(place, system)
-    if isinstance(found, ArchivedEnsemble):
+    archive_path = read_archive_path(path)
+    archive = open_archive(archive_path, system)
+    if isinstance(archive, ArchivedEnsemble):
         from coadjoint.files.archives.run_in_blocks import read_worker_pool, resume_in_blocks
 
         if t_end is not None or events is not None or until is not None:
             raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; omit them")
-        return resume_in_blocks(found, system, observe, read_worker_pool(client, workers, threads), progress)
+        return resume_in_blocks(archive, system, observe, read_worker_pool(client, workers, threads), progress)
     if client is not None or workers is not None:
-        raise ValueError(f"{place}: is the archive of one run; client and workers are for ensembles in blocks")
-    if found.finished and (t_end is None or found.attributes.get("run_failed")):
-        return _return_or_raise(found)
-    store = ArchiveStore.open_existing(place)
+        raise ValueError(f"{archive_path}: is the archive of one run; client and workers are for ensembles in blocks")
+    if archive.finished and (t_end is None or archive.attributes.get("run_failed")):
+        return _return_or_raise(archive)
+    store = ArchiveStore.open_existing(archive_path)
     try:
-        found = open_archive(place, system)
-        found.check_whole()
-        given = resume_arguments(place, found, system, observe, events)
-        with as_archive_errors(place):
-            inputs = found.inputs(given.events)
-        ready = PreparedRun(
+        archive = open_archive(archive_path, system)
+        archive.check_complete()
+        arguments = resume_arguments(archive_path, archive, system, observe, events)
+        with as_archive_errors(archive_path):
+            inputs = archive.inputs(arguments.events)
+        prepared = PreparedRun(
             inputs["system"],
             inputs["method"],
             inputs["step"],
             attitude=inputs["attitude"],
             watch=inputs["watch"],
-            observe=given.observe,
+            observe=arguments.observe,
             threads=threads,
         )
-        start = ready.start(inputs["x0"])
-        times, _ = ready.times_of(inputs["t_span"], inputs["save_every"])
-        if first_step(ready, times, start) != store.attributes[FIRST_STEP]:
+        start = prepared.start(inputs["x0"])
+        times, _ = prepared.times_of(inputs["t_span"], inputs["save_every"])
+        if first_step(prepared, times, start) != store.attributes[FIRST_STEP]:
             raise ArchiveError(
-                f"{place}: the first step, recomputed, has other bits than when the archive was begun by coadjoint "
-                f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; resume it there, and with "
-                "the same system"
+                f"{archive_path}: the recomputed first step differs in bits from that of the archive, begun by "
+                f"coadjoint {store.attributes['coadjoint_version']} on {store.attributes['platform']}; resume it "
+                "there, and with the same system"
             )
         if t_end is not None:
-            longer = extended_times(store, times, ready, t_end)
-            if longer.steps != times.steps:
-                times = longer
+            extended = extended_times(store, times, prepared, t_end)
+            if extended.steps != times.steps:
+                times = extended
                 try:
-                    with as_archive_errors(place):
-                        extend_run(store, ready, times, start)
+                    with as_archive_errors(archive_path):
+                        extend_run(store, prepared, times, start)
                 except OSError as reason:
-                    raise unwritable_error(place, reason) from None
+                    raise unwritable_error(archive_path, reason) from None
         if store.attributes[FINISHED]:
             store.close()
-            return found
-        stored = read_state(place, states_of(store.attributes)[-1])
+            return archive
+        stored = read_state(archive_path, states_of(store.attributes)[-1])
     except BaseException:
         store.close()
         raise
-    return _continue_run(store, ready, times, start, stored, progress, until)
+    return _continue_run(store, prepared, times, start, stored, progress, until)
 
 
 def _continue_run(
-    store: ArchiveStore, ready: PreparedRun, times: Times, start: Start, stored: Any, progress: bool, until: int | None
+    store: ArchiveStore,
+    prepared: PreparedRun,
+    times: Times,
+    start: Start,
+    stored: Any,
+    progress: bool,
+    until: int | None,
 ) -> ArchivedSolution:
     try:
         with as_archive_errors(store.path):
-            run = ArchivedRun(store, ready, times, start, stored)
+            run = ArchivedRun(store, prepared, times, start, stored)
         failure = run.advance(until, progress)
-    except KeyboardInterrupt as stopped:
-        stopped.partial = open_archive(store.path, ready.system)  # type: ignore[attr-defined]
-        stopped.add_note(f"{store.path} has what was computed; co.resume({str(store.path)!r}) goes on with it")
+    except KeyboardInterrupt as interrupt:
+        interrupt.partial = open_archive(store.path, prepared.system)  # type: ignore[attr-defined]
+        interrupt.add_note(
+            f"{store.path} contains the computed steps; co.resume({str(store.path)!r}) continues the run"
+        )
         raise
     finally:
         store.close()
-    found = open_archive(store.path, ready.system)
+    archive = open_archive(store.path, prepared.system)
     if failure is not None:
-        failure.partial = found
+        failure.partial = archive
         raise failure
-    return found
+    return archive
 
 
-def _return_or_raise(found: ArchivedSolution) -> ArchivedSolution:
+def _return_or_raise(archive: ArchivedSolution) -> ArchivedSolution:
     """Return a finished run, or raise the failure that ended it."""
-    said = found.attributes
-    if not said.get("run_failed"):
-        return found
+    attributes = archive.attributes
+    if not attributes.get("run_failed"):
+        return archive
     raise IntegrationError(
-        said["failed_reason"],
-        step=int(said["failed_step"]),
-        time=float(said["failed_time"]),
-        residual=float(said["failed_residual"]),
-        partial=found,
+        attributes["failed_reason"],
+        step=int(attributes["failed_step"]),
+        time=float(attributes["failed_time"]),
+        residual=float(attributes["failed_residual"]),
+        partial=archive,
     )

@@ -80,8 +80,8 @@ def read_worker_pool(client: Any, workers: Any, threads: Any) -> WorkerPool:
 def warn_without_tls(client: Any) -> None:
     """Warn if a client reaches its scheduler over a network without TLS."""
     address = getattr(client.scheduler, "address", "")
-    protocol, _, place = address.partition("://")
-    host = urlsplit(f"//{place}").hostname
+    protocol, _, location = address.partition("://")
+    host = urlsplit(f"//{location}").hostname
     if protocol not in INSECURE_PROTOCOLS or host is None or is_loopback(host):
         return
     warnings.warn(
@@ -101,7 +101,7 @@ def is_loopback(host: str) -> bool:
 
 
 def run_in_blocks(
-    ready: PreparedRun,
+    prepared: PreparedRun,
     x0: Any,
     t_span: tuple[float, float],
     save_every: int,
@@ -114,78 +114,78 @@ def run_in_blocks(
 ) -> ArchivedEnsemble:
     """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
 
-    `ready` is prepared for all members; `about` has further metadata to write.
+    `prepared` is prepared for all members; `about` has further metadata to write.
     """
-    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
+    times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
     if start.single:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
-    whole = Ensemble(ready, times, start)
+    members_run = Ensemble(prepared, times, start)
     if archive is not None:
-        return _run_unfinished(whole, read_archive_path(archive).absolute(), pool, size, progress, about)
+        return _run_unfinished(members_run, read_archive_path(archive).absolute(), pool, size, progress, about)
     folder = tempfile.mkdtemp(prefix="coadjoint-")
-    kept: Any = None
+    result: Any = None
     try:
-        kept = _run_unfinished(whole, Path(folder, "ensemble.zarr"), pool, size, progress, about)
-    except (IntegrationError, KeyboardInterrupt) as stopped:
-        kept = getattr(stopped, "partial", None)
+        result = _run_unfinished(members_run, Path(folder, "ensemble.zarr"), pool, size, progress, about)
+    except (IntegrationError, KeyboardInterrupt) as error:
+        result = getattr(error, "partial", None)
         raise
     finally:
-        if kept is None:
+        if result is None:
             shutil.rmtree(folder, ignore_errors=True)
         else:
-            weakref.finalize(kept, shutil.rmtree, folder, ignore_errors=True)
-    found: ArchivedEnsemble = kept
-    return found
+            weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
+    ensemble: ArchivedEnsemble = result
+    return ensemble
 
 
 def _run_unfinished(
-    whole: Ensemble, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
+    ensemble: Ensemble, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
 ) -> ArchivedEnsemble:
     """Begin or continue the archive, and run its unfinished blocks."""
-    ready = whole.ready
+    prepared = ensemble.prepared
     if path.exists():
         store = ArchiveStore.open_existing(path)
         try:
             check_archive(path, store.arrays, store.attributes)
-            check_same_run(whole, store)
+            check_same_run(ensemble, store)
         except BaseException:
             store.close()
             raise
     else:
-        store = create_archive(whole, path, size, pool.worker_count, about)
+        store = create_archive(ensemble, path, size, pool.worker_count, about)
     try:
         remaining = unfinished_blocks(store)
         if pool.client is None and pool.workers is None:
-            _run_serially(store, remaining, ready, progress)
+            _run_serially(store, remaining, prepared, progress)
         else:
             from coadjoint.files.archives.dask_blocks import on_client, on_processes
 
             if pool.client is not None:
-                on_client(pool.client, store, remaining, ready, pool.threads, progress)
+                on_client(pool.client, store, remaining, prepared, pool.threads, progress)
             else:
-                on_processes(pool.worker_count, store, remaining, ready, pool.threads, progress)
+                on_processes(pool.worker_count, store, remaining, prepared, pool.threads, progress)
         try:
-            said = finish_ensemble(store)
+            attributes = finish_ensemble(store)
         except OSError as reason:
             raise _unwritten(store, reason) from reason
-    except KeyboardInterrupt as stopped:
-        stopped.partial = ArchivedEnsemble(path, ready.system)  # type: ignore[attr-defined]
+    except KeyboardInterrupt as interrupt:
+        interrupt.partial = ArchivedEnsemble(path, prepared.system)  # type: ignore[attr-defined]
         raise
     finally:
         store.close()
-    found = ArchivedEnsemble(path, ready.system)
-    if said.get("run_failed"):
+    archive = ArchivedEnsemble(path, prepared.system)
+    if attributes.get("run_failed"):
         raise IntegrationError(
-            said["failed_reason"],
-            step=int(said["failed_step"]),
-            time=float(said["failed_time"]),
-            residual=float(said["failed_residual"]),
-            partial=found,
+            attributes["failed_reason"],
+            step=int(attributes["failed_step"]),
+            time=float(attributes["failed_time"]),
+            residual=float(attributes["failed_residual"]),
+            partial=archive,
         )
-    return found
+    return archive
 
 
-def _run_serially(store: ArchiveStore, remaining: list[Block], ready: PreparedRun, progress: bool) -> None:
+def _run_serially(store: ArchiveStore, remaining: list[Block], prepared: PreparedRun, progress: bool) -> None:
     """Run blocks in this process, one after the other."""
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         for block in remaining:
@@ -193,31 +193,31 @@ def _run_serially(store: ArchiveStore, remaining: list[Block], ready: PreparedRu
                 store.check_not_replaced()
             except OSError as reason:
                 raise _unwritten(store, reason) from reason
-            if run_block(str(store.path), block, ready, True, None) == BUSY:
+            if run_block(str(store.path), block, prepared, True, None) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
 
 
 def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
-    """Return the error for an archive whose blocks are written by themselves, or have been."""
-    replaced, otherwise = "nothing of what is there now was changed", "the next call with this archive continues"
-    return unwritten_archive(store.path, reason, replaced, otherwise)
+    """Return the error for an archive that the blocks could not write."""
+    if_replaced, if_not = "the new content of this path was not changed", "the next call with this archive continues"
+    return unwritten_archive(store.path, reason, if_replaced, if_not)
 
 
 def resume_in_blocks(
-    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, pool: WorkerPool, progress: bool
+    archive: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, pool: WorkerPool, progress: bool
 ) -> ArchivedEnsemble:
     """Compute the missing members of an ensemble, as `coadjoint.resume` does."""
-    given, inputs = resume_arguments(found.path, found, system, observe, None), found.inputs()
-    ready = PreparedRun(
+    arguments, inputs = resume_arguments(archive.path, archive, system, observe, None), archive.inputs()
+    prepared = PreparedRun(
         inputs["system"],
         inputs["method"],
         inputs["step"],
         attitude=inputs["attitude"],
         watch=inputs["watch"],
-        observe=given.observe,
+        observe=arguments.observe,
         threads=pool.threads,
     )
     return run_in_blocks(
-        ready, inputs["x0"], inputs["t_span"], inputs["save_every"], found.path, pool, progress=progress
+        prepared, inputs["x0"], inputs["t_span"], inputs["save_every"], archive.path, pool, progress=progress
     )

@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.stored_arrays import StoredArray
-from coadjoint.files.archives.stored_numbers import deserialize_numbers, serialize_numbers
+from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers, serialize_numbers
 from coadjoint.files.output.atomic_output import LOCK_FILE
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
@@ -79,13 +78,13 @@ class ArchiveReplaced(OSError):
 
 
 def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str, otherwise: str) -> ArchiveUnwritten:
-    """Return the error for an archive that could not be written; what it holds if it was replaced, and if not."""
-    said = getattr(reason, "strerror", None) or str(reason)
+    """Return the error for an archive that could not be written, ending with `replaced` or `otherwise`."""
+    problem = getattr(reason, "strerror", None) or str(reason)
     ending = replaced if isinstance(reason, ArchiveReplaced) else otherwise
-    return ArchiveUnwritten(f"{path}: the archive could not be written ({said}); {ending}")
+    return ArchiveUnwritten(f"{path}: the archive could not be written ({problem}); {ending}")
 
 
-def read_archive_path(given: Any) -> Path:
+def read_archive_path(value: Any) -> Path:
     """Validate the path of an archive.
 
     Examples
@@ -94,13 +93,13 @@ def read_archive_path(given: Any) -> Path:
     Traceback (most recent call last):
     TypeError: archive is 3; it must be the path of a folder, such as 'run.zarr'
     """
-    if not isinstance(given, str | os.PathLike):
-        raise TypeError(f"archive is {short(given)}; it must be the path of a folder, such as 'run.zarr'")
-    path = os.fspath(given)
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'")
+    path = os.fspath(value)
     if not isinstance(path, str) or not path or "\0" in path:
-        raise ValueError(f"archive is {short(given)}; it must be the path of a folder, such as 'run.zarr'")
+        raise ValueError(f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'")
     if max(map(len, Path(path).parts), default=0) > MAX_NAME_LENGTH:
-        raise ValueError(f"archive is {short(given)}; its name is too long")
+        raise ValueError(f"archive is {short(value)}; its name is too long")
     return Path(path)
 
 
@@ -139,16 +138,16 @@ class ArchiveStore:
             for name in (HIDDEN_FOLDER, *arrays):
                 folder.make(name)
             folder.write(HIDDEN_FOLDER, ROOT_FILE, _json({**GROUP_METADATA, "attributes": {}}))
-            found = cls(path, arrays, {VERSION_ATTRIBUTE: FORMAT}, folder.lock(HIDDEN_FOLDER, LOCK_FILE), folder=folder)
-            found._write_arrays(arrays)
+            store = cls(path, arrays, {VERSION_ATTRIBUTE: FORMAT}, folder.lock(HIDDEN_FOLDER, LOCK_FILE), folder=folder)
+            store._write_arrays(arrays)
         except BaseException:
             folder.close()
             raise
-        return found
+        return store
 
     @classmethod
     def open_existing(cls, path: Path) -> ArchiveStore:
-        """Open an archive to resume it, and remove what a killed process has left; ArchiveError if it is locked."""
+        """Open an archive to resume it, and remove leftovers of a killed process; ArchiveError if it is locked."""
         read_root(path)
         folder, lock = open_folder(path), None
         try:
@@ -159,11 +158,11 @@ class ArchiveStore:
             if lock is None:
                 raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
             # Read again: it may have changed before it was locked.
-            found = cls(path, *read_root_in(path, folder), lock, folder=folder)
+            store = cls(path, *read_root_in(path, folder), lock, folder=folder)
             try:
-                for name in ("", HIDDEN_FOLDER, *found.arrays):
+                for name in ("", HIDDEN_FOLDER, *store.arrays):
                     folder.remove_unfinished(name)
-                found._write_arrays(found.arrays)
+                store._write_arrays(store.arrays)
             except OSError as reason:
                 raise unwritable_error(path, reason) from None
         except BaseException:
@@ -171,7 +170,7 @@ class ArchiveStore:
                 os.close(lock)
             folder.close()
             raise
-        return found
+        return store
 
     def moved(self, path: Path) -> None:
         """Rename the folder; if the target exists, close the archive and raise OSError."""
@@ -195,22 +194,22 @@ class ArchiveStore:
         if self._lock is None:
             return
         try:
-            there = self.folder.status(HIDDEN_FOLDER, self._lock_file)
+            status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
         except FileNotFoundError:
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
-        if not os.path.samestat(os.fstat(self._lock), there):
+        if not os.path.samestat(os.fstat(self._lock), status):
             raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
 
     def check_not_replaced(self) -> None:
-        """Raise ArchiveReplaced if the path of the archive leads to another folder than the one that is written."""
+        """Raise ArchiveReplaced if the path of the archive no longer leads to the folder being written."""
         if self._lock is None:
             return
         try:
-            there = os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)
+            status = os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)
         except OSError:
-            there = None
-        if there is None or not os.path.samestat(os.fstat(self._lock), there):
-            raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; what was computed is in the old one")
+            status = None
+        if status is None or not os.path.samestat(os.fstat(self._lock), status):
+            raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later.
@@ -221,21 +220,21 @@ class ArchiveStore:
         self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
-        for place, inside, outside in array.chunks_at(begin, region.shape):
-            key = chunk_file(place)
+        for indices, inside, outside in array.chunks_at(begin, region.shape):
+            key = chunk_file(indices)
             chunk = array.empty()
             if array.grows and inside[0].start > 0:
-                chunk[: inside[0].start] = self.chunk(name, place)[: inside[0].start]
+                chunk[: inside[0].start] = self.chunk(name, indices)[: inside[0].start]
             chunk[inside] = region[outside]
             self.folder.write(name, key, array.encoded(chunk))
         self._touched.add(name)
 
-    def chunk(self, name: str, place: tuple[int, ...]) -> NDArray[Any]:
+    def chunk(self, name: str, indices: tuple[int, ...]) -> NDArray[Any]:
         """Return a chunk; ArchiveError if it is missing or damaged."""
-        found = _chunk(self.path, self.folder, name, self.arrays[name], place)
-        if found is None:
-            raise missing_chunk_error(self.path, name, place)
-        return found
+        chunk = _chunk(self.path, self.folder, name, self.arrays[name], indices)
+        if chunk is None:
+            raise missing_chunk_error(self.path, name, indices)
+        return chunk
 
     def store_state(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> StoredState:
         """Write the numbers and arrays from which a run resumes; return the entry for `commit`.
@@ -249,13 +248,13 @@ class ArchiveStore:
         return StoredState(file, hashlib.sha256(raw).hexdigest(), dict(about))
 
     def commit(
-        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], kept: Iterable[StoredState | None] = ()
+        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState | None] = ()
     ) -> None:
         """Commit everything written so far, atomically.
 
         `attributes` are merged into those of the root (None removes); `lengths` are the rows along dimensions that
-        grow; all states but `kept` are removed. ArchiveReplaced: the lock file was replaced, and nothing is committed;
-        or the folder was moved, and all is committed in it. OSError: the previous commit stays valid.
+        grow; states not in `states` are removed. ArchiveReplaced: the lock file was replaced, and nothing is committed;
+        or the folder was moved, and everything is committed in it. OSError: the previous commit stays valid.
         """
         self.check_lock()
         arrays = {
@@ -270,9 +269,9 @@ class ArchiveStore:
         self.arrays, self.attributes, self._touched = arrays, merged, set()
         self.folder.sync_to_disk([""])
         self._write_arrays(changed)
-        stay = {one.file for one in kept if one is not None}
+        retained = {state.file for state in states if state is not None}
         for file in self.folder.names(HIDDEN_FOLDER):
-            if file.startswith(STATE_PREFIX) and file not in stay:
+            if file.startswith(STATE_PREFIX) and file not in retained:
                 self.folder.remove(HIDDEN_FOLDER, file)
         self.check_not_replaced()
 
@@ -284,10 +283,10 @@ class ArchiveStore:
 
 def unwritable_error(path: Path, reason: OSError) -> ArchiveError:
     """Return the error for an archive that cannot be written, raised before anything runs."""
-    return ArchiveError(f"{path}: cannot be written ({reason.strerror or reason}); what it holds stays")
+    return ArchiveError(f"{path}: cannot be written ({reason.strerror or reason}); its content is unchanged")
 
 
-def chunk_file(place: tuple[int, ...]) -> str:
+def chunk_file(indices: tuple[int, ...]) -> str:
     """Return the file name of a chunk.
 
     Examples
@@ -295,7 +294,7 @@ def chunk_file(place: tuple[int, ...]) -> str:
     >>> chunk_file((3, 0))
     'c.3.0'
     """
-    return ".".join(("c", *map(str, place)))
+    return ".".join(("c", *map(str, indices)))
 
 
 def root_content(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -355,58 +354,56 @@ def read_root_in(path: Path, folder: ArchiveFolder) -> tuple[dict[str, StoredArr
     try:
         return _arrays_of(metadata), attributes
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as reason:
-        said = f" ({in_one_line(str(reason), 200)})" if isinstance(reason, ValueError) else ""
-        raise ArchiveError(f"{path}: the arrays in {ROOT_FILE} are damaged{said}") from None
+        problem = f" ({in_one_line(str(reason), 200)})" if isinstance(reason, ValueError) else ""
+        raise ArchiveError(f"{path}: the arrays in {ROOT_FILE} are damaged{problem}") from None
 
 
 def _reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    table = dict(pairs)
+    if len(table) < len(pairs):
         raise ValueError("a name is given twice")
-    return found
+    return table
 
 
 def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
     """Parse the metadata of all arrays; ValueError unless they are what `StoredArray.metadata` returns."""
     if len(metadata) > MAX_ARRAYS:
         raise ValueError(f"{len(metadata)} arrays")
-    found, rows = {}, set()
-    for name, each in metadata.items():
-        if name == HIDDEN_FOLDER and each["node_type"] == "group":
+    arrays, rows = {}, set()
+    for name, entry in metadata.items():
+        if name == HIDDEN_FOLDER and entry["node_type"] == "group":
             continue
         # The name becomes a path: allow only identifiers.
         if not name.isidentifier() or len(name.encode()) > MAX_NAME_LENGTH:
             raise ValueError(f"an array is called {short(name)}, which is no plain name")
-        array = StoredArray.of_metadata(each)
-        if array.metadata() != each:
+        array = StoredArray.of_metadata(entry)
+        if array.metadata() != entry:
             raise ValueError(f"the metadata of {short(name)} are not those that the library writes")
         array.check()
-        found[name] = array
+        arrays[name] = array
         rows |= {array.shape[0]} if array.grows else set()
     if len(rows) > 1:
         raise ValueError(f"arrays over time have the lengths {short(sorted(rows))}")
-    return found
+    return arrays
 
 
-def missing_chunk_error(path: Path, name: str, place: tuple[int, ...]) -> ArchiveError:
+def missing_chunk_error(path: Path, name: str, indices: tuple[int, ...]) -> ArchiveError:
     """Return the error for a chunk that was committed and is missing."""
-    return ArchiveError(
-        f"{path}: {name}/{chunk_file(place)} is missing, though the archive was committed with it; restore the file"
-    )
+    return ArchiveError(f"{path}: {name}/{chunk_file(indices)} is missing, although it was committed; restore the file")
 
 
 def _chunk(
-    path: Path, folder: ArchiveFolder, name: str, array: StoredArray, place: tuple[int, ...]
+    path: Path, folder: ArchiveFolder, name: str, array: StoredArray, indices: tuple[int, ...]
 ) -> NDArray[Any] | None:
     """Return a chunk, or None if it is missing."""
-    file = chunk_file(place)
+    file = chunk_file(indices)
     try:
         return array.decoded(folder.read(name, file, array.max_encoded_bytes))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as reason:
-        said = getattr(reason, "strerror", None) or reason
-        raise ArchiveError(f"{path}: {name}/{file} cannot be read ({said})") from None
+        problem = getattr(reason, "strerror", None) or reason
+        raise ArchiveError(f"{path}: {name}/{file} cannot be read ({problem})") from None
 
 
 def read_array(
@@ -421,38 +418,38 @@ def read_array(
     Chunks for which `may_be_missing` (of the chunk indices) is true are NaN if missing; any other missing or damaged
     chunk raises ArchiveError.
     """
-    chosen = tuple(map(range, array.shape)) if part is None else tuple(part)
-    found = np.empty(tuple(map(len, chosen)), dtype=object if array.kind == "string" else array.kind)
+    ranges = tuple(map(range, array.shape)) if part is None else tuple(part)
+    values = np.empty(tuple(map(len, ranges)), dtype=object if array.kind == "string" else array.kind)
     with open_folder(path) as folder:
-        for place, inside, outside in array.chunks_in(chosen):
-            chunk = _chunk(path, folder, name, array, place)
+        for indices, inside, outside in array.chunks_in(ranges):
+            chunk = _chunk(path, folder, name, array, indices)
             if chunk is None:
-                if may_be_missing is None or not may_be_missing(place):
-                    raise missing_chunk_error(path, name, place)
+                if may_be_missing is None or not may_be_missing(indices):
+                    raise missing_chunk_error(path, name, indices)
                 chunk = array.empty()
-            found[outside] = chunk[inside]
-    return found
+            values[outside] = chunk[inside]
+    return values
 
 
-def read_state(path: Path, kept: StoredState) -> dict[str, NDArray[Any]]:
+def read_state(path: Path, state: StoredState) -> dict[str, NDArray[Any]]:
     """Return the numbers and arrays of `ArchiveStore.store_state`; ArchiveError if the file is missing or was
     changed.
     """
-    if not (kept.file.startswith(STATE_PREFIX) and kept.file.replace("-", "_").replace(".", "_").isidentifier()):
-        raise ArchiveError(f"{path}: a state is called {short(kept.file)}, which is no plain name")
+    if not (state.file.startswith(STATE_PREFIX) and state.file.replace("-", "_").replace(".", "_").isidentifier()):
+        raise ArchiveError(f"{path}: a state is called {short(state.file)}, which is no plain name")
     try:
         with open_folder(path) as folder:
-            raw = folder.read(HIDDEN_FOLDER, kept.file)
+            raw = folder.read(HIDDEN_FOLDER, state.file)
     except FileNotFoundError:
-        raise ArchiveMoved(f"{path}: the state {kept.file} is missing") from None
+        raise ArchiveMoved(f"{path}: the state {state.file} is missing") from None
     except OSError as reason:
-        raise ArchiveError(f"{path}: the state {kept.file} cannot be read ({reason.strerror})") from None
-    if hashlib.sha256(raw).hexdigest() != kept.digest:
-        raise ArchiveError(f"{path}: the state {kept.file} is damaged: its check sum does not match")
+        raise ArchiveError(f"{path}: the state {state.file} cannot be read ({reason.strerror})") from None
+    if hashlib.sha256(raw).hexdigest() != state.digest:
+        raise ArchiveError(f"{path}: the state {state.file} is damaged: its checksum does not match")
     try:
         return deserialize_numbers(raw)
     except ValueError as reason:
-        raise ArchiveError(f"{path}: the state {kept.file} is damaged ({reason})") from None
+        raise ArchiveError(f"{path}: the state {state.file} is damaged ({reason})") from None
 
 
 def _json(content: Mapping[str, Any]) -> bytes:

@@ -1,17 +1,20 @@
-"""Arrays of an archive and their encoding: Zarr format 3, in chunks, readable by any Zarr reader.
+"""Encoding of archives: arrays in chunks of Zarr format 3, readable by any Zarr reader, and states as NumPy files.
 
-An array that grows does so along its first dimension; chunks are always stored whole, padded with `FILL`. Numbers use
-the codecs bytes, blosc and crc32c; names use vlen-utf8.
+An array that grows does so along its first dimension; chunks are stored complete, padded with `FILL`. Numbers use the
+codecs bytes, blosc and crc32c; names use vlen-utf8.
 """
 
 from __future__ import annotations
 
+import io
 import itertools
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
@@ -33,7 +36,7 @@ ITEM_BYTES = 8
 BLOSC_HEADER_BYTES = 16
 """Bytes of the Blosc header, by which a compressed chunk may exceed its data."""
 CHECKSUM_BYTES = 4
-"""Bytes of the check sum of a chunk."""
+"""Bytes of the checksum of a chunk."""
 
 
 class StoredArray(NamedTuple):
@@ -103,7 +106,7 @@ class StoredArray(NamedTuple):
         if self.grows:
             longest[0] = MAX_READ_ROWS
         row = ITEM_BYTES * prod(longest[int(self.grows) :])
-        if any(size > most for size, most in zip(self.chunk, longest, strict=True)) or (
+        if any(size > limit for size, limit in zip(self.chunk, longest, strict=True)) or (
             ITEM_BYTES * prod(self.chunk) > max(CHUNK_BYTES, row)
         ):
             raise ValueError(f"the chunk is {short(self.chunk)}, which is too large for the shape {short(self.shape)}")
@@ -127,15 +130,15 @@ class StoredArray(NamedTuple):
     def chunks_in(self, part: Sequence[range]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
         """Yield the chunks that intersect ascending ranges of entries: indices, and slices of chunk and part."""
         along = [range(r[0] // c, r[-1] // c + 1) if r else range(0) for r, c in zip(part, self.chunk, strict=True)]
-        for place in itertools.product(*along):
+        for indices in itertools.product(*along):
             inside, outside = [], []
-            for k, r, c in zip(place, part, self.chunk, strict=True):
+            for k, r, c in zip(indices, part, self.chunk, strict=True):
                 low, high = (-(-(end - r.start) // r.step) for end in (k * c, (k + 1) * c))
                 low, high = max(low, 0), min(high, len(r))
                 outside.append(slice(low, high))
                 inside.append(slice(r.start + low * r.step - k * c, r.start + (high - 1) * r.step + 1 - k * c, r.step))
-            if all(one.start < one.stop for one in outside):
-                yield place, tuple(inside), tuple(outside)
+            if all(slice_.start < slice_.stop for slice_ in outside):
+                yield indices, tuple(inside), tuple(outside)
 
     def empty(self) -> NDArray[Any]:
         """Return a chunk of fill values."""
@@ -152,15 +155,15 @@ class StoredArray(NamedTuple):
         else:
             content = np.ascontiguousarray(chunk, dtype=np.dtype(self.kind).newbyteorder("<")).tobytes()
             if self.kind != "bool":
-                whole = np.frombuffer(content, dtype="<i8")
-                content = bytes(Blosc(BLOSC["cname"], BLOSC["clevel"], Blosc.SHUFFLE).encode(whole))
+                words = np.frombuffer(content, dtype="<i8")
+                content = bytes(Blosc(BLOSC["cname"], BLOSC["clevel"], Blosc.SHUFFLE).encode(words))
         return content + _sum_of(content)
 
     def decoded(self, content: bytes) -> NDArray[Any]:
         """Decode a chunk; ValueError if it is damaged."""
         content, declared = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
         if _sum_of(content) != declared:
-            raise ValueError("a chunk of the archive is damaged: its check sum does not match")
+            raise ValueError("a chunk of the archive is damaged: its checksum does not match")
         if self.kind == "string":
             return np.array(decode_texts(content, prod(self.chunk)), dtype=object).reshape(self.chunk)
         kind = np.dtype(self.kind).newbyteorder("<")
@@ -179,8 +182,8 @@ def decompress(content: bytes, length: int) -> bytes:
     from numcodecs import Blosc
 
     # Header: versions, flags, item size; lengths of the content, of a block, and of the compressed data.
-    held, packed = (int.from_bytes(content[at : at + 4], "little") for at in (4, 12))
-    if len(content) < BLOSC_HEADER_BYTES or held != length or packed != len(content):
+    declared, declared_packed = (int.from_bytes(content[offset : offset + 4], "little") for offset in (4, 12))
+    if len(content) < BLOSC_HEADER_BYTES or declared != length or declared_packed != len(content):
         raise ValueError("a chunk of the archive is damaged: its header contradicts its length")
     try:
         return bytes(Blosc().decode(content))
@@ -190,16 +193,16 @@ def decompress(content: bytes, length: int) -> bytes:
 
 def decode_texts(content: bytes, count: int) -> list[str]:
     """Decode a known number of vlen-utf8 texts; ValueError if they are damaged."""
-    found, at = [], 4
+    texts, end = [], 4
     if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
         raise ValueError("a chunk of the archive is damaged: it has another number of texts")
     for _ in range(count):
-        begin = at + 4
-        at = begin + int.from_bytes(content[at:begin], "little")
-        found.append(content[begin:at].decode("utf-8"))
-    if at != len(content):
+        begin = end + 4
+        end = begin + int.from_bytes(content[end:begin], "little")
+        texts.append(content[begin:end].decode("utf-8"))
+    if end != len(content):
         raise ValueError("a chunk of the archive is damaged: its texts have other lengths")
-    return found
+    return texts
 
 
 def _sum_of(content: bytes) -> bytes:
@@ -224,8 +227,8 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[
         chunk[0] = rows
     for axis in range(int(grows), len(chunk)):
         # Split leading axes first: those of members.
-        over = max(1, -(-8 * prod(chunk) // CHUNK_BYTES))
-        chunk[axis] = max(1, -(-chunk[axis] // over))
+        pieces = max(1, -(-8 * prod(chunk) // CHUNK_BYTES))
+        chunk[axis] = max(1, -(-chunk[axis] // pieces))
     return tuple(max(1, size) for size in chunk)
 
 
@@ -240,3 +243,52 @@ def rows_of_chunk(numbers: int, most: int) -> int:
     (65536, 1024, 1)
     """
     return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS, max(MIN_CHUNK_ROWS, most)))
+
+
+NPY_SUFFIX = ".npy"
+MAX_NPY_AXES = 8
+
+
+def serialize_numbers(numbers: Mapping[str, Any]) -> bytes:
+    """Serialize numbers and arrays."""
+    content = io.BytesIO()
+    np.savez(content, **{name: np.asarray(value) for name, value in numbers.items()})  # type: ignore[arg-type]
+    return content.getvalue()
+
+
+def deserialize_numbers(raw: bytes) -> dict[str, NDArray[Any]]:
+    """Deserialize the arrays of `serialize_numbers`; ValueError if they are damaged, compressed, or longer than their
+    bytes.
+
+    Examples
+    --------
+    >>> deserialize_numbers(serialize_numbers({"step": 3}))
+    {'step': array(3)}
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            files = archive.infolist()
+            if any(file.compress_type != zipfile.ZIP_STORED or file.flag_bits & 1 for file in files):
+                raise ValueError("it is compressed or encrypted")
+            if sum(file.file_size for file in files) > len(raw):
+                raise ValueError("its entries are longer than the file")
+            return {file.filename.removesuffix(NPY_SUFFIX): _array_from(archive.read(file)) for file in files}
+    except ValueError:
+        raise
+    except Exception as reason:  # zip and npy readers raise arbitrary errors for damaged bytes
+        raise ValueError(f"{type(reason).__name__} while it was read") from reason
+
+
+def _array_from(raw: bytes) -> NDArray[Any]:
+    content = io.BytesIO(raw)
+    version = npy.read_magic(content)
+    if version != (1, 0):
+        raise ValueError("it holds an array of an unknown version")
+    shape, by_columns, dtype = npy.read_array_header_1_0(content)
+    count = prod(shape)
+    if dtype.kind not in "biuf" or min(shape, default=0) < 0 or len(shape) > MAX_NPY_AXES:
+        raise ValueError("it contains an array that is not of numbers")
+    if count * dtype.itemsize != len(raw) - content.tell():
+        raise ValueError("it contains an array whose length contradicts its shape")
+    array = np.frombuffer(raw, dtype, count, content.tell())
+    return array.reshape(shape, order="F" if by_columns else "C").copy(order="K")

@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from coadjoint import systems
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.files.configuration.construction import ConfigurationError, method_of_file, section, system_of_file
-from coadjoint.files.configuration.error_collector import ErrorCollector, join_messages
-from coadjoint.files.configuration.initial_states import initial_state
-from coadjoint.files.configuration.named_states import check_named, state_by_name
-from coadjoint.files.configuration.parsing import parse_toml, read_utf8
-from coadjoint.files.configuration.partial_parsing import ValidTables, valid_tables
-from coadjoint.files.configuration.polynomials import parse_polynomial
-from coadjoint.files.configuration.sweeps import Sweep, read_sweep
-from coadjoint.files.configuration.swept_members import swept_states, swept_system
+from coadjoint.files.configuration.construction import (
+    ConfigurationError,
+    ErrorCollector,
+    join_messages,
+    method_of_file,
+    parse_polynomial,
+    section,
+    system_of_file,
+)
+from coadjoint.files.configuration.initial_states import check_named, initial_state, state_by_name
+from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
+from coadjoint.files.configuration.sweeps import Sweep, read_sweep, swept_states, swept_system
 from coadjoint.files.datasets.content_checksum import CHECKSUM
 from coadjoint.files.datasets.variables import ExtraMetadata, Variables, over_members
 from coadjoint.files.records.stored_events import event_of_file
@@ -136,7 +139,7 @@ class Configuration:
         self.check_memory()
         # `load` has validated the rest; errors here come from the preparation of the scheme.
         with section(self.path, "method"):
-            found = integrate(
+            solution = integrate(
                 self.system,
                 self.x0,
                 self.t_span,
@@ -151,7 +154,7 @@ class Configuration:
                 threads=self.threads,
                 progress=progress,
             )
-        return with_choice(found, self.choice)
+        return with_choice(solution, self.choice)
 
     def ready(self) -> PreparedRun:
         """Return the prepared run.
@@ -179,22 +182,22 @@ class Configuration:
 
         if archive is not None:
             check_archived(self.path, self.t_eval, self.events)
-        ready = self.ready()
-        about = ExtraMetadata(self.swept_coordinates(), {CONFIGURATION: self.text})
+        prepared = self.ready()
+        metadata = ExtraMetadata(self.swept_coordinates(), {CONFIGURATION: self.text})
         if self.workers is not None:
             from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
 
             pool = read_worker_pool(None, self.workers, self.threads)
-            given = ready, self.x0, self.t_span, self.save_every, archive, pool
-            return with_choice(run_in_blocks(*given, progress=progress, about=about), self.choice)
+            arguments = prepared, self.x0, self.t_span, self.save_every, archive, pool
+            return with_choice(run_in_blocks(*arguments, progress=progress, about=metadata), self.choice)
         assert archive is not None
-        run = ready, self.x0, self.t_span, self.save_every, archive
-        return with_choice(archive_run(*run, progress=progress, about=about), self.choice)
+        arguments_of_run = prepared, self.x0, self.t_span, self.save_every, archive
+        return with_choice(archive_run(*arguments_of_run, progress=progress, about=metadata), self.choice)
 
     def check_memory(self) -> None:
         """Raise ConfigurationError if the saved states do not fit in memory."""
-        every = times_of(self.t_span, self.step, self.save_every).points
-        points = every if self.t_eval is None else 2 * len(self.t_eval)
+        points_saved = times_of(self.t_span, self.step, self.save_every).points
+        points = points_saved if self.t_eval is None else 2 * len(self.t_eval)
         start = start_of(self.system, effective_scheme(self.system, self.method), self.x0, self.attitude)
         first = self.system[0] if isinstance(self.system, Batch) else self.system
         numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
@@ -206,7 +209,7 @@ class Configuration:
             )
 
     def dataset(self, solution: Solution) -> xarray.Dataset:
-        """Return a solution of this configuration as a dataset, the text of the file among its attributes.
+        """Return a solution of this configuration as a dataset, with the text of the file as an attribute.
 
         Settings of a sweep are coordinates along the members, such as ``swept_inertia_2``.
 
@@ -219,9 +222,9 @@ class Configuration:
         -------
         xarray.Dataset
         """
-        found = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
-        found.attrs.pop(CHECKSUM, None)  # it does not cover the additions
-        return found.assign_coords(self.swept_coordinates())
+        dataset = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
+        dataset.attrs.pop(CHECKSUM, None)  # it does not cover the additions
+        return dataset.assign_coords(self.swept_coordinates())
 
     def swept_coordinates(self) -> Variables:
         """Return the settings of a sweep as variables over the members."""
@@ -231,11 +234,11 @@ class Configuration:
 def system_of_text(text: str) -> Any:
     """Return the system of a configuration from the text of its file, as stored with a result."""
     name = "the configuration of this run"
-    wrong = ErrorCollector(name)
-    found, sweep = _parse_tables(name, parse_toml(name, text), wrong)
-    wrong.raise_collected()
-    assert found.file is not None
-    return _system(name, found.file, sweep)
+    errors = ErrorCollector(name)
+    tables, sweep = _parse_tables(name, parse_toml(name, text), errors)
+    errors.raise_collected()
+    assert tables.file is not None
+    return _system(name, tables.file, sweep)
 
 
 def load(path: str | Path) -> Configuration:
@@ -264,24 +267,24 @@ def load(path: str | Path) -> Configuration:
     """
     need("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), read_utf8(path)
-    wrong = ErrorCollector(name)
-    return _configuration(name, text, *_parse_tables(name, parse_toml(name, text), wrong), wrong)
+    errors = ErrorCollector(name)
+    return _configuration(name, text, *_parse_tables(name, parse_toml(name, text), errors), errors)
 
 
-def _parse_tables(name: str, raw: Mapping[str, Any], wrong: ErrorCollector) -> tuple[ValidTables, Sweep | None]:
+def _parse_tables(name: str, raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[ValidTables, Sweep | None]:
     """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
     from coadjoint.files.configuration.models import SweepOnly
 
     sweep: Sweep | None = None
     if "sweep" in raw:
-        given, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
-        with wrong.collect():
-            made = read_sweep(name, given, _checked(name, SweepOnly, given).sweep)
-            sweep, raw = made, made.member_tables(0)
-    found = valid_tables(raw)
-    for messages in (*found.messages, *([] if found.has("system") else _unknown_system(raw))):
-        wrong.add(messages)
-    return found, sweep
+        raw_with_sweep, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
+        with errors.collect():
+            parsed_sweep = read_sweep(name, raw_with_sweep, _checked(name, SweepOnly, raw_with_sweep).sweep)
+            sweep, raw = parsed_sweep, parsed_sweep.member_tables(0)
+    tables = valid_tables(raw)
+    for messages in (*tables.messages, *([] if tables.has("system") else _unknown_system(raw))):
+        errors.add(messages)
+    return tables, sweep
 
 
 def _system(name: str, file: File, sweep: Sweep | None) -> Any:
@@ -305,11 +308,11 @@ def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
 def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
     """Return the error for an unknown ready-made system, to be reported together with errors of keys."""
     table = raw.get("system")
-    given = table.get("name") if isinstance(table, Mapping) else None
-    if not isinstance(given, str) or given in systems.names():
+    system_name = table.get("name") if isinstance(table, Mapping) else None
+    if not isinstance(system_name, str) or system_name in systems.names():
         return []
     try:
-        systems.get(given)
+        systems.get(system_name)
     except ValueError as error:
         return [f"system: {error}"]
     return []
@@ -341,72 +344,71 @@ def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
 
 def check_archived(name: str, t_eval: Any, events: Any) -> None:
     """Reject settings that an archive does not support; ConfigurationError with the key."""
-    for key, given in (("run.t_eval", t_eval), ("events", events or None)):
-        if given is not None:
-            messages = (
-                "an archive keeps every save_every-th step, and looks for no events; leave it out, or the archive"
+    for key, value in (("run.t_eval", t_eval), ("events", events or None)):
+        if value is not None:
+            raise ConfigurationError(
+                f"{name}: {key}: an archive saves every save_every-th step and has no events; omit it, or the archive"
             )
-            raise ConfigurationError(f"{name}: {key}: {messages}")
 
 
 def _configuration(
-    name: str, text: str, found: ValidTables, sweep: Sweep | None, wrong: ErrorCollector
+    name: str, text: str, tables: ValidTables, sweep: Sweep | None, errors: ErrorCollector
 ) -> Configuration:
     from coadjoint.files.configuration.models import File as Tables
 
-    file = found.file
+    file = tables.file
     if file is None:
-        wrong.raise_collected()
+        errors.raise_collected()
     assert file is not None
     system: Any = None
     method: Any = None
     x0: Any = None
-    step, choice, checked = file.run.step, None, partial(_checked, name, Tables)
-    if found.has_system:
-        with wrong.collect():
-            if found.has("initial"):
+    step, choice, check_tables = file.run.step, None, partial(_checked, name, Tables)
+    if tables.has_system:
+        with errors.collect():
+            if tables.has("initial"):
                 check_named(name, file)
             system = _system(name, file, sweep)
     if file.output.archive is not None:
-        with wrong.collect():
+        with errors.collect():
             check_archived(name, file.run.t_eval, file.events)
     # Checks that need a system are skipped without one; scheme and times are independent.
-    with wrong.collect():
+    with errors.collect():
         method = _method(name, file, system)
         if system is not None:
             with section(name, "method"):
                 check_supports(system[0] if isinstance(system, Batch) else system, method)
-    if step is not None and found.has("run"):
-        with wrong.collect():
+    if step is not None and tables.has("run"):
+        with errors.collect():
             _check_times(name, file, system, step)
-    if system is not None and found.has("initial"):
-        with wrong.collect():
+    if system is not None and tables.has("initial"):
+        with errors.collect():
             x0 = (
                 state_by_name(name, file.initial, system)
                 if sweep is None
-                else swept_states(sweep, file, system, checked)
+                else swept_states(sweep, file, system, check_tables)
             )
             with section(name, "initial.x"):
                 x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
                 momenta_of(system, x0)
     observe, events = {}, []
-    for key, written in file.observe.items() if system is not None else ():
-        with wrong.collect(), section(name, f"observe.{key}"):
+    for key, polynomial in file.observe.items() if system is not None else ():
+        with errors.collect(), section(name, f"observe.{key}"):
             if isinstance(unforced(system), MatrixSystem):
                 raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
-            observe[key] = parse_polynomial(written, system.dim)
+            observe[key] = parse_polynomial(polynomial, system.dim)
     for key, table in file.events.items() if system is not None else ():
-        with wrong.collect(), section(name, f"events.{key}"):
+        with errors.collect(), section(name, f"events.{key}"):
             events.append(event_of_file(key, table.model_dump(), system))
-    wrong.raise_collected()
+    errors.raise_collected()
     with section(name, "initial.x"):
         start_of(system, effective_scheme(system, method), x0, False)
     with section(name, "initial.attitude"):
         start_of(system, effective_scheme(system, method), x0, file.initial.attitude)
     if file.run.accuracy is not None:
         with section(name, "run.accuracy"):
-            wanted = None if file.method is None else method
-            choice = chosen_for(file.run.accuracy, system, x0, file.run.t_span, file.initial.attitude, wanted)
+            fixed_method = None if file.method is None else method
+            choice = chosen_for(file.run.accuracy, system, x0, file.run.t_span, file.initial.attitude, fixed_method)
         method, step = choice.method, choice.step
         _check_times(name, file, system, step)
     assert step is not None

@@ -1,20 +1,22 @@
-"""Construction of the system and the scheme of a configuration file."""
+"""Construction of the system and the scheme of a configuration file, and the errors of configuration files."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.bracket_parser import parse_brackets
+from coadjoint.algebra.brackets import parse_brackets
+from coadjoint.algebra.exact.numbers import TOO_LARGE, fits
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials import formulas
+from coadjoint.algebra.polynomials.formula_parser import Monomials, too_high
+from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.configuration.polynomials import parse_polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
@@ -26,6 +28,43 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_choice
+
+
+def parse_polynomial(source: Any, dim: int) -> Polynomial:
+    """Parse a polynomial in `dim` coordinates, as text or as a list of terms ``[coefficient, [exponent of x1, ...]]``.
+
+    The degree is at most 1024, and coefficients must fit in float64.
+
+    Examples
+    --------
+    >>> parse_polynomial("0.5*x1^2 - x2*x3", 3)
+    0.5*x1^2 - x2*x3
+    >>> parse_polynomial([[0.5, [2, 0, 0]], [-1, [0, 1, 1]]], 3)
+    0.5*x1^2 - x2*x3
+    """
+    if isinstance(source, str):
+        return formulas.parse_polynomial(source, dim)
+    if not isinstance(source, list):
+        raise TypeError(f"a polynomial is text such as '0.5*x1^2 + x2*x3' or a list of terms, not {short(source)}")
+    total = Monomials(dim)
+    for term in source:
+        if not (isinstance(term, list) and len(term) == 2 and isinstance(term[1], list)):
+            raise TypeError(f"{short(term)} is not a term; write [coefficient, [exponents]], such as [0.5, [2, 0, 0]]")
+        coefficient, exponents = term
+        if len(exponents) != dim:
+            raise ValueError(f"the term {short(term)} has {len(exponents)} exponents; the system has {dim} coordinates")
+        for exponent in exponents:
+            if type(exponent) is not int:
+                raise TypeError(f"the term {short(term)} has the exponent {short(exponent)}; give whole numbers")
+        degree = sum(exponents)
+        if degree > MAX_DEGREE:
+            raise too_high(f"the term {short(term)}", degree)
+        if type(coefficient) is int and not fits(coefficient):
+            raise ValueError(f"a coefficient {TOO_LARGE}")
+        for key, value in Polynomial({tuple(exponents): coefficient}).monomials.items():
+            total.add(key, value)
+    return total.polynomial()
+
 
 MAX_LENGTH = 300
 BYTES_PER_COORDINATE = 400
@@ -62,14 +101,14 @@ def section(name: str, key: str) -> Iterator[None]:
     except ConfigurationError:
         raise
     except (ValueError, TypeError) as reason:
-        said, cause = str(reason), reason
+        problem, cause = str(reason), reason
     except ArithmeticError as reason:
-        said, cause = f"a number is too large, or too small, to compute with ({reason})", reason
+        problem, cause = f"a number is too large, or too small, to compute with ({reason})", reason
     except RecursionError as reason:
-        said, cause = "lists or tables are nested too deeply; nest less", reason
+        problem, cause = "lists or tables are nested too deeply; nest less", reason
     except MemoryError as reason:
-        said, cause = "does not fit into memory; take something smaller", reason
-    raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(said, MAX_LENGTH)}") from cause
+        problem, cause = "does not fit into memory; take something smaller", reason
+    raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(problem, MAX_LENGTH)}") from cause
 
 
 def system_of_file(name: str, file: File) -> System | ForcedSystem:
@@ -86,16 +125,14 @@ def _hamiltonian_part(name: str, file: File) -> System:
     if (file.system is None) == (file.algebra is None):
         raise ConfigurationError(f"{name}: give either [system], a ready-made one, or [algebra] with [hamiltonian]")
     if file.system is not None:
-        from coadjoint.files.configuration.error_collector import ErrorCollector
-
-        wrong = ErrorCollector(name)
+        errors = ErrorCollector(name)
         for key in ("name", "sign", "hamiltonian", "casimirs"):
             if getattr(file, key) is not None:
-                wrong.add(f"{key}: belongs to [algebra]; the system {file.system.name!r} has its own")
-        with wrong.collect():
-            made = _ready_made(name, file.system.name, file.system.parameters)
-        wrong.raise_collected()
-        return made
+                errors.add(f"{key}: belongs to [algebra]; the system {file.system.name!r} has its own")
+        with errors.collect():
+            system = _ready_made(name, file.system.name, file.system.parameters)
+        errors.raise_collected()
+        return system
     if file.hamiltonian is None:
         raise ConfigurationError(f"{name}: hamiltonian: is missing; give it with [algebra]")
     assert file.algebra is not None
@@ -104,10 +141,10 @@ def _hamiltonian_part(name: str, file: File) -> System:
     algebra = _algebra(name, file.algebra)
     hamiltonian = _hamiltonian(name, file.hamiltonian, algebra)
     casimirs: dict[str, Polynomial] | None = None if file.casimirs is None else {}
-    for key, written in (file.casimirs or {}).items():
+    for key, polynomial in (file.casimirs or {}).items():
         assert casimirs is not None
         with section(name, f"casimirs.{key}"):
-            casimirs[key] = parse_polynomial(written, algebra.dim)
+            casimirs[key] = parse_polynomial(polynomial, algebra.dim)
     with section(name, "casimirs"):
         LiePoissonSystem(algebra, 0 * Polynomial.variable(0, algebra.dim), casimirs=casimirs)
     with section(name, "hamiltonian"):
@@ -120,11 +157,11 @@ def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System
     from coadjoint.systems.registry import ready_made_systems
 
     with section(name, "system"):
-        builder = ready_made_systems()[read_choice(system, "system", ready_made_systems())]
-    known = inspect.signature(builder).parameters
+        make = ready_made_systems()[read_choice(system, "system", ready_made_systems())]
+    parameter_names = inspect.signature(make).parameters
     for key in parameters:
-        if key not in known:
-            raise ConfigurationError(f"{name}: system.parameters.{key}: {unknown_key(key, known)}")
+        if key not in parameter_names:
+            raise ConfigurationError(f"{name}: system.parameters.{key}: {unknown_key(key, parameter_names)}")
     with section(name, "system"):
         return systems.get(system, **parameters)
 
@@ -135,10 +172,10 @@ def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
 
     scheme = table.get("name")
     if isinstance(scheme, str) and scheme in registry.names():
-        known = registry.parameters_of(scheme)
+        parameter_names = registry.parameters_of(scheme)
         for key in table:
-            if key not in known and key not in ("name", "parameters"):
-                raise ConfigurationError(f"{name}: method.{key}: {unknown_key(key, known)}")
+            if key not in parameter_names and key not in ("name", "parameters"):
+                raise ConfigurationError(f"{name}: method.{key}: {unknown_key(key, parameter_names)}")
     with section(name, "method"):
         return registry.from_description(table)
 
@@ -157,13 +194,13 @@ def _check_dimension(name: str, table: AlgebraTable, states: Any) -> None:
 
 
 def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
-    own = table.brackets is not None
+    has_brackets = table.brackets is not None
     for key in ("dim", "basis"):
-        if getattr(table, key) is not None and not own:
+        if getattr(table, key) is not None and not has_brackets:
             raise ConfigurationError(
                 f"{name}: algebra.brackets: is missing; give it with {key}, or a name of the catalogue"
             )
-    if not own:
+    if not has_brackets:
         if table.name is None:
             raise ConfigurationError(f"{name}: algebra.name: is missing; give it, or brackets with dim or basis")
         if "name" in table.parameters:
@@ -203,3 +240,76 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
         return as_hamiltonian(
             Quadratic(M, linear=table.linear, constant=constant), algebra.dim, algebra.name or "the algebra"
         )
+
+
+MAX_REPORTED = 4
+MAX_LINES = 20
+MAX_LINE_LENGTH = 360  # of a joined message, without file name and separators
+
+
+class ErrorCollector:
+    """Collector of errors in the sections of the file `name`.
+
+    Examples
+    --------
+    >>> errors = ErrorCollector("run.toml")
+    >>> with errors.collect():
+    ...     raise ConfigurationError("run.toml: run.step: step is 0")
+    >>> with errors.collect():
+    ...     raise ConfigurationError("run.toml: initial.x: has 2 components")
+    >>> errors.raise_collected()
+    Traceback (most recent call last):
+    ...
+    coadjoint.files.configuration.construction.ConfigurationError: run.toml: run.step: step is 0; and initial.x: has 2
+    ...
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._errors: list[ConfigurationError] = []
+
+    @contextmanager
+    def collect(self) -> Iterator[None]:
+        """Collect an error raised inside, and continue."""
+        try:
+            yield
+        except ConfigurationError as error:
+            self._errors.append(error)
+
+    def add(self, message: str) -> None:
+        """Add an error: key and reason."""
+        self._errors.append(ConfigurationError(f"{self._name}: {message}"))
+
+    @property
+    def none(self) -> bool:
+        """Whether there are no errors."""
+        return not self._errors
+
+    def raise_collected(self) -> None:
+        """Raise the collected errors: a single one unchanged, several joined in one line, with `error_lines`."""
+        if not self._errors:
+            return
+        lines = list(dict.fromkeys(line for error in self._errors for line in error.error_lines or (str(error),)))
+        if len(lines) == 1:
+            raise self._errors[0]
+        joined = join_messages([line.removeprefix(f"{self._name}: ") for line in lines])
+        error = ConfigurationError(f"{self._name}: {joined}")
+        omitted = len(lines) - MAX_LINES
+        error.error_lines = (*lines[:MAX_LINES], *([f"{self._name}: {omitted} more"] if omitted > 0 else []))
+        raise error from self._errors[0].__cause__
+
+
+def join_messages(messages: Sequence[str]) -> str:
+    """Join messages in one line, each truncated; of those beyond the fourth, only the number is given.
+
+    Examples
+    --------
+    >>> join_messages(["run.step: is missing; give it", "initial.x[1]: must be a number, not 'a'"])
+    "run.step: is missing; give it; and initial.x[1]: must be a number, not 'a'"
+    """
+    unique = list(dict.fromkeys(messages))
+    if len(unique) == 1:
+        return unique[0]
+    reported, omitted = unique[:MAX_REPORTED], len(unique) - MAX_REPORTED
+    lines = [in_one_line(message, MAX_LINE_LENGTH // len(reported)) for message in reported]
+    return "; and ".join([*lines, *([f"{omitted} more"] if omitted > 0 else [])])

@@ -35,28 +35,10 @@ LABEL_WIDTH = 14
 class Plan:
     """Description and cost of the run of a configuration file.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The validated file.
-    dim, members : int
-        Coordinates of a state (entries of a matrix), and number of states.
-    properties : Properties
-        Conservation properties of the scheme.
-    steps, points : int
-        Steps of the run, and states that are saved.
-    memory : int
-        Memory of the run in bytes; an archived run needs less.
-    written : int or None
-        Size of the dataset in bytes, uncompressed; None if xarray is not installed.
-    ready : float
-        Preparation time of the run in seconds.
-    seconds : float or None
-        Estimated duration of the run in seconds; None if the trial failed.
-    tried : int
-        Steps of the trial.
-    failed : str
-        Reason why the trial failed, or empty.
+    `dim` and `members` are the size of a state and the number of states; `points` is the number of saved states;
+    `memory` is in bytes (an archived run needs less), and so is `written`, the size of the dataset before compression
+    (None if unknown). `preparation_seconds` is measured; `seconds` is estimated from a trial of `tried` steps, None if
+    the trial failed for the reason `failed`.
     """
 
     configuration: Configuration
@@ -67,24 +49,24 @@ class Plan:
     points: int
     memory: int
     written: int | None
-    ready: float
+    preparation_seconds: float
     seconds: float | None
     tried: int
     failed: str = ""
 
     def __str__(self) -> str:
-        return "\n".join(f"{name:{LABEL_WIDTH}}{said}" for name, said in self._lines())
+        return "\n".join(f"{name:{LABEL_WIDTH}}{text}" for name, text in self._lines())
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         run = self.configuration
-        one = run.system[0] if isinstance(run.system, Batch) else run.system
-        many = f"; {len(run.system)} systems, one for each member" if isinstance(run.system, Batch) else ""
-        yield "system", f"{one.name}, dimension {self.dim}{many}"
+        system = run.system[0] if isinstance(run.system, Batch) else run.system
+        batch_text = f"; {len(run.system)} systems, one for each member" if isinstance(run.system, Batch) else ""
+        yield "system", f"{system.name}, dimension {self.dim}{batch_text}"
         yield "members", f"{self.members}"
         if run.swept:
             yield "swept", in_one_line(", ".join(run.swept), 200)
-        chosen = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
-        yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {run.method.order}{chosen}"
+        choice_text = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
+        yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {run.method.order}{choice_text}"
         yield "keeps", conserved_quantities(self.properties)
         start, end = run.t_span
         size = abs(end - start) / self.steps if self.steps else run.step
@@ -92,27 +74,26 @@ class Plan:
         yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
         yield "memory", f"{format_size(self.memory)}, {format_bytes(available())} are free"
         if self.written is None:
-            without = "xarray is not installed, so that nothing can be written"
-            yield "output", "not known: the trial failed" if self.failed else without
+            no_package = "xarray is not installed, so that nothing can be written"
+            yield "output", "not known: the trial failed" if self.failed else no_package
         else:
             yield "output", f"{format_size(self.written)} before compression{self._output_lines()}"
         if self.seconds is None:
             yield "time", f"not known: the trial failed ({in_one_line(self.failed, 200)})"
         else:
-            tried = "all its" if self.tried == self.steps else f"{self.tried} of its"
-            shared = "" if run.workers is None else f", in one process; {run.workers} workers share it"
+            trial_text = "all its" if self.tried == self.steps else f"{self.tried} of its"
+            workers_text = "" if run.workers is None else f", in one process; {run.workers} workers share it"
+            total, preparation = self.preparation_seconds + self.seconds, format_duration(self.preparation_seconds)
             yield (
                 "time",
-                (
-                    f"about {format_duration(self.ready + self.seconds)}{shared}; estimated from a trial of {tried} "
-                    f"steps, {format_duration(self.ready)} of it to make it ready"
-                ),
+                f"about {format_duration(total)}{workers_text}; estimated from a trial of {trial_text} steps, "
+                f"{preparation} of it for preparation",
             )
 
     def _output_lines(self) -> str:
         run = self.configuration
-        places = [place for place in (run.archive, run.output, run.figure, run.movie) if place is not None]
-        return f"; to {', '.join(places)}" if places else "; the file names no place for it"
+        paths = [path for path in (run.archive, run.output, run.figure, run.movie) if path is not None]
+        return f"; to {', '.join(paths)}" if paths else "; the file names no output"
 
 
 def conserved_quantities(properties: Properties) -> str:
@@ -123,15 +104,19 @@ def conserved_quantities(properties: Properties) -> str:
     >>> conserved_quantities(Properties(poisson=True, energy=False, casimirs="all", attitude="none"))
     'Poisson bracket, all Casimirs; not the energy'
     """
-    found = ["Poisson bracket"] if properties.poisson else []
-    found += ["energy"] if properties.energy else []
+    conserved = ["Poisson bracket"] if properties.poisson else []
+    conserved += ["energy"] if properties.energy else []
     if properties.casimirs != "none":
-        found.append("all Casimirs" if properties.casimirs == "all" else f"{properties.casimirs} Casimirs")
-    lost = [what for what, has in (("Poisson bracket", properties.poisson), ("energy", properties.energy)) if not has]
-    lost += [] if properties.casimirs != "none" else ["Casimirs"]
-    missing = f"not the {' and the '.join(lost)}" if lost else ""
-    broken = f"broken by forces ({', '.join(properties.broken_by)})" if properties.broken_by else ""
-    return "; ".join(part for part in (", ".join(found), missing, broken) if part)
+        conserved.append("all Casimirs" if properties.casimirs == "all" else f"{properties.casimirs} Casimirs")
+    not_conserved = [
+        what
+        for what, is_conserved in (("Poisson bracket", properties.poisson), ("energy", properties.energy))
+        if not is_conserved
+    ]
+    not_conserved += [] if properties.casimirs != "none" else ["Casimirs"]
+    not_conserved_text = f"not the {' and the '.join(not_conserved)}" if not_conserved else ""
+    broken_text = f"broken by forces ({', '.join(properties.broken_by)})" if properties.broken_by else ""
+    return "; ".join(part for part in (", ".join(conserved), not_conserved_text, broken_text) if part)
 
 
 def format_size(count: int) -> str:
@@ -179,76 +164,76 @@ def plan(configuration: Configuration) -> Plan:
     ... '''
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = Path(folder, "body.toml").write_text(lines)
-    ...     found = plan(load(f"{folder}/body.toml"))
-    >>> found.steps, found.points, found.members, found.properties.poisson
+    ...     cost = plan(load(f"{folder}/body.toml"))
+    >>> cost.steps, cost.points, cost.members, cost.properties.poisson
     (8000, 801, 1, True)
     """
     if configuration.archive is None and configuration.workers is None:
         configuration.check_memory()
-    begun = time.perf_counter()
-    ready = configuration.ready()
-    times, moments = ready.times_of(configuration.t_span, configuration.save_every, configuration.t_eval)
-    start = ready.start(configuration.x0)
-    loops: Any = ready.loops(times.h)
-    made = time.perf_counter() - begun
-    marked = times if moments is None else times.with_saved_steps(moments.marks)
-    layout = loops.plan(len(start.momenta), marked.points, start.groups.shape[1] ** 2, 1).layout
-    memory, points = bytes_of_run(layout, marked), marked.points
-    if moments is not None:
+    began = time.perf_counter()
+    prepared = configuration.ready()
+    times, output_times = prepared.times_of(configuration.t_span, configuration.save_every, configuration.t_eval)
+    start = prepared.start(configuration.x0)
+    loops: Any = prepared.loops(times.h)
+    preparation_seconds = time.perf_counter() - began
+    saved_times = times if output_times is None else times.with_saved_steps(output_times.marks)
+    layout = loops.plan(len(start.momenta), saved_times.points, start.groups.shape[1] ** 2, 1).layout
+    memory, points = bytes_of_run(layout, saved_times), saved_times.points
+    if output_times is not None:
         # Output times are filled in while the steps from which they are reached are still in memory.
-        points = len(moments.t)
-        memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=moments.ends))
-    one = configuration.system[0] if isinstance(configuration.system, Batch) else configuration.system
+        points = len(output_times.t)
+        memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=output_times.ends))
+    system = configuration.system[0] if isinstance(configuration.system, Batch) else configuration.system
     seconds, tried, failed, written = None, 0, "", None
     try:
-        seconds, tried = _seconds(configuration, ready, times)
-        written = _written(configuration, ready, times)
+        seconds, tried = _seconds(configuration, prepared, times)
+        written = _written(configuration, prepared, times)
     except IntegrationError as error:
         failed = str(error)
     return Plan(
         configuration,
         start.momenta.shape[1],
         len(start.momenta),
-        declared_properties(effective_scheme(one, configuration.method), one),
+        declared_properties(effective_scheme(system, configuration.method), system),
         times.steps,
         points,
         memory,
         written,
-        made,
+        preparation_seconds,
         seconds,
         tried,
         failed,
     )
 
 
-def _trial_run(configuration: Configuration, ready: PreparedRun, times: Times, steps: int, every: int) -> Solution:
+def _trial_run(configuration: Configuration, prepared: PreparedRun, times: Times, steps: int, every: int) -> Solution:
     """Run the first steps."""
     # Not `run`, whose step is the prepared one: output times may shorten that of a scheme with its own steps.
     first = times._replace(steps=steps, save_every=min(every, max(1, steps)))
-    return ready.follow(first, ready.start(configuration.x0), events=read_events(configuration.events))
+    return prepared.follow(first, prepared.start(configuration.x0), events=read_events(configuration.events))
 
 
-def _seconds(configuration: Configuration, ready: PreparedRun, times: Times) -> tuple[float, int]:
+def _seconds(configuration: Configuration, prepared: PreparedRun, times: Times) -> tuple[float, int]:
     """Return the estimated seconds of all steps, and the number of steps of the trial."""
     count = 1
     while True:
         count = min(count, times.steps)
-        begun = time.perf_counter()
+        began = time.perf_counter()
         if count:
-            _trial_run(configuration, ready, times, count, configuration.save_every)
-        spent = time.perf_counter() - begun
-        if count == times.steps or spent >= TRIAL_SECONDS:
-            return spent * times.steps / max(count, 1), count
+            _trial_run(configuration, prepared, times, count, configuration.save_every)
+        seconds = time.perf_counter() - began
+        if count == times.steps or seconds >= TRIAL_SECONDS:
+            return seconds * times.steps / max(count, 1), count
         # Overhead per call dominates the first trials.
-        count *= 2 if spent < TRIAL_SECONDS / 64 else max(2, min(64, int(TRIAL_SECONDS / spent)))
+        count *= 2 if seconds < TRIAL_SECONDS / 64 else max(2, min(64, int(TRIAL_SECONDS / seconds)))
 
 
-def _written(configuration: Configuration, ready: PreparedRun, times: Times) -> int | None:
+def _written(configuration: Configuration, prepared: PreparedRun, times: Times) -> int | None:
     """Estimate the size of the dataset in bytes by linear extrapolation from two short runs."""
     if not installed("xarray"):
         return None
     points = times.total_points if configuration.t_eval is None else len(configuration.t_eval)
     counts = [min(count, times.steps + 1) for count in TRIAL_POINTS]
-    found = [configuration.dataset(_trial_run(configuration, ready, times, n - 1, 1)).nbytes for n in counts]
-    each = (found[1] - found[0]) / max(1, counts[1] - counts[0])
-    return round(found[0] + each * (points - counts[0]))
+    sizes = [configuration.dataset(_trial_run(configuration, prepared, times, n - 1, 1)).nbytes for n in counts]
+    bytes_per_point = (sizes[1] - sizes[0]) / max(1, counts[1] - counts[0])
+    return round(sizes[0] + bytes_per_point * (points - counts[0]))

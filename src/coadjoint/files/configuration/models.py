@@ -85,11 +85,11 @@ class InitialTable(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _check_state_keys(cls, given: Any) -> Any:
-        if not isinstance(given, dict) or "kind" not in given:
-            return given
-        own = {key: given[key] for key in ("kind", "attitude") if key in given}
-        return {**own, "parameters": {key: value for key, value in given.items() if key not in own}}
+    def _check_state_keys(cls, table: Any) -> Any:
+        if not isinstance(table, dict) or "kind" not in table:
+            return table
+        reserved = {key: table[key] for key in ("kind", "attitude") if key in table}
+        return {**reserved, "parameters": {key: value for key, value in table.items() if key not in reserved}}
 
     @model_validator(mode="after")
     def _exactly_one(self) -> InitialTable:
@@ -205,7 +205,7 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 
-def known_keys(place: Sequence[str | int]) -> list[str]:
+def known_keys(table_path: Sequence[str | int]) -> list[str]:
     """Return the keys that a table of a file may have.
 
     Examples
@@ -213,7 +213,7 @@ def known_keys(place: Sequence[str | int]) -> list[str]:
     >>> known_keys(["events", "flip"])
     ['g', 'direction', 'count', 'terminal']
     """
-    return list(_table_at(place).model_fields)
+    return list(_table_at(table_path).model_fields)
 
 
 def all_errors(error: ValidationError) -> list[str]:
@@ -230,26 +230,28 @@ def all_errors(error: ValidationError) -> list[str]:
     ["run.stpe: unknown key; did you mean 'step'?"]
     """
     rank = {"extra_forbidden": 0, "missing": 2}
-    found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
-    said: dict[str, str] = {}
-    for entry in found:
+    entries = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
+    messages: dict[str, str] = {}
+    for entry in entries:
         # pydantic appends "[key]" for an invalid key of a table.
-        place = [key for key in entry["loc"] if key != "[key]"]
+        key_path = [key for key in entry["loc"] if key != "[key]"]
         path = "".join(
-            f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in place
+            f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in key_path
         )
         path = path.lstrip(".")
-        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), place)
-        misspelled = entry["type"] == "missing" and any(f"did you mean {place[-1]!r}?" in one for one in said.values())
+        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), key_path)
+        misspelled = entry["type"] == "missing" and any(
+            f"did you mean {key_path[-1]!r}?" in message for message in messages.values()
+        )
         # For a union, pydantic lists one error per alternative; report the first.
         if not misspelled:
-            said.setdefault(".".join(map(str, place[:2])), f"{path}: {reason}" if path else f": {reason}")
-    return list(said.values())
+            messages.setdefault(".".join(map(str, key_path[:2])), f"{path}: {reason}" if path else f": {reason}")
+    return list(messages.values())
 
 
-def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], place: list[int | str]) -> str:
+def _reason(kind: str, message: str, value: Any, context: Mapping[str, Any], key_path: list[int | str]) -> str:
     if kind == "extra_forbidden":
-        return unknown_key(str(place[-1]), known_keys(place[:-1]))
+        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1]))
     if kind == "missing":
         return "is missing; give it"
     if kind == "value_error":
@@ -269,15 +271,15 @@ def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], pla
         "finite_number": "finite",
     }.get(kind)
     return (
-        f"must be {wanted}, not {short(given, MAX_SHOWN_LENGTH)}"
+        f"must be {wanted}, not {short(value, MAX_SHOWN_LENGTH)}"
         if wanted
-        else f"{message[:1].lower()}{message[1:]}, not {short(given, MAX_SHOWN_LENGTH)}"
+        else f"{message[:1].lower()}{message[1:]}, not {short(value, MAX_SHOWN_LENGTH)}"
     )
 
 
-def _table_at(place: Sequence[int | str]) -> type[BaseModel]:
+def _table_at(table_path: Sequence[int | str]) -> type[BaseModel]:
     table: type[BaseModel] = File
-    keys = iter(place)
+    keys = iter(table_path)
     for key in keys:
         annotation: Any = table.model_fields[str(key)].annotation
         if typing.get_origin(annotation) is dict:  # tables by name

@@ -1,14 +1,24 @@
-"""Text of configuration files, parsed as TOML; errors have line and column."""
+"""Parsing of configuration files: TOML with line and column in errors, and the valid part of invalid files."""
 
 from __future__ import annotations
 
+import inspect
 import re
 import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.methods import registry
+from coadjoint.systems.registry import ready_made_systems
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+    from coadjoint.files.configuration.models import File
 
 MAX_BYTES = 2**28
 MAX_NESTING = 64
@@ -23,27 +33,27 @@ def read_utf8(path: str | Path) -> str:
     """Read a file as UTF-8 with normalized line ends; ConfigurationError if it is unreadable, too long, or no UTF-8."""
     try:
         with open(path, "rb") as file:
-            # Devices may be endless, and datasets given by mistake huge.
-            given = file.read(MAX_BYTES + 1)
+            # Devices may be endless, and a dataset given by mistake may be huge.
+            content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as reason:
         raise ConfigurationError(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
-    if len(given) > MAX_BYTES:
+    if len(content) > MAX_BYTES:
         raise ConfigurationError(f"{path}: is longer than {MAX_BYTES} bytes; give long ensembles in Python")
     try:
-        return given.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as reason:
         raise ConfigurationError(f"{path}: is not text in UTF-8 (byte {reason.start}); save it as such") from None
 
 
 def parse_toml(name: str, text: str) -> dict[str, Any]:
     """Parse TOML; ConfigurationError with line and column. `name` is that of the file."""
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        raise _syntax_error(name, text, found.start(), f"a key has more than {MAX_NESTING} parts")
+    match = _LONG_KEY.search(text)
+    if match is not None:
+        raise _syntax_error(name, text, match.start(), f"a key has more than {MAX_NESTING} parts")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as reason:
-        said = str(reason)
+        problem = str(reason)
     except RecursionError:
         raise _syntax_error(
             name, text, _nesting_position(text), f"lists and tables are nested deeper than {MAX_NESTING}; nest less"
@@ -51,31 +61,142 @@ def parse_toml(name: str, text: str) -> dict[str, Any]:
     except ValueError as reason:
         # Python limits the digits of integers.
         digits = _LONG_NUMBER.search(text)
-        place = len(text) if digits is None else digits.start()
+        position = len(text) if digits is None else digits.start()
         raise _syntax_error(
-            name, text, place, "a whole number has too many digits" if digits else str(reason)
+            name, text, position, "a whole number has too many digits" if digits else str(reason)
         ) from None
-    at = re.search(r" \(at line (\d+), column (\d+)\)$", said)
-    line, column = (int(at[1]), int(at[2])) if at else _line_and_column(text, len(text))
-    said = re.sub(r" \(at [^()]*\)$", "", said)
-    raise ConfigurationError(f"{name}: line {line}, column {column}: {said[:1].lower()}{in_one_line(said[1:], 300)}")
+    location = re.search(r" \(at line (\d+), column (\d+)\)$", problem)
+    line, column = (int(location[1]), int(location[2])) if location else _line_and_column(text, len(text))
+    problem = re.sub(r" \(at [^()]*\)$", "", problem)
+    raise ConfigurationError(
+        f"{name}: line {line}, column {column}: {problem[:1].lower()}{in_one_line(problem[1:], 300)}"
+    )
 
 
-def _syntax_error(name: str, text: str, place: int, said: str) -> ConfigurationError:
-    line, column = _line_and_column(text, place)
-    key = re.match(r"\s*([\w.-]{1,60})\s*=", text[: place + 1].rpartition("\n")[2])
-    return ConfigurationError(f"{name}: line {line}, column {column}: {key[1] + ': ' if key else ''}{said}")
+def _syntax_error(name: str, text: str, position: int, problem: str) -> ConfigurationError:
+    line, column = _line_and_column(text, position)
+    key = re.match(r"\s*([\w.-]{1,60})\s*=", text[: position + 1].rpartition("\n")[2])
+    return ConfigurationError(f"{name}: line {line}, column {column}: {key[1] + ': ' if key else ''}{problem}")
 
 
-def _line_and_column(text: str, place: int) -> tuple[int, int]:
-    return text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place)
+def _line_and_column(text: str, position: int) -> tuple[int, int]:
+    return text.count("\n", 0, position) + 1, position - text.rfind("\n", 0, position)
 
 
 def _nesting_position(text: str) -> int:
     """Return the position of the first bracket that is nested too deeply."""
     depth = 0
-    for found in _NESTING.finditer(text):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(found[0], 0)
+    for match in _NESTING.finditer(text):
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0)
         if depth > MAX_NESTING:
-            return found.start()
+            return match.start()
     return len(text)
+
+
+PLACEHOLDERS: Mapping[str, Any] = {"run": {"t_span": [0.0, 1.0], "step": 1.0}, "initial": {"x": "unread.npy"}}
+"""Placeholders for required tables that are invalid; they are not validated."""
+SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
+
+
+@dataclass(frozen=True)
+class ValidTables:
+    """The valid part of a file.
+
+    `file` holds the tables, with misspelled keys under the nearest known name; `messages` the errors, with dotted keys;
+    `invalid` the invalid top-level tables and keys, to be skipped.
+    """
+
+    file: File | None
+    messages: tuple[str, ...] = ()
+    invalid: frozenset[str] = frozenset()
+
+    @property
+    def has_system(self) -> bool:
+        """Whether everything that defines the system is valid."""
+        return not self.invalid & SYSTEM_TABLES
+
+    def has(self, table: str) -> bool:
+        """Whether a table is valid."""
+        return table not in self.invalid
+
+
+def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
+    """Return the valid part of the tables of a file, and the errors of the rest.
+
+    Examples
+    --------
+    >>> tables = valid_tables({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}, "method": {"name": 3}})
+    >>> tables.messages, tables.file.run.step
+    (("run.stpe: unknown key; did you mean 'step'?",), 0.1)
+    """
+    from pydantic import ValidationError
+
+    from coadjoint.files.configuration.models import File, all_errors
+
+    messages: list[str] = []
+    invalid: set[str] = set()
+    tables = _correct_parameter_names(raw, messages)
+    file = None
+    # First as written, then with unknown keys corrected, then without invalid tables.
+    for _ in range(3):
+        try:
+            file = File.model_validate(tables)
+            break
+        except ValidationError as error:
+            messages += all_errors(error)
+            tables, invalid_names = _repair(tables, error)
+            invalid |= invalid_names
+    return ValidTables(file, tuple(dict.fromkeys(messages)), frozenset(invalid))
+
+
+def _correct_parameter_names(raw: Mapping[str, Any], messages: list[str]) -> Mapping[str, Any]:
+    """Correct unknown parameter names of the system and of the scheme; append the errors to `messages`."""
+    system, method = raw.get("system"), raw.get("method")
+    known_names: dict[tuple[str, ...], Iterable[str]] = {}
+    if isinstance(system, Mapping) and isinstance(name := system.get("name"), str) and name in ready_made_systems():
+        known_names["system", "parameters"] = inspect.signature(ready_made_systems()[name]).parameters
+    if isinstance(method, Mapping) and isinstance(name := method.get("name"), str) and name in registry.names():
+        known_names["method",] = (*registry.parameters_of(name), "name", "parameters")
+    from coadjoint.files.configuration.models import unknown_key
+
+    for table_path, names in known_names.items():
+        table = _value_at(raw, table_path)
+        if not isinstance(table, Mapping):
+            continue
+        for key in [key for key in table if key not in names]:
+            suggestions = [name for name in names if table_path != ("method",) or name not in ("name", "parameters")]
+            messages.append(f"{'.'.join(table_path)}.{key}: {unknown_key(key, suggestions)}")
+            raw = _rename_key(raw, (*table_path, key), names)
+    return raw
+
+
+def _repair(raw: Mapping[str, Any], error: ValidationError) -> tuple[Mapping[str, Any], set[str]]:
+    """Correct unknown keys and replace invalid tables; return also the names of the latter."""
+    from coadjoint.files.configuration.models import known_keys
+
+    invalid: set[str] = set()
+    for entry in error.errors():
+        key_path = tuple(str(key) for key in entry["loc"])
+        if entry["type"] == "extra_forbidden":
+            raw = _rename_key(raw, key_path, known_keys(key_path[:-1]))
+        elif key_path:
+            invalid.add(key_path[0])
+    valid = {key: value for key, value in raw.items() if key not in invalid}
+    return {**valid, **{key: PLACEHOLDERS[key] for key in invalid if key in PLACEHOLDERS}}, invalid
+
+
+def _value_at(raw: Any, table_path: Iterable[str]) -> Any:
+    for key in table_path:
+        raw = raw.get(key) if isinstance(raw, Mapping) else None
+    return raw
+
+
+def _rename_key(raw: Mapping[str, Any], key_path: tuple[str, ...], known: Iterable[str]) -> Mapping[str, Any]:
+    """Rename an unknown key to the nearest known name, or drop it if there is none or it is taken."""
+    key = key_path[0]
+    if len(key_path) > 1:
+        return {**raw, key: _rename_key(raw[key], key_path[1:], known)}
+    near = nearest(key, known)
+    if near is None or near in raw:
+        return {name: value for name, value in raw.items() if name != key}
+    return {near if name == key else name: value for name, value in raw.items()}

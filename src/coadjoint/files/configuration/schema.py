@@ -52,32 +52,36 @@ def schema() -> Schema:
 
     Examples
     --------
-    >>> found = schema()
-    >>> found["properties"]["sign"]["enum"], found["$defs"]["RunTable"]["properties"]["step"]["exclusiveMinimum"]
+    >>> document = schema()
+    >>> document["properties"]["sign"]["enum"], document["$defs"]["RunTable"]["properties"]["step"]["exclusiveMinimum"]
     ([1, -1], 0)
     """
     need("the schema of configuration files", "pydantic")
     from coadjoint.files.configuration.models import File
 
-    found = _strip_schema(File.model_json_schema())
-    tables = found["$defs"]
-    tables["SystemTable"] = _one_of(tables["SystemTable"], _systems())
-    tables["AlgebraTable"] = _one_of(tables["AlgebraTable"], _algebras(tables["AlgebraTable"]["properties"]))
-    tables["InitialTable"] = _one_of(tables["InitialTable"], _states(tables["InitialTable"]["properties"]))
-    tables["Numbers"] = NESTED_NUMBERS
-    listed = {"type": "array", "description": "The values themselves.", "minItems": 1}
-    tables["SettingsTable"] = {"anyOf": [listed, tables["SettingsTable"]]}
-    tables["MethodTable"] = {"type": "object", "anyOf": list(_schemes())}
-    tables["ForceTable"] = {"type": "object", "anyOf": list(_forces())}
-    found["properties"]["method"] |= {"$ref": "#/$defs/MethodTable"}
-    found["properties"]["forces"]["items"] = {"$ref": "#/$defs/ForceTable"}
-    own = ("algebra", "hamiltonian", "casimirs", "name", "sign")
-    ready_made = {"required": ["system"], "properties": dict.fromkeys(own, False)}
+    document = _strip_schema(File.model_json_schema())
+    definitions = document["$defs"]
+    definitions["SystemTable"] = _one_of(definitions["SystemTable"], _systems())
+    definitions["AlgebraTable"] = _one_of(
+        definitions["AlgebraTable"], _algebras(definitions["AlgebraTable"]["properties"])
+    )
+    definitions["InitialTable"] = _one_of(
+        definitions["InitialTable"], _states(definitions["InitialTable"]["properties"])
+    )
+    definitions["Numbers"] = NESTED_NUMBERS
+    value_list = {"type": "array", "description": "The values themselves.", "minItems": 1}
+    definitions["SettingsTable"] = {"anyOf": [value_list, definitions["SettingsTable"]]}
+    definitions["MethodTable"] = {"type": "object", "anyOf": list(_schemes())}
+    definitions["ForceTable"] = {"type": "object", "anyOf": list(_forces())}
+    document["properties"]["method"] |= {"$ref": "#/$defs/MethodTable"}
+    document["properties"]["forces"]["items"] = {"$ref": "#/$defs/ForceTable"}
+    algebra_keys = ("algebra", "hamiltonian", "casimirs", "name", "sign")
+    ready_made = {"required": ["system"], "properties": dict.fromkeys(algebra_keys, False)}
     return {
         "$schema": DIALECT,
         "$id": SCHEMA_URL,
         "title": "A run of coadjoint",
-        **found,
+        **document,
         "oneOf": [ready_made, {"required": ["algebra", "hamiltonian"], "properties": {"system": False}}],
     }
 
@@ -90,15 +94,15 @@ def _strip_schema(value: Any, *, names: bool = False) -> Any:
         return value
     if names:  # keys are names
         return {key: _strip_schema(entry) for key, entry in value.items()}
-    kept = {
+    stripped = {
         key: _strip_schema(entry, names=key in ("properties", "$defs"))
         for key, entry in value.items()
         if key != "title" and not (key == "default" and entry in (None, {}, []))
     }
-    options = [option for option in kept.get("anyOf", ()) if option != {"type": "null"}]
+    options = [option for option in stripped.get("anyOf", ()) if option != {"type": "null"}]
     if len(options) == 1:
-        return {**options[0], **{key: entry for key, entry in kept.items() if key != "anyOf"}}
-    return {**kept, "anyOf": options} if options else kept
+        return {**options[0], **{key: entry for key, entry in stripped.items() if key != "anyOf"}}
+    return {**stripped, "anyOf": options} if options else stripped
 
 
 def _one_of(table: Schema, options: Iterator[Schema]) -> Schema:
@@ -106,38 +110,42 @@ def _one_of(table: Schema, options: Iterator[Schema]) -> Schema:
 
 
 def _named_table(
-    name: str | Schema, said: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()
+    name: str | Schema, description: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()
 ) -> Schema:
     """Return the schema of a table with a name and no other keys than these."""
-    called = {"const": name} if isinstance(name, str) else name
+    name_schema = {"const": name} if isinstance(name, str) else name
     return {
         "type": "object",
-        "description": said,
-        "properties": {"name": {**called, "description": said}, **properties},
+        "description": description,
+        "properties": {"name": {**name_schema, "description": description}, **properties},
         "required": ["name", *required],
         "additionalProperties": False,
     }
 
 
-def _parameters(made: Callable[..., Any]) -> tuple[dict[str, Schema], list[str]]:
+def _parameters(function: Callable[..., Any]) -> tuple[dict[str, Schema], list[str]]:
     """Return the schemas of the parameters of a callable, and the names of those without default."""
-    told = documented_parameters(made)
-    known = {key: given for key, given in inspect.signature(made).parameters.items() if key != "system"}
-    found = {}
-    for key, given in known.items():
-        kind, meaning = (told.get(key, {}).get(part, "") for part in ("kind", "meaning"))
-        annotation = given.annotation if isinstance(given.annotation, str) else formatannotation(given.annotation)
+    documented = documented_parameters(function)
+    parameters = {
+        key: parameter for key, parameter in inspect.signature(function).parameters.items() if key != "system"
+    }
+    schemas = {}
+    for key, parameter in parameters.items():
+        kind, meaning = (documented.get(key, {}).get(part, "") for part in ("kind", "meaning"))
+        annotation = (
+            parameter.annotation if isinstance(parameter.annotation, str) else formatannotation(parameter.annotation)
+        )
         of_type = _type(annotation, kind)
         shape = "" if kind.partition(",")[0] in ("", *JSON_TYPES) or kind.startswith("{") else f"{kind}: "
-        found[key] = {**of_type, "description": shape + meaning}
-        if isinstance(given.default, bool | int | float | str):
-            found[key]["default"] = given.default
-    return found, [key for key, given in known.items() if given.default is inspect.Parameter.empty]
+        schemas[key] = {**of_type, "description": shape + meaning}
+        if isinstance(parameter.default, bool | int | float | str):
+            schemas[key]["default"] = parameter.default
+    return schemas, [key for key, parameter in parameters.items() if parameter.default is inspect.Parameter.empty]
 
 
-def _summary(made: Callable[..., Any]) -> str:
-    said = summary_of(made).removeprefix("Return ")
-    return said[:1].upper() + said[1:]
+def _summary(function: Callable[..., Any]) -> str:
+    summary = summary_of(function).removeprefix("Return ")
+    return summary[:1].upper() + summary[1:]
 
 
 def _type(annotation: str, kind: str) -> Schema:
@@ -164,13 +172,17 @@ def _table(properties: Mapping[str, Schema], required: list[str]) -> Schema:
     }
 
 
-def _table_of_callable(name: str, made: Callable[..., Any]) -> Schema:
+def _table_of_callable(name: str, function: Callable[..., Any]) -> Schema:
     """Return the schema of a table with a name and parameters, which may also be in a subtable."""
-    properties, required = _parameters(made)
-    inside = _table(properties, [])
-    beside = {key: value for key, value in properties.items() if key != "name"}
-    found = _named_table(name, _summary(made), {**beside, "parameters": inside})
-    return {**found, "anyOf": [{"required": required}, {"required": ["parameters"]}]} if required else found
+    properties, required = _parameters(function)
+    subtable = _table(properties, [])
+    inline = {key: value for key, value in properties.items() if key != "name"}
+    schema_of_table = _named_table(name, _summary(function), {**inline, "parameters": subtable})
+    return (
+        {**schema_of_table, "anyOf": [{"required": required}, {"required": ["parameters"]}]}
+        if required
+        else schema_of_table
+    )
 
 
 def _schemes() -> Iterator[Schema]:
@@ -181,7 +193,7 @@ def _schemes() -> Iterator[Schema]:
 def _forces() -> Iterator[Schema]:
     for name in described.names():
         parameters = inspect.signature(described.KINDS[name]).parameters.values()
-        if not any(str(given.annotation).startswith("Callable") for given in parameters):
+        if not any(str(parameter.annotation).startswith("Callable") for parameter in parameters):
             yield _table_of_callable(name, described.KINDS[name])
 
 
@@ -197,13 +209,15 @@ def _states(keys: Mapping[str, Schema]) -> Iterator[Schema]:
     for _, builder in sorted(ready_made_systems().items()):
         family = typing.get_type_hints(builder)["return"]
         for kind in getattr(family, "states_by_name", ()):
-            make = getattr(family, kind)
-            if make in seen:
+            function = getattr(family, kind)
+            if function in seen:
                 continue
-            seen.add(make)
-            found, required = _parameters(make)
-            table = _table({"kind": {"const": kind, "description": _summary(make)}, **found}, ["kind", *required])
-            yield {**table, "description": _summary(make), "properties": table["properties"] | _attitude(keys)}
+            seen.add(function)
+            properties, required = _parameters(function)
+            table = _table(
+                {"kind": {"const": kind, "description": _summary(function)}, **properties}, ["kind", *required]
+            )
+            yield {**table, "description": _summary(function), "properties": table["properties"] | _attitude(keys)}
 
 
 def _attitude(keys: Mapping[str, Schema]) -> dict[str, Schema]:
@@ -211,11 +225,11 @@ def _attitude(keys: Mapping[str, Schema]) -> dict[str, Schema]:
 
 
 def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
-    own = ("dim", "basis", "brackets")
+    keys_of_brackets = ("dim", "basis", "brackets")
     yield {
         "type": "object",
         "description": "An algebra of your own, by its brackets.",
-        "properties": {**{key: keys[key] for key in own}, "parameters": EMPTY_TABLE},
+        "properties": {**{key: keys[key] for key in keys_of_brackets}, "parameters": EMPTY_TABLE},
         "required": ["brackets"],
         "anyOf": [{"required": ["dim"]}, {"required": ["basis"]}],
         "additionalProperties": False,
@@ -231,15 +245,19 @@ def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
         yield _algebra({"const": pattern}, f"The family {pattern} {_extend_parameters(numbers)}.", numbers, "integer")
     yield _algebra({"const": "heisenberg"}, "The Heisenberg algebra of n = 1.", ())
     letters = "|".join(sorted({pattern.partition("(")[0] for pattern in families()}))
-    written = rf"^({letters})\([0-9]{{1,4000}}(,[0-9]{{1,4000}})?\)$"
-    yield _algebra({"type": "string", "pattern": written}, 'A member of a family, such as "so(4)" or "so(3,1)".', ())
-    said = "Any of these names with spaces, which are ignored."
-    yield _named_table({"type": "string", "pattern": r"\s"}, said, {"parameters": keys["parameters"]})
+    pattern_text = rf"^({letters})\([0-9]{{1,4000}}(,[0-9]{{1,4000}})?\)$"
+    yield _algebra(
+        {"type": "string", "pattern": pattern_text}, 'A member of a family, such as "so(4)" or "so(3,1)".', ()
+    )
+    description = "Any of these names with spaces, which are ignored."
+    yield _named_table({"type": "string", "pattern": r"\s"}, description, {"parameters": keys["parameters"]})
 
 
-def _algebra(name: Schema, said: str, parameters: tuple[str, ...], kind: str = "number") -> Schema:
-    inside = _table({key: {"type": kind, "description": "A number without unit."} for key in parameters}, [*parameters])
-    return _named_table(name, said, {"parameters": inside}, ("parameters",) if parameters else ())
+def _algebra(name: Schema, description: str, parameters: tuple[str, ...], kind: str = "number") -> Schema:
+    parameter_table = _table(
+        {key: {"type": kind, "description": "A number without unit."} for key in parameters}, [*parameters]
+    )
+    return _named_table(name, description, {"parameters": parameter_table}, ("parameters",) if parameters else ())
 
 
 def _extend_parameters(parameters: tuple[str, ...]) -> str:

@@ -60,15 +60,15 @@ class SettingsTable(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _listed(cls, given: Any) -> Any:
-        return {"values": given} if isinstance(given, list) else given
+    def _listed(cls, value: Any) -> Any:
+        return {"values": value} if isinstance(value, list) else value
 
     @model_validator(mode="after")
     def _exactly_one_kind(self) -> SettingsTable:
         kinds = [kind for kind in SETTING_KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
-            said = f"has {' and '.join(kinds)}; give one" if kinds else "has none"
-            raise ValueError(f"{said} of {', '.join(SETTING_KINDS)}")
+            problem = f"has {' and '.join(kinds)}; give one" if kinds else "has none"
+            raise ValueError(f"{problem} of {', '.join(SETTING_KINDS)}")
         if (self.count is None) == (kinds[0] in GRIDS):
             raise ValueError(f"count belongs to a grid, {' or '.join(GRIDS)}, and is its number of values")
         if self.column is not None and self.file is None:
@@ -97,11 +97,11 @@ class SweepTable(BaseModel):
 
     @model_validator(mode="after")
     def _check_samples(self) -> SweepTable:
-        drawn = [place for place, settings in self.over.items() if settings.kind in DISTRIBUTIONS]
+        random_keys = [key for key, settings in self.over.items() if settings.kind in DISTRIBUTIONS]
         if not self.over:
             raise ValueError("over is empty; give at least one key of the file, such as 'initial.x[0]'")
-        if drawn and (self.samples is None or self.seed is None):
-            raise ValueError(f"over {short(drawn[0])} is random; give samples (their number) and seed")
-        if not drawn and (self.samples is not None or self.seed is not None):
+        if random_keys and (self.samples is None or self.seed is None):
+            raise ValueError(f"over {short(random_keys[0])} is random; give samples (their number) and seed")
+        if not random_keys and (self.samples is not None or self.seed is not None):
             raise ValueError(f"samples and seed belong to random settings, {', '.join(DISTRIBUTIONS)}; there are none")
         return self

@@ -15,14 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.files.configuration.construction import ConfigurationError, section
-from coadjoint.files.configuration.error_collector import ErrorCollector
-from coadjoint.files.configuration.initial_states import array_of_file
-from coadjoint.files.configuration.swept_settings import SAMPLES, settings_group, settings_of
+from coadjoint.files.configuration.construction import ConfigurationError, ErrorCollector, section, system_of_file
+from coadjoint.files.configuration.initial_states import array_of_file, initial_state, state_by_name
+from coadjoint.files.configuration.swept_settings import SAMPLES, move_on_orbit, settings_group, settings_of
 from coadjoint.memory import check_available_memory
+from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.system_checks import unforced
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from coadjoint.files.configuration.models import File
     from coadjoint.files.configuration.sweep_models import SweepTable
 
 KeyPath = tuple[str | int, ...]
@@ -62,41 +67,41 @@ class Sweep:
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
         """Setting of each axis for each member, (members, axes)."""
-        places = np.unravel_index(np.arange(self.members), [axis.length for axis in self.axes])
-        return np.stack(places, axis=1).astype(np.int64)
+        indices = np.unravel_index(np.arange(self.members), [axis.length for axis in self.axes])
+        return np.stack(indices, axis=1).astype(np.int64)
 
     @cached_property
     def values(self) -> dict[str, list[Any]]:
         """Key -> its value for each member."""
-        found: dict[str, list[Any]] = {}
+        values: dict[str, list[Any]] = {}
         for axis, numbers in zip(self.axes, self.numbers.T.tolist(), strict=True):
-            for place, settings in axis.settings.items():
-                plain = settings.tolist() if isinstance(settings, np.ndarray) else settings
-                found[place] = [plain[k] for k in numbers]
-        return found
+            for key, settings in axis.settings.items():
+                settings_list = settings.tolist() if isinstance(settings, np.ndarray) else settings
+                values[key] = [settings_list[k] for k in numbers]
+        return values
 
     def axes_of(self, chosen: Callable[[KeyPath], bool]) -> list[int]:
         """Return the numbers of the axes with a key that satisfies `chosen`."""
-        return [k for k, axis in enumerate(self.axes) if any(chosen(parse_key(place)) for place in axis.settings)]
+        return [k for k, axis in enumerate(self.axes) if any(chosen(parse_key(key)) for key in axis.settings)]
 
     def member_tables(self, member: int) -> dict[str, Any]:
         """Return the tables of one member; a state swept over an orbit stays as written."""
-        changed = {place: values[member] for place, values in self.values.items() if place not in self.orbits}
+        changed = {key: values[member] for key, values in self.values.items() if key not in self.orbits}
         return replace_values(self.raw, changed, self.name)
 
-    def each(self, axes: list[int], make: Callable[[int], Any]) -> list[Any]:
-        """Return `make(member)` for every member, evaluated once for equal settings of the given axes."""
-        made: dict[tuple[int, ...], Any] = {}
-        found = []
+    def each(self, axes: list[int], function: Callable[[int], Any]) -> list[Any]:
+        """Return `function(member)` for every member, evaluated once for equal settings of the given axes."""
+        results: dict[tuple[int, ...], Any] = {}
+        values = []
         for member, numbers in enumerate(self.numbers[:, axes].tolist()):
             key = tuple(numbers)
-            if key not in made:
+            if key not in results:
                 try:
-                    made[key] = make(member)
+                    results[key] = function(member)
                 except ConfigurationError as reason:
                     raise ConfigurationError(f"{reason} (member {member} of the sweep)") from reason
-            found.append(made[key])
-        return found
+            values.append(results[key])
+        return values
 
 
 def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
@@ -106,32 +111,32 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
     swept, invalid settings, arrays of unequal lengths, or too many members.
     """
     axes: dict[str, dict[str, Any]] = {}
-    wrong = ErrorCollector(name)
-    _check_places(name, sweep.over, wrong)
-    wrong.raise_collected()
-    for place, table in sweep.over.items():
-        with wrong.collect(), section(name, f"sweep.over.{place}"):
-            written = _file_value(raw, parse_key(place))
-            random = settings_group(place, table) == SAMPLES
-            if isinstance(written, str):
-                state = parse_key(place) == STATE_KEY and random
-                written = array_of_file(Path(name).parent / written, written) if state else None
-            if written is None and parse_key(place) == STATE_KEY and random:
+    errors = ErrorCollector(name)
+    _check_keys(name, sweep.over, errors)
+    errors.raise_collected()
+    for key, table in sweep.over.items():
+        with errors.collect(), section(name, f"sweep.over.{key}"):
+            value = _file_value(raw, parse_key(key))
+            is_random = settings_group(key, table) == SAMPLES
+            if isinstance(value, str):
+                state = parse_key(key) == STATE_KEY and is_random
+                value = array_of_file(Path(name).parent / value, value) if state else None
+            if value is None and parse_key(key) == STATE_KEY and is_random:
                 raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
-            if table.kind == "orbit" and parse_key(place) != STATE_KEY:
+            if table.kind == "orbit" and parse_key(key) != STATE_KEY:
                 raise ValueError("orbit applies to states only; give it for 'initial.x'")
-            settings = settings_of(place, table, sweep, written, Path(name).parent)
-            axes.setdefault(settings_group(place, table), {})[place] = settings
-    wrong.raise_collected()
-    found = tuple(Axis(settings, len(next(iter(settings.values())))) for settings in axes.values())
-    members = math.prod(axis.length for axis in found)
+            settings = settings_of(key, table, sweep, value, Path(name).parent)
+            axes.setdefault(settings_group(key, table), {})[key] = settings
+    errors.raise_collected()
+    sweep_axes = tuple(Axis(settings, len(next(iter(settings.values())))) for settings in axes.values())
+    members = math.prod(axis.length for axis in sweep_axes)
     with section(name, "sweep.over"):
         check_available_memory(BYTES_PER_MEMBER * len(sweep.over) * members, f"a sweep of {short(members)} members")
-    orbits = frozenset(place for place, table in sweep.over.items() if table.kind == "orbit")
-    return Sweep(name, raw, found, orbits)
+    orbits = frozenset(key for key, table in sweep.over.items() if table.kind == "orbit")
+    return Sweep(name, raw, sweep_axes, orbits)
 
 
-def parse_key(written: str) -> KeyPath:
+def parse_key(text: str) -> KeyPath:
     """Parse a key into names and indices.
 
     Examples
@@ -139,42 +144,41 @@ def parse_key(written: str) -> KeyPath:
     >>> parse_key("system.parameters.inertia[2]")
     ('system', 'parameters', 'inertia', 2)
     """
-    found: list[str | int] = []
-    for part in written.split("."):
+    parts: list[str | int] = []
+    for part in text.split("."):
         match = _PART.fullmatch(part)
         if match is None:
             raise ValueError(
-                f"{short(written)} is no key of a file; give one such as 'initial.x[0]' or "
-                "'system.parameters.inertia[2]'"
+                f"{short(text)} is no key of a file; give one such as 'initial.x[0]' or 'system.parameters.inertia[2]'"
             )
-        found += [match[1], *(int(number) for number in re.findall(r"\d+", match[2]))]
-    return tuple(found)
+        parts += [match[1], *(int(number) for number in re.findall(r"\d+", match[2]))]
+    return tuple(parts)
 
 
-def _check_places(name: str, over: Iterable[str], wrong: ErrorCollector) -> None:
-    places: dict[str, KeyPath] = {}
-    for place in over:
-        with wrong.collect(), section(name, f"sweep.over.{in_one_line(place, 60)}"):
-            keys = parse_key(place)
-            if not any(place.startswith((f"{root}.", f"{root}[")) for root in SWEPT_TABLES):
+def _check_keys(name: str, over: Iterable[str], errors: ErrorCollector) -> None:
+    paths: dict[str, KeyPath] = {}
+    for key in over:
+        with errors.collect(), section(name, f"sweep.over.{in_one_line(key, 60)}"):
+            path = parse_key(key)
+            if not any(key.startswith((f"{root}.", f"{root}[")) for root in SWEPT_TABLES):
                 raise ValueError(f"only keys within {', '.join(SWEPT_TABLES)} can be swept")
-            if keys[:2] == ("initial", "attitude") or keys == ("initial", "kind"):
-                raise ValueError(f"initial.{keys[1]} is the same for all members")
-            for other, known in places.items():
-                if known[: len(keys)] == keys[: len(known)]:
+            if path[:2] == ("initial", "attitude") or path == ("initial", "kind"):
+                raise ValueError(f"initial.{path[1]} is the same for all members")
+            for other, other_path in paths.items():
+                if other_path[: len(path)] == path[: len(other_path)]:
                     raise ValueError(f"{other} is swept too, and one contains the other")
-            places[place] = keys
+            paths[key] = path
 
 
-def _file_value(raw: Any, place: KeyPath) -> Any:
+def _file_value(raw: Any, path: KeyPath) -> Any:
     """Return the value of the file at a key, or None."""
-    found: Any = raw
-    for key in place:
+    value: Any = raw
+    for key in path:
         try:
-            found = found[key]
+            value = value[key]
         except (KeyError, IndexError, TypeError):
             return None
-    return found
+    return value
 
 
 def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -185,27 +189,94 @@ def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str)
     >>> replace_values({"initial": {"x": [1.0, 2.0]}}, {"initial.x[1]": 5.0}, "run.toml")
     {'initial': {'x': [1.0, 5.0]}}
     """
-    found = {key: deepcopy(table) if key != "sweep" else table for key, table in raw.items()}
-    for written, value in values.items():
-        *outer, last = parse_key(written)
-        with section(name, f"sweep.over.{written}"):
-            table: Any = found
+    tables = {key: deepcopy(table) if key != "sweep" else table for key, table in raw.items()}
+    for key_text, value in values.items():
+        *outer, last = parse_key(key_text)
+        with section(name, f"sweep.over.{key_text}"):
+            table: Any = tables
             for key in outer:
                 table = _subtable(table, key)
-            _check_there(table, last)
+            _check_key_exists(table, last)
             table[last] = value
-    return found
+    return tables
 
 
 def _subtable(table: Any, key: str | int) -> Any:
     """Return a subtable, created if missing, or an entry of a list."""
-    _check_there(table, key)
+    _check_key_exists(table, key)
     return table.setdefault(key, {}) if isinstance(key, str) else table[key]
 
 
-def _check_there(table: Any, key: str | int) -> None:
+def _check_key_exists(table: Any, key: str | int) -> None:
     if isinstance(key, str):
         if not isinstance(table, dict):
             raise ValueError(f"{key} is in no table of the file; write the table, and sweep over its keys")
     elif not isinstance(table, list) or key >= len(table):
-        raise ValueError(f"the file has no entry {key} there; write all entries, and sweep over some")
+        raise ValueError(f"the list in the file has no entry {key}; write all entries, and sweep over some")
+
+
+BYTES_PER_SYSTEM = 4000
+
+
+def swept_system(sweep: Sweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
+    """Return the common system of all members, or a `Batch` if the sweep changes it.
+
+    `file` is the first member; `check_tables` validates the tables of a member.
+    """
+    axes = sweep.axes_of(_is_system_key)
+    if not axes:
+        return system_of_file(sweep.name, file)
+    with section(sweep.name, "sweep.over"):
+        check_available_memory(BYTES_PER_SYSTEM * sweep.members, f"a sweep of {sweep.members} systems")
+    systems = sweep.each(axes, lambda member: system_of_file(sweep.name, check_tables(sweep.member_tables(member))))
+    with section(sweep.name, "sweep.over"):
+        return Batch(systems)
+
+
+def _is_system_key(path: KeyPath) -> bool:
+    return path[0] != "initial"
+
+
+def swept_states(sweep: Sweep, file: File, system: Any, check_tables: Callable[[dict[str, Any]], File]) -> Any:
+    """Return the initial states of the members, (members, ...), as `integrate` takes them."""
+    name = sweep.name
+    systems = list(system) if isinstance(system, Batch) else [system] * sweep.members
+    if file.initial.kind is not None:
+        return np.stack(
+            sweep.each(
+                list(range(len(sweep.axes))),
+                lambda member: state_by_name(name, check_tables(sweep.member_tables(member)).initial, systems[member]),
+            )
+        )
+    with section(name, "initial.x"):
+        base = np.asarray(initial_state(systems[0], file.initial.x, Path(name).parent))
+        if not momenta_of(systems[0], base)[1]:
+            raise ValueError(
+                f"x0 has the shape {base.shape}, already an ensemble; give one state, and sweep over 'initial.x'"
+            )
+        check_available_memory(3 * base.nbytes * sweep.members, f"the states of {sweep.members} members")
+    states = np.repeat(base[None] if base.dtype.kind == "c" else base[None].astype(np.float64), sweep.members, axis=0)
+    for axis, numbers in zip(sweep.axes, sweep.numbers.T, strict=True):
+        for key, settings in axis.settings.items():
+            if parse_key(key)[:2] != STATE_KEY:
+                continue
+            with section(name, f"sweep.over.{key}"):
+                _set_states(states, key, settings, numbers, systems, key in sweep.orbits)
+    return states
+
+
+def _set_states(states: Any, key: str, settings: Any, numbers: Any, systems: list[Any], orbit: bool) -> None:
+    """Set a key of the states of all members."""
+    path = parse_key(key)
+    if orbit:
+        for member, system in enumerate(systems):
+            algebra = unforced(system).algebra
+            if getattr(algebra, "triples", None) is None:
+                raise ValueError(f"{system.name} has no algebra with structure constants; sweep over values instead")
+            states[member] = move_on_orbit(algebra, states[member], settings[numbers[member]])
+        return
+    values = initial_state(systems[0], settings, Path()) if path == STATE_KEY else settings
+    array = np.asarray(values)
+    if array.dtype.kind not in "iufc" or array.shape[1:] != states[(0, *path[2:])].shape:
+        raise ValueError(f"each setting must be of shape {states[(0, *path[2:])].shape}, of numbers")
+    states[(slice(None), *path[2:])] = array[numbers]

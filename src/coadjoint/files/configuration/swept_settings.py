@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.files.configuration.initial_states import array_of_file
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.forces.normal_deviates import normal_deviates, random_words
+from coadjoint.systems.forces.base import normal_deviates, random_words
 from coadjoint.validation import is_real, read_finite, read_number
 
 if TYPE_CHECKING:
@@ -26,17 +25,17 @@ MAX_TERMS = 400
 """Limit on the terms of the series of a group element; each factor converges long before."""
 
 
-def settings_group(place: str, settings: SettingsTable) -> str:
+def settings_group(key: str, settings: SettingsTable) -> str:
     """Return the group of a key: all random keys, all columns of a file, or the key alone."""
     if settings.file is not None:
         return f"file {settings.file}"
-    return SAMPLES if settings.kind in ("uniform", "normal", "sphere", "orbit") else f"place {place}"
+    return SAMPLES if settings.kind in ("uniform", "normal", "sphere", "orbit") else f"key {key}"
 
 
-def settings_of(place: str, settings: SettingsTable, sweep: SweepTable, written: Any, folder: Path) -> Any:
+def settings_of(key: str, settings: SettingsTable, sweep: SweepTable, value: Any, folder: Path) -> Any:
     """Return the settings of a key: a list, or an array with the settings along its first axis.
 
-    `written` is the value in the file, which defines the shape of random numbers, or None; relative names of files
+    `value` is the value in the file, which defines the shape of random numbers, or None; relative names of files
     begin at `folder`. Settings of an orbit are elements of the algebra that move the given state, (samples, n).
     """
     kind = settings.kind
@@ -49,9 +48,9 @@ def settings_of(place: str, settings: SettingsTable, sweep: SweepTable, written:
         check_available_memory(BYTES_PER_SETTING * settings.count, f"a grid of {short(settings.count)} values")
         return _grid(kind, getattr(settings, kind), settings.count)
     assert sweep.samples is not None and sweep.seed is not None
-    shape = np.shape(read_finite(written, "what the file has here")) if written is not None else ()
+    shape = np.shape(read_finite(value, "what the file has here")) if value is not None else ()
     check_available_memory(BYTES_PER_SETTING * sweep.samples * math.prod(shape), f"{short(sweep.samples)} samples")
-    return random_settings(kind, getattr(settings, kind), place, sweep.seed, sweep.samples, shape)
+    return random_settings(kind, getattr(settings, kind), key, sweep.seed, sweep.samples, shape)
 
 
 def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
@@ -60,27 +59,29 @@ def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
         raise ValueError(f"count is 1, and a grid has the two ends {ends}; give a list of one value")
     if all(isinstance(end, int) for end in ends) and kind == "linear" and (ends[1] - ends[0]) % (count - 1) == 0:
         return [ends[0] + k * ((ends[1] - ends[0]) // (count - 1)) for k in range(count)]
-    parts = [k / (count - 1) for k in range(count)]
+    fractions = [k / (count - 1) for k in range(count)]
     if kind == "linear":
-        return [first + (last - first) * part for part in parts[:-1]] + [last]
+        return [first + (last - first) * part for part in fractions[:-1]] + [last]
     if not first * last > 0.0:
         raise ValueError(f"logarithmic is {ends}; both ends must be different from zero, and of one sign")
-    return [first] + [first * (last / first) ** part for part in parts[1:-1]] + [last]
+    return [first] + [first * (last / first) ** part for part in fractions[1:-1]] + [last]
 
 
-def _rows(named: str, column: int | None, folder: Path) -> NDArray[Any]:
-    found = array_of_file(folder / named, named)
-    if found.ndim == 0 or not len(found):
-        raise ValueError(f"{short(named)} holds an array of shape {found.shape}; its first axis must be the settings")
+def _rows(file_name: str, column: int | None, folder: Path) -> NDArray[Any]:
+    values = array_of_file(folder / file_name, file_name)
+    if values.ndim == 0 or not len(values):
+        raise ValueError(
+            f"{short(file_name)} holds an array of shape {values.shape}; its first axis must be the settings"
+        )
     if column is None:
-        return found
-    if found.ndim != 2 or column >= found.shape[1]:
-        raise ValueError(f"{short(named)} holds an array of shape {found.shape}, which has no column {column}")
-    return np.ascontiguousarray(found[:, column])
+        return values
+    if values.ndim != 2 or column >= values.shape[1]:
+        raise ValueError(f"{short(file_name)} holds an array of shape {values.shape}, which has no column {column}")
+    return np.ascontiguousarray(values[:, column])
 
 
 def random_settings(
-    kind: str, spread: Any, place: str, seed: int, samples: int, shape: tuple[int, ...]
+    kind: str, spread: Any, key: str, seed: int, samples: int, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
     """Return random settings, (samples, ...), each a function of the seed, the key and the sample number alone.
 
@@ -93,34 +94,34 @@ def random_settings(
     >>> bool((few == random_settings("uniform", [2.0, 3.0], "initial.x", 7, 5, (3,))[:2]).all())
     True
     """
-    count, stream = math.prod(shape), int.from_bytes(sha256(place.encode()).digest()[:7], "little")
+    count, stream = math.prod(shape), int.from_bytes(sha256(key.encode()).digest()[:7], "little")
     if kind == "uniform":
         words = np.stack([random_words(seed, stream, float(s), 0, count) for s in range(samples)])
         first, last = _number_pair(spread, "an end", shape)
-        parts = (words >> np.uint64(11)).astype(np.float64).reshape(samples, *shape) * 2.0**-53
-        return np.asarray(first + (last - first) * parts)
-    found = np.stack([normal_deviates(seed, stream, float(s), 0, count) for s in range(samples)])
-    found = found.reshape(samples, *shape)
+        fractions = (words >> np.uint64(11)).astype(np.float64).reshape(samples, *shape) * 2.0**-53
+        return np.asarray(first + (last - first) * fractions)
+    deviates = np.stack([normal_deviates(seed, stream, float(s), 0, count) for s in range(samples)])
+    deviates = deviates.reshape(samples, *shape)
     if kind == "normal":
         mean, deviation = _number_pair(spread, "mean or deviation", shape)
-        return np.asarray(mean + deviation * found)
+        return np.asarray(mean + deviation * deviates)
     if len(shape) != 1:
         raise ValueError(f"{kind} applies to states that are vectors; the value in the file has the shape {shape}")
     if kind == "orbit":
-        return np.asarray(spread * found)
-    lengths = np.array([math.hypot(*row) for row in found.tolist()])
-    return np.asarray(spread * (found / lengths[:, None]))
+        return np.asarray(spread * deviates)
+    lengths = np.array([math.hypot(*row) for row in deviates.tolist()])
+    return np.asarray(spread * (deviates / lengths[:, None]))
 
 
-def _number_pair(given: list[Any], what: str, shape: tuple[int, ...]) -> tuple[Any, Any]:
+def _number_pair(values: list[Any], what: str, shape: tuple[int, ...]) -> tuple[Any, Any]:
     """Return two numbers, or two arrays of the shape of a setting."""
-    found = []
-    for value in given:
+    pair = []
+    for value in values:
         numbers = read_number(value, what) if is_real(value) else read_finite(value, what)
         if np.shape(numbers) not in ((), shape):
             raise ValueError(f"{what} has the shape {np.shape(numbers)}; the value in the file has the shape {shape}")
-        found.append(numbers)
-    return found[0], found[1]
+        pair.append(numbers)
+    return pair[0], pair[1]
 
 
 def move_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,10 +143,10 @@ def move_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) 
         entries = c * z[k]
         return np.asarray(np.bincount(i, entries * u[j], n) - np.bincount(j, entries * u[i], n), dtype=np.float64)
 
-    size = float(np.bincount(i, abs(c * u[j]), n).max(initial=0.0) + np.bincount(j, abs(c * u[i]), n).max(initial=0.0))
-    pieces = max(1, math.ceil(size))
+    norm = float(np.bincount(i, abs(c * u[j]), n).max(initial=0.0) + np.bincount(j, abs(c * u[i]), n).max(initial=0.0))
+    pieces = max(1, math.ceil(norm))
     if pieces > MAX_TERMS:
-        raise ValueError(f"orbit moves a state by exponents of size {size:.3g}; give less than {MAX_TERMS}")
+        raise ValueError(f"orbit moves a state by exponents of size {norm:.3g}; give less than {MAX_TERMS}")
     for _ in range(pieces):
         term, order = y, 1
         while order < MAX_TERMS and np.any(term):
@@ -154,39 +155,3 @@ def move_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) 
                 break
             y, order = y + term, order + 1
     return y
-
-
-def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDArray[Any]]]:
-    """Return the settings of a sweep as coordinates along the members: name -> key, and a value for each member.
-
-    Lists of numbers have a coordinate for each entry. Whole states are omitted, since a dataset has them as ``x0``.
-
-    Examples
-    --------
-    >>> as_coordinates({"system.parameters.inertia[2]": [2.5, 3.0]})
-    {'swept_inertia_2': ('system.parameters.inertia[2]', array([2.5, 3. ]))}
-    """
-    from coadjoint.files.records.records import safe_name
-
-    found: dict[str, tuple[str, NDArray[Any]]] = {}
-    for place, settings in values.items():
-        if place == "initial.x":
-            continue
-        array = np.array(settings)
-        if array.dtype.kind not in "iufbU":
-            array = np.array([str(setting) for setting in settings])
-        columns = (
-            {place: array}
-            if array.ndim == 1
-            else {
-                f"{place}{''.join(f'[{k}]' for k in where)}": array[(slice(None), *where)]
-                for where in np.ndindex(*array.shape[1:])
-            }
-        )
-        for full, column in columns.items():
-            last = full.removeprefix("system.parameters.").removeprefix("algebra.parameters.").removeprefix("initial.")
-            name, number = f"swept_{safe_name(last)}", 2
-            while name in found:
-                name, number = f"swept_{safe_name(last)}_{number}", number + 1
-            found[name] = (full, column)
-    return found

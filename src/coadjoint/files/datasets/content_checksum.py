@@ -1,4 +1,4 @@
-"""Check sum over the content of a dataset, independent of file format, layout and compression."""
+"""Checksum of the content of a dataset, independent of file format, layout and compression."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     import xarray
 
 CHECKSUM = "content_sha256"
-"""Attribute with the check sum."""
+"""Attribute with the checksum."""
 EXCLUDED_ATTRIBUTES = (CHECKSUM, "coordinates", "_FillValue")
-"""Attributes that are not content: readers consume them."""
+"""Attributes that are not content, since readers remove them."""
 BUFFER_BYTES = 2**20
 
 
 def with_checksum(dataset: xarray.Dataset) -> xarray.Dataset:
-    """Add the check sum of a dataset to its attributes."""
+    """Add the checksum of a dataset to its attributes."""
     return dataset.assign_attrs({CHECKSUM: checksum_of(dataset)})
 
 
 def checksum_of(dataset: xarray.Dataset) -> str:
     """Return SHA-256 of the names, dimensions, types, values and attributes of a dataset.
 
-    Integers count by value, whatever their width; text counts as UTF-8.
+    Integers of any width are hashed as int64, and text as UTF-8.
 
     Examples
     --------
@@ -55,19 +55,19 @@ def checksum_of(dataset: xarray.Dataset) -> str:
     return digest.hexdigest()
 
 
-def _attributes(given: Mapping[Any, Any]) -> bytes:
-    kept = {str(name): _to_json(value) for name, value in given.items() if name not in EXCLUDED_ATTRIBUTES}
-    return json.dumps(kept, sort_keys=True).encode()
+def _attributes(attributes: Mapping[Any, Any]) -> bytes:
+    content = {str(name): _to_json(value) for name, value in attributes.items() if name not in EXCLUDED_ATTRIBUTES}
+    return json.dumps(content, sort_keys=True).encode()
 
 
 def _to_json(value: Any) -> Any:
     """Convert an attribute to JSON; arrays of one number become scalars, since files do not distinguish them."""
     if isinstance(value, str | bytes):
         return _text(value)
-    found = np.asarray(value)
-    if found.dtype.kind not in "iubf":
-        return list(map(_text, found.reshape(-1).tolist()))
-    numbers = [int(one) if isinstance(one, bool) else one for one in found.reshape(-1).tolist()]
+    array = np.asarray(value)
+    if array.dtype.kind not in "iubf":
+        return list(map(_text, array.reshape(-1).tolist()))
+    numbers = [int(number) if isinstance(number, bool) else number for number in array.reshape(-1).tolist()]
     return numbers[0] if len(numbers) == 1 else numbers
 
 

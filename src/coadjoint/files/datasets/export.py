@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.files.datasets.content_checksum import with_checksum
-from coadjoint.files.datasets.state_arrays import STATE_DIMENSIONS, state_of
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
+    STATE_DIMENSIONS,
     coordinates_of,
     parameters_of,
     start_variables,
+    state_of,
     summary_variables,
     time_variables,
 )
@@ -176,7 +177,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     TypeError
         The argument is not a dataset.
     ValueError
-        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
+        Data that determine the motion were not stored, or the dataset is damaged; the message names the entry.
 
     Examples
     --------
@@ -197,34 +198,36 @@ def events_of_dataset(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]
 
 
 def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
-    """Return the arguments of `solution_inputs`, also where the initial coadjoint matrix is none of them."""
+    """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
     attributes = getattr(dataset, "attrs", None)
     if not isinstance(attributes, Mapping):
-        raise TypeError(f"{short(dataset)} is no dataset; give one that xarray has read")
-    absent = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
-    if absent:
-        raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")
-    given = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
+        raise TypeError(f"{short(dataset)} is no xarray dataset; give one read by xarray")
+    missing = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
+    if missing:
+        raise ValueError(f"the dataset has no attribute {missing[0]!r}; it was not written by coadjoint")
+    entries = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
     x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
-    described = parsed(attributes["method"], "method")
-    description = {key: entry.plain() for key, entry in described.table().items()}
-    with as_value_errors(described):
+    method_entry = parsed(attributes["method"], "method")
+    description = {key: entry.plain() for key, entry in method_entry.table().items()}
+    with as_value_errors(method_entry):
         method = registry.from_description(description)
     start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
-    step, save_every = given["step"].number(), given["save_every"].integer(1)
-    with as_value_errors(given["step"]):
+    step, save_every = entries["step"].number(), entries["save_every"].integer(1)
+    with as_value_errors(entries["step"]):
         times = times_of((start, end), step, save_every)
-    if times.steps != given["steps"].integer():
-        raise given["steps"].invalid_error(f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}")
-    carried = given["attitude_carried"].text()
+    if times.steps != entries["steps"].integer():
+        raise entries["steps"].invalid_error(
+            f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}"
+        )
+    carried = entries["attitude_carried"].text()
     initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
     if carried not in (*initial, "representation"):
-        raise given["attitude_carried"].invalid_error("'none', 'coadjoint' or 'representation'")
-    between = Entry(attributes.get("between_steps", 0), "between_steps").flag()
+        raise entries["attitude_carried"].invalid_error("'none', 'coadjoint' or 'representation'")
+    between_steps = Entry(attributes.get("between_steps", 0), "between_steps").flag()
     if "events_not_stored" in attributes and events is None:
         raise ValueError(
             f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
-            "not stored; run the script that made it"
+            "not stored; run the script that wrote the dataset"
         )
     if system is None:
         system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
@@ -237,8 +240,8 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         "step": step,
         "method": method,
         "save_every": save_every,
-        "t_eval": state_of(dataset, "time", (("time",),)) if between else None,
-        "watch": given["watch"].flag(),
+        "t_eval": state_of(dataset, "time", (("time",),)) if between_steps else None,
+        "watch": entries["watch"].flag(),
         "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2]),
         "events": events,
     }
@@ -251,8 +254,8 @@ def _numbers(states: xarray.DataArray) -> int:
 
 def _system(dataset: xarray.Dataset, system: Any) -> Any:
     """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
-    in_numbers = isinstance(system, MatrixSystem) and "component" in dataset["x0"].dims
-    return system.in_numbers if in_numbers else system
+    as_numbers = isinstance(system, MatrixSystem) and "component" in dataset["x0"].dims
+    return system.in_numbers if as_numbers else system
 
 
 def rebuild(dataset: xarray.Dataset) -> Solution:
@@ -271,7 +274,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     Raises
     ------
     ValueError
-        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
+        Data that determine the motion were not stored, or the dataset is damaged; the message names the entry.
     IntegrationError
         The run fails, as it did before.
 

@@ -24,7 +24,7 @@ from coadjoint.optional_packages import need
 from coadjoint.runs.events import Events, TerminalEvent
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.description import coordinate_names
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
 from coadjoint.validation import read_path
@@ -53,7 +53,7 @@ class LoadedSolution(ReadSolution):
 
     path: Path
     dataset: xarray.Dataset
-    _given: Any
+    _system_argument: Any
 
     def __init__(self, path: Path, dataset: xarray.Dataset, system: Any = None) -> None:
         arrays = {
@@ -68,17 +68,17 @@ class LoadedSolution(ReadSolution):
             choice=None,
             _error=None,
             _began=None,
-            _given=system,
+            _system_argument=system,
             _arrays=arrays,
             attributes=dict(dataset.attrs),
             _accounts=tuple(_split_account(label, names) for label in accounts),
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return LoadedSolution, (self.path, self.dataset, self._given)
+        return LoadedSolution, (self.path, self.dataset, self._system_argument)
 
     def inputs(self, events: Any = ()) -> dict[str, Any]:
-        return stored_inputs(self.dataset, self._given, events)
+        return stored_inputs(self.dataset, self._system_argument, events)
 
     def _read_entire(self, name: str) -> NDArray[Any]:
         return np.asarray(self.dataset[name].values)
@@ -92,8 +92,10 @@ class LoadedSolution(ReadSolution):
         if self.failed is None:
             return _invariants_at(self.system, self.x0, self.t_span[0])
         systems = self.system if isinstance(self.system, Batch) else [self.system] * len(self.x0)
-        each = [_invariants_at(own, x, self.t_span[0]) for own, x in zip(systems, self.x0, strict=True)]
-        return {name: np.array([found[name] for found in each]) for name in self._names}
+        member_invariants = [
+            _invariants_at(member_system, x, self.t_span[0]) for member_system, x in zip(systems, self.x0, strict=True)
+        ]
+        return {name: np.array([invariants[name] for invariants in member_invariants]) for name in self._names}
 
     @cached_property
     def _ending(self) -> TerminalEvent | None:  # type: ignore[override]
@@ -108,9 +110,11 @@ class LoadedSolution(ReadSolution):
 
     @cached_property
     def stats(self) -> Statistics:
-        said = self.attributes
-        steps = int(said[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in said else "steps"])
-        return Statistics(steps, int(said["evaluations"]), int(said["iterations"]), float(said["seconds"]))
+        attributes = self.attributes
+        steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
+        return Statistics(
+            steps, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
+        )
 
     @cached_property
     def _worst(self) -> NDArray[np.float64]:
@@ -122,15 +126,19 @@ class LoadedSolution(ReadSolution):
         """Crossings found in the run, or None if it had no events."""
         if "event_time" not in self._arrays:
             return None
-        asked = events_of_dataset(self.dataset, self._system)
-        moved: Any = unforced(self._system)
-        named = () if isinstance(moved, MatrixSystem) else tuple(coordinate_names(moved, moved.dim))
-        t, x, which, member, direction = (
+        events = events_of_dataset(self.dataset, self._system)
+        unforced_system: Any = unforced(self._system)
+        coordinates = (
+            ()
+            if isinstance(unforced_system, MatrixSystem)
+            else tuple(coordinate_names(unforced_system, unforced_system.dim))
+        )
+        t, x, event_index, member, direction = (
             self._read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
         )
         attitude = self._read("event_attitude") if "event_attitude" in self._arrays else None
-        names = tuple(str(event.name) for event in asked)
-        return Events(names, t, x, which, member, direction, attitude, named, asked)
+        names = tuple(str(event.name) for event in events)
+        return Events(names, t, x, event_index, member, direction, attitude, coordinates, events)
 
     def to_xarray(self) -> xarray.Dataset:
         return self.dataset.copy()
@@ -151,7 +159,7 @@ def _split_account(text: str, invariants: list[str]) -> tuple[str, str]:
 
 def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:
     """Return the energy and the Casimirs of one state."""
-    return {"energy": system.energy(x, t)} | {name: casimir(x) for name, casimir in system.casimirs.items()}
+    return {"energy": system.energy(x, t)} | {name: function(x) for name, function in system.casimirs.items()}
 
 
 def load(path: str | Path, system: Any = None) -> Solution:
@@ -199,12 +207,12 @@ def load(path: str | Path, system: Any = None) -> Solution:
     >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
     (True, True, Splitting(order=2...))
     """
-    place = read_path(path, "path")
-    shown = in_one_line(str(place), 200)
+    source = read_path(path, "path")
+    shown = in_one_line(str(source), 200)
     try:
-        if (place / HIDDEN_FOLDER).is_dir():
-            return open_archive(place, system)
-        engine, packages = _reader(place)
+        if (source / HIDDEN_FOLDER).is_dir():
+            return open_archive(source, system)
+        engine, packages = _reader(source)
     except (OSError, ValueError) as reason:
         if isinstance(reason, OneLineError):
             raise
@@ -214,46 +222,46 @@ def load(path: str | Path, system: Any = None) -> Solution:
 
     try:
         if engine == "h5netcdf":
-            check_hdf5(place)
+            check_hdf5(source)
         elif engine == "zarr":
-            check_zarr(place)
-        with xarray.open_dataset(place, engine=engine) as opened:
-            absent = [
+            check_zarr(source)
+        with xarray.open_dataset(source, engine=engine) as opened:
+            missing = [
                 key for key in (*REQUIRED_ATTRIBUTES, "evaluations", "iterations", "seconds") if key not in opened.attrs
             ]
-            if absent or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
-                raise LoadError(f"{shown}: holds no run: it was not written by this library")
+            if missing or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
+                raise LoadError(f"{shown}: holds no run; it was not written by this library")
             check_available_memory(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()
-        stated = dataset.attrs.get(CHECKSUM)
-        if stated is not None and stated != checksum_of(dataset):
+        checksum = dataset.attrs.get(CHECKSUM)
+        if checksum is not None and checksum != checksum_of(dataset):
             raise LoadError(
-                f"{shown}: its content does not match its check sum: it was damaged, or changed after it was "
-                f"written; if you have changed it, remove its attribute {CHECKSUM} and write it again"
+                f"{shown}: its content does not match its checksum: it was damaged, or changed after it was "
+                f"written; if the change was intended, remove its attribute {CHECKSUM} and write it again"
             )
     except LoadError:
         raise
-    except Exception as reason:  # readers raise arbitrary errors for damaged files
+    except Exception as reason:  # readers raise errors of any type for damaged files
         raise LoadError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
-    return LoadedSolution(place, dataset, system)
+    return LoadedSolution(source, dataset, system)
 
 
-def _reader(place: Path) -> tuple[str, tuple[str, ...]]:
+def _reader(path: Path) -> tuple[str, tuple[str, ...]]:
     """Return the xarray engine for a file or folder, and the packages it needs."""
-    shown = in_one_line(str(place), 200)
-    if place.is_dir():
-        if not any((place / name).is_file() for name in ("zarr.json", ".zgroup")):
+    shown = in_one_line(str(path), 200)
+    if path.is_dir():
+        if not any((path / name).is_file() for name in ("zarr.json", ".zgroup")):
             raise LoadError(
-                f"{in_one_line(str(place), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
+                f"{in_one_line(str(path), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
             )
         return "zarr", ("xarray", "zarr")
-    if place.exists() and not place.is_file():
+    if path.exists() and not path.is_file():
         raise LoadError(f"{shown}: is no file and no folder")
-    with open(place, "rb", opener=_open_nonblocking) as file:
-        begin = file.read(4)
-    for head, found in FILE_SIGNATURES.items():
-        if begin.startswith(head):
-            return found
+    with open(path, "rb", opener=_open_nonblocking) as file:
+        signature = file.read(4)
+    for known_signature, engine in FILE_SIGNATURES.items():
+        if signature.startswith(known_signature):
+            return engine
     raise LoadError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
 
 

@@ -44,7 +44,7 @@ class ReadSolution(Solution):
 
     @cached_property
     def system(self) -> Any:
-        """The system of the run; if it contains functions, which are not stored, it must be given on opening."""
+        """The system of the run, which must be given on opening if it contains functions."""
         return self._inputs["system"]
 
     @cached_property
@@ -104,10 +104,10 @@ class ReadSolution(Solution):
 
     @cached_property
     def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
-        found = self._series("casimir_")
+        series = self._series("casimir_")
         # Zarr lists arrays alphabetically; restore the order of the invariants.
-        ordered = {name: found.labels[name] for name in self._names[1:] if name in found.labels}
-        return LazyArrays({**ordered, **found.labels}, self._read)
+        ordered = {name: series.labels[name] for name in self._names[1:] if name in series.labels}
+        return LazyArrays({**ordered, **series.labels}, self._read)
 
     @cached_property
     def observed(self) -> Mapping[str, NDArray[np.float64]]:  # type: ignore[override]
@@ -121,10 +121,10 @@ class ReadSolution(Solution):
 
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
-        found: dict[str, dict[str, NDArray[np.float64]]] = {}
-        for place, (force, invariant) in enumerate(self._accounts):
-            found.setdefault(force, {})[invariant] = self._read("work")[..., place]
-        return found
+        work: dict[str, dict[str, NDArray[np.float64]]] = {}
+        for index, (force, invariant) in enumerate(self._accounts):
+            work.setdefault(force, {})[invariant] = self._read("work")[..., index]
+        return work
 
     @cached_property
     def failed(self) -> NDArray[np.bool_] | None:
@@ -132,20 +132,20 @@ class ReadSolution(Solution):
 
     @cached_property
     def carried(self) -> str | None:
-        said = str(self.attributes["attitude_carried"])
-        return None if said == "none" else said
+        carried_name = str(self.attributes["attitude_carried"])
+        return None if carried_name == "none" else carried_name
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
     """Arrays by name, read lazily and cached."""
 
     def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:
-        self.labels, self._read, self._found = dict(labels), read, dict[str, NDArray[Any]]()
+        self.labels, self._read, self._cache = dict(labels), read, dict[str, NDArray[Any]]()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._found:
-            self._found[name] = self._read(self.labels[name])
-        return self._found[name]
+        if name not in self._cache:
+            self._cache[name] = self._read(self.labels[name])
+        return self._cache[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.labels)

@@ -1,4 +1,4 @@
-"""Variables of the dataset of a solution: name -> dimensions, values and attributes."""
+"""Variables of the dataset of a solution, as name -> (dimensions, values, attributes), and the layout of states."""
 
 from __future__ import annotations
 
@@ -8,13 +8,59 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.configuration.swept_settings import as_coordinates
-from coadjoint.files.datasets.state_arrays import COMPLEX_PARTS, split_complex, state_dimensions
 from coadjoint.files.records.records import safe_name
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import unforced
 
+COMPLEX_PARTS = ("real", "imaginary")
+"""Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
+STATE_DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
+"""Dimensions of a state: a vector, a matrix, or matrices in layers."""
+
+
+def state_dimensions(states: NDArray[Any], before: int) -> tuple[str, ...]:
+    """Return the dimensions of one state, for arrays with `before` leading axes.
+
+    Examples
+    --------
+    >>> state_dimensions(np.zeros((5, 3)), 1), state_dimensions(np.zeros((5, 2, 2), dtype=complex), 1)
+    (('component',), ('row', 'column', 'part'))
+    """
+    dimensions = STATE_DIMENSIONS[states.ndim - before - 1]
+    return (*dimensions, "part") if np.iscomplexobj(states) else dimensions
+
+
+def split_complex(states: NDArray[Any]) -> NDArray[np.float64]:
+    """Convert complex states to real and imaginary parts along a last axis; return real states unchanged."""
+    return np.stack([states.real, states.imag], axis=-1) if np.iscomplexobj(states) else states
+
+
+def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...], ...]) -> NDArray[Any]:
+    """Read an initial variable as float64 or complex128, optionally over members; ValueError unless valid.
+
+    `allowed` are its dimensions, without those of members and of complex parts; the numbers must be finite.
+    """
+    if name not in dataset:
+        raise ValueError(f"the dataset has no variable {name!r}; it is damaged, or was not written by coadjoint")
+    variable = dataset[name]
+    dims = variable.dims[1:] if variable.dims[:1] == ("member",) else variable.dims
+    is_complex = dims[-1:] == ("part",)
+    if (dims[:-1] if is_complex else dims) not in allowed or not variable.size:
+        expected = " or ".join(map(str, allowed))
+        raise ValueError(f"{name} is over {variable.dims}; it must be over {expected}, or members and these")
+    if variable.dtype.kind not in "if" or not np.isfinite(variable.values).all():
+        raise ValueError(f"{name} contains values that are not finite numbers")
+    values = np.asarray(variable.values, dtype=np.float64)
+    if not is_complex:
+        return values
+    if values.shape[-1] != len(COMPLEX_PARTS):
+        raise ValueError(f"{name} has {values.shape[-1]} parts; complex numbers have {len(COMPLEX_PARTS)}")
+    return np.asarray(values[..., 0] + 1j * values[..., 1])
+
+
 if TYPE_CHECKING:
+    import xarray
+
     from coadjoint.runs.solution import Drift, Solution
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
@@ -54,22 +100,21 @@ def time_coordinate(times: NDArray[np.float64]) -> Variables:
 
 def time_variables(solution: Solution) -> Variables:
     """Return the variables at the saved points, except the times."""
-    over, x = ("time", *_member(solution)), solution.x
-    found: Variables = {
-        "x": ((*over, *state_dimensions(x, len(over))), split_complex(x), cf_attributes("momentum")),
-        "energy": (over, solution.energy, cf_attributes("energy")),
+    dims, x = ("time", *_member(solution)), solution.x
+    variables: Variables = {
+        "x": ((*dims, *state_dimensions(x, len(dims))), split_complex(x), cf_attributes("momentum")),
+        "energy": (dims, solution.energy, cf_attributes("energy")),
     }
-    series_of = [("casimir", solution.casimirs), ("observed", solution.observed)]
-    for kind, series in series_of:
+    for kind, series in (("casimir", solution.casimirs), ("observed", solution.observed)):
         for label, (name, values) in _labels(kind, series):
-            found[label] = (over, values, cf_attributes(name))
+            variables[label] = (dims, values, cf_attributes(name))
     if solution.work:
-        done = [values for of_force in solution.work.values() for values in of_force.values()]
-        about = "what a force has changed of an invariant since the start"
-        found["work"] = ((*over, "account"), np.stack(done, axis=-1), cf_attributes(about))
+        work = [values for of_force in solution.work.values() for values in of_force.values()]
+        long_name = "what a force has changed of an invariant since the start"
+        variables["work"] = ((*dims, "account"), np.stack(work, axis=-1), cf_attributes(long_name))
     if solution.attitude is not None:
-        found["attitude"] = ((*over, "row", "column"), solution.attitude, cf_attributes("group element"))
-    return found
+        variables["attitude"] = ((*dims, "row", "column"), solution.attitude, cf_attributes("group element"))
+    return variables
 
 
 def summary_variables(solution: Solution) -> Variables:
@@ -78,50 +123,54 @@ def summary_variables(solution: Solution) -> Variables:
     over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
     changes, about = solution.change(), f"largest absolute deviation from the start {over}"
     dims = (*member, "invariant", "tenth")
-    found: Variables = {"change" if solution.work else "drift": (dims, _tenth_array(changes), cf_attributes(about))}
+    variables: Variables = {"change" if solution.work else "drift": (dims, _tenth_array(changes), cf_attributes(about))}
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        found["balance"] = (dims, _balance_array(solution.balance(), changes), cf_attributes(about))
+        variables["balance"] = (dims, _balance_array(solution.balance(), changes), cf_attributes(about))
     if solution.failed is not None:
-        found["failed"] = (
+        variables["failed"] = (
             member,
             solution.failed,
             {"long_name": "whether the member failed; its later states are NaN"},
         )
-    return found
+    return variables
 
 
 def start_variables(solution: Solution) -> Variables:
     """Return the initial states and group elements."""
     member, x0 = _member(solution), solution.x0
     of_state = state_dimensions(x0, len(member))
-    found: Variables = {"x0": ((*member, *of_state), split_complex(x0), cf_attributes("initial momentum"))}
+    variables: Variables = {"x0": ((*member, *of_state), split_complex(x0), cf_attributes("initial momentum"))}
     if solution.attitude0 is not None:
-        found["attitude0"] = ((*member, "row", "column"), solution.attitude0, cf_attributes("initial group element"))
-    return found
+        variables["attitude0"] = (
+            (*member, "row", "column"),
+            solution.attitude0,
+            cf_attributes("initial group element"),
+        )
+    return variables
 
 
 def coordinates_of(solution: Solution) -> Variables:
     """Return the times, and the labels of the other dimensions."""
     system, of_state = solution.system, state_dimensions(solution.x0, len(_member(solution)))
-    found = time_coordinate(solution.t)
+    coordinates = time_coordinate(solution.t)
 
-    def put(name: str, values: Any, about: str) -> None:
-        found[name] = ((name,), np.asarray(values), {"long_name": about})
+    def add(name: str, values: Any, long_name: str) -> None:
+        coordinates[name] = ((name,), np.asarray(values), {"long_name": long_name})
 
     if of_state == ("component",):
         algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
         names = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
-        put("component", names, "element of the basis")
+        add("component", names, "element of the basis")
     elif of_state[-1] == "part":
-        put("part", list(COMPLEX_PARTS), "part of a complex number")
+        add("part", list(COMPLEX_PARTS), "part of a complex number")
     changes = solution.change()
-    put("invariant", list(changes), "what the motion keeps")
+    add("invariant", list(changes), "what the motion keeps")
     tenths = next(iter(changes.values())).tenths.shape[-1]
-    put("tenth", np.arange(1, tenths + 1), "number of a tenth of the run")
+    add("tenth", np.arange(1, tenths + 1), "number of a tenth of the run")
     if solution.work:
-        put("account", [f"{force}: {name}" for force, name in accounts_of(solution)], "force, and what it changes")
-    return found
+        add("account", [f"{force}: {name}" for force, name in accounts_of(solution)], "force, and what it changes")
+    return coordinates
 
 
 def parameters_of(system: Any) -> Variables:
@@ -136,22 +185,56 @@ def parameters_of(system: Any) -> Variables:
     """
     if not isinstance(system, Batch):
         return {}
-    given = [unforced(member).parameters or {} for member in system]
+    parameters_of_members = [unforced(member).parameters or {} for member in system]
     differing = dict[str, list[Any]]()
-    for name in given[0]:
-        each = [parameters.get(name) for parameters in given]
-        shapes = {_shape_of_numbers(value) for value in each}
+    for name in parameters_of_members[0]:
+        values = [parameters.get(name) for parameters in parameters_of_members]
+        shapes = {_shape_of_numbers(value) for value in values}
         if len(shapes) == 1 and None not in shapes:
-            differing[f"system.parameters.{name}"] = each
-    found = over_members(differing)
-    return {name: entry for name, entry in found.items() if np.any(entry[1] != entry[1][0])}
+            differing[f"system.parameters.{name}"] = values
+    coordinates = over_members(differing)
+    return {name: entry for name, entry in coordinates.items() if np.any(entry[1] != entry[1][0])}
 
 
 def over_members(values: Mapping[str, list[Any]]) -> Variables:
     """Return the settings of a sweep, key -> values, as coordinates over the members."""
-    return {
-        name: (("member",), numbers, {"long_name": place}) for name, (place, numbers) in as_coordinates(values).items()
-    }
+    return {name: (("member",), numbers, {"long_name": key}) for name, (key, numbers) in as_coordinates(values).items()}
+
+
+def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDArray[Any]]]:
+    """Return the settings of a sweep as coordinates along the members: name -> key, and a value for each member.
+
+    Lists of numbers have a coordinate for each entry. Whole states are omitted, since a dataset has them as ``x0``.
+
+    Examples
+    --------
+    >>> as_coordinates({"system.parameters.inertia[2]": [2.5, 3.0]})
+    {'swept_inertia_2': ('system.parameters.inertia[2]', array([2.5, 3. ]))}
+    """
+    coordinates: dict[str, tuple[str, NDArray[Any]]] = {}
+    for key, settings in values.items():
+        if key == "initial.x":
+            continue
+        array = np.array(settings)
+        if array.dtype.kind not in "iufbU":
+            array = np.array([str(setting) for setting in settings])
+        columns = (
+            {key: array}
+            if array.ndim == 1
+            else {
+                f"{key}{''.join(f'[{k}]' for k in indices)}": array[(slice(None), *indices)]
+                for indices in np.ndindex(*array.shape[1:])
+            }
+        )
+        for full_key, column in columns.items():
+            last = (
+                full_key.removeprefix("system.parameters.").removeprefix("algebra.parameters.").removeprefix("initial.")
+            )
+            name, number = f"swept_{safe_name(last)}", 2
+            while name in coordinates:
+                name, number = f"swept_{safe_name(last)}_{number}", number + 1
+            coordinates[name] = (full_key, column)
+    return coordinates
 
 
 def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
@@ -178,16 +261,16 @@ def _balance_array(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -
     return np.stack([balance[name].tenths if name in balance else unknown for name in changes], axis=-2)
 
 
-def _tenth_array(found: Mapping[str, Drift]) -> NDArray[np.float64]:
-    return np.stack([drift.tenths for drift in found.values()], axis=-2)
+def _tenth_array(drifts: Mapping[str, Drift]) -> NDArray[np.float64]:
+    return np.stack([drift.tenths for drift in drifts.values()], axis=-2)
 
 
 def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[str, Any]]]:
-    """Assign unique variable names, also to names that differ only in characters not allowed in files."""
-    taken: dict[str, tuple[str, Any]] = {}
+    """Assign unique variable names, since `safe_name` may map several names to one."""
+    labels: dict[str, tuple[str, Any]] = {}
     for name, values in series.items():
         label, number = f"{kind}_{safe_name(name)}", 2
-        while label in taken:
+        while label in labels:
             label, number = f"{kind}_{safe_name(name)}_{number}", number + 1
-        taken[label] = (name, values)
-    return taken.items()
+        labels[label] = (name, values)
+    return labels.items()

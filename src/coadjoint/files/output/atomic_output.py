@@ -1,4 +1,4 @@
-"""Atomic output: results are written to a hidden folder beside their target; leftovers of killed runs are removed."""
+"""Atomic output of files and folders; leftovers of killed runs are removed."""
 
 from __future__ import annotations
 
@@ -16,6 +16,56 @@ from types import TracebackType
 
 from coadjoint import interruption
 
+SYNC_UNSUPPORTED = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
+"""Error numbers of file systems that cannot sync folders."""
+TEMPORARY_SUFFIX = ".writing"
+"""Suffix of incomplete files; those of killed processes are ignored."""
+
+
+def write_atomically(path: Path, content: bytes, folder: int | None = None) -> None:
+    """Write a temporary file, sync it to disk, and rename it to `path`, without following symbolic links.
+
+    A missing folder is not created. `folder` is the descriptor that `path` is relative to. OSError: the disk is full,
+    or the folder is gone; an existing file is then unchanged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_atomically(Path(folder, "answer.txt"), b"42")
+    ...     os.listdir(folder)
+    ['answer.txt']
+    """
+    temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
+
+    def opened(name: str, flags: int) -> int:
+        try:
+            return os.open(name, flags, 0o666, dir_fd=folder)
+        except FileExistsError:
+            os.unlink(name, dir_fd=folder)  # from a killed process, or a link out of the folder
+            return os.open(name, flags, 0o666, dir_fd=folder)
+
+    try:
+        with open(temporary, "xb", opener=opened) as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path, src_dir_fd=folder, dst_dir_fd=folder)
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(temporary, dir_fd=folder)
+        raise
+
+
+def sync_to_disk(folder: int) -> None:
+    """Sync the directory entries of an open folder to disk, where supported."""
+    try:
+        os.fsync(folder)
+    except OSError as reason:
+        if reason.errno not in SYNC_UNSUPPORTED:
+            raise
+
+
 try:
     import fcntl
 except ImportError:  # Windows: leftovers stay, since live writers cannot be detected
@@ -30,7 +80,7 @@ class OutputAbandoned(Exception):
 
 
 class PendingOutput:
-    """A result being written: to `place` in a hidden folder, until `finish` renames it to its target.
+    """A result being written to `path` in a hidden folder, until `finish` renames it to its target.
 
     The folder is removed at the end of the ``with`` block in any case. It is locked while its process lives, so that
     `remove_leftovers` recognizes the folders of killed runs.
@@ -40,7 +90,7 @@ class PendingOutput:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with PendingOutput(Path(folder, "answer.txt")) as unfinished:
-    ...         _ = unfinished.place.write_text("42")
+    ...         _ = unfinished.path.write_text("42")
     ...         unfinished.finish()
     ...     os.listdir(folder)
     ['answer.txt']
@@ -75,8 +125,8 @@ class PendingOutput:
             os.close(self._lock)
 
     @property
-    def place(self) -> Path:
-        """Path to write to, a name in a new folder."""
+    def path(self) -> Path:
+        """Path to write to, in a new folder."""
         return self._folder / self._target.name
 
     @contextmanager
@@ -92,7 +142,7 @@ class PendingOutput:
         if self._target.is_dir() and not self._target.is_symlink():
             # A folder cannot replace a non-empty one: move the old one into the hidden folder, to be deleted with it.
             os.replace(self._target, self._folder / REPLACED_FOLDER)
-        os.replace(self.place, self._target)
+        os.replace(self.path, self._target)
 
     def abandon(self) -> None:
         """Stop writing and remove the hidden folder; a result already renamed is unaffected."""
@@ -105,8 +155,8 @@ def remove_leftovers(target: Path) -> None:
     """Remove the hidden folders of killed runs to this target, and restore a target that was being replaced."""
     prefix = _prefix(target)
     with os.scandir(target.parent) as entries:
-        found = [entry for entry in entries if entry.name.startswith(prefix)]
-    for entry in found:
+        leftovers = [entry for entry in entries if entry.name.startswith(prefix)]
+    for entry in leftovers:
         # Of another user, or already gone: ignore.
         with suppress(OSError):
             if _is_own(entry):

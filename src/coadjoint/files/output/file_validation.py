@@ -1,7 +1,7 @@
 """Validation of untrusted files before they are read: no external references, and no content longer than declared.
 
-NetCDF 4 is HDF5, which can refer to other files and load plugins as filters; a Zarr store names its codecs, one of
-which unpickles. Files written by this library and by plain xarray have none of these.
+NetCDF 4 is HDF5, which can refer to other files and load plugins as filters; a Zarr store selects its codecs, one of
+which unpickles. Files written by this library and by xarray use none of these.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from coadjoint.short_repr import short
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3
 """Built-in filters of HDF5, as opposed to plugins."""
 CHECKSUM_BYTES = 4
-"""Bytes that a check sum adds to a chunk."""
+"""Bytes that a checksum adds to a chunk."""
 MAX_FILES = 10**6
 METADATA_FILES = (".zgroup", ".zattrs", ".zarray", ".zmetadata", "zarr.json")
 NUMERIC_TYPE = re.compile(r"[<>|]?(?:[fiu][1248]|b1|U\d{1,6}|S\d{1,6})|float(?:32|64)|u?int(?:8|16|32|64)|bool")
@@ -49,9 +49,9 @@ def check_hdf5(path: Path) -> None:
             check_available_memory(2 * total, "the content")
         for item in (file, *file.values()):
             for name in item.attrs:
-                known = item.attrs.get_id(name)
-                if known.dtype.kind == "O":
-                    check_available_memory(size * prod(known.shape), f"the attribute {short(name)}")
+                attribute = item.attrs.get_id(name)
+                if attribute.dtype.kind == "O":
+                    check_available_memory(size * prod(attribute.shape), f"the attribute {short(name)}")
 
 
 def _check_variable(variable: Any, name: str, size: int) -> int:
@@ -87,17 +87,17 @@ def _check_deflated(variable: Any, name: str, filters: list[int]) -> None:
     length = prod(variable.chunks) * variable.dtype.itemsize
     check_available_memory(2 * length, f"a chunk of {short(name)}")
     for k in range(variable.id.get_num_chunks()):
-        found = variable.id.get_chunk_info(k)
-        check_available_memory(2 * found.size, f"a chunk of {short(name)}")
-        skipped, packed = variable.id.read_direct_chunk(found.chunk_offset)
+        chunk = variable.id.get_chunk_info(k)
+        check_available_memory(2 * chunk.size, f"a chunk of {short(name)}")
+        skipped, packed = variable.id.read_direct_chunk(chunk.chunk_offset)
         if skipped:
             raise ValueError(f"{short(name)} has a chunk without all of its filters")
-        # A check sum applied before the compression is part of the compressed data.
-        after = FLETCHER in filters and filters.index(FLETCHER) > filters.index(DEFLATE)
+        # A checksum applied before the compression is part of the compressed data.
+        checksum_is_last = FLETCHER in filters and filters.index(FLETCHER) > filters.index(DEFLATE)
         unpacked = zlib.decompressobj().decompress(
-            packed[:-CHECKSUM_BYTES] if after else packed, length + CHECKSUM_BYTES + 1
+            packed[:-CHECKSUM_BYTES] if checksum_is_last else packed, length + CHECKSUM_BYTES + 1
         )
-        if len(unpacked) != length + (CHECKSUM_BYTES if FLETCHER in filters and not after else 0):
+        if len(unpacked) != length + (CHECKSUM_BYTES if FLETCHER in filters and not checksum_is_last else 0):
             raise ValueError(f"{short(name)} has a chunk of another length than declared")
 
 
@@ -108,21 +108,21 @@ def check_zarr(folder: Path) -> None:
     for count, name in enumerate(_files(folder)):
         if count > MAX_FILES:
             raise ValueError(f"there are more than {MAX_FILES} files")
-        place, _, last = name.rpartition("/")
-        if last not in METADATA_FILES:
+        array_path, _, file_name = name.rpartition("/")
+        if file_name not in METADATA_FILES:
             files.append(name)
             continue
-        found = json.loads((folder / name).read_bytes().decode("utf-8"))
-        consolidated = found.get("metadata") if last == ".zmetadata" else None
-        if last == "zarr.json":
-            consolidated = (found.get("consolidated_metadata") or {}).get("metadata")
-        for key, each in (consolidated or {}).items():
-            _register_array(arrays, key.removesuffix("/.zarray"), each)
-        _register_array(arrays, place, found)
+        metadata = json.loads((folder / name).read_bytes().decode("utf-8"))
+        consolidated = metadata.get("metadata") if file_name == ".zmetadata" else None
+        if file_name == "zarr.json":
+            consolidated = (metadata.get("consolidated_metadata") or {}).get("metadata")
+        for key, entry in (consolidated or {}).items():
+            _register_array(arrays, key.removesuffix("/.zarray"), entry)
+        _register_array(arrays, array_path, metadata)
     for name in files:
-        owner = name.partition("/")[0]
-        if owner in arrays:
-            _check_chunk(folder / name, name, arrays[owner])
+        array_name = name.partition("/")[0]
+        if array_name in arrays:
+            _check_chunk(folder / name, name, arrays[array_name])
 
 
 def _files(folder: Path, before: str = "") -> Iterator[str]:
@@ -138,49 +138,49 @@ def _files(folder: Path, before: str = "") -> Iterator[str]:
                 raise ValueError(f"{short(before + entry.name)} is a link, or no file")
 
 
-def _register_array(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]) -> None:
+def _register_array(arrays: dict[str, dict[str, Any]], name: str, metadata: Mapping[str, Any]) -> None:
     """Register an array of a Zarr store (format 2 or 3) from its metadata; reject what plain xarray does not write."""
-    if "shape" not in found:
+    if "shape" not in metadata:
         return
     if not name.isidentifier():
         raise ValueError(f"an array is called {short(name)}, which is no plain name")
-    if "codecs" in found:
-        codecs = [each["name"] for each in found["codecs"]]
-        kind, chunk = found["data_type"], found["chunk_grid"]["configuration"]["chunk_shape"]
-        if isinstance(kind, dict) and kind["name"] in ("fixed_length_utf32", "null_terminated_bytes"):
-            item = kind["configuration"]["length_bytes"]
+    if "codecs" in metadata:
+        codecs = [entry["name"] for entry in metadata["codecs"]]
+        data_type, chunk = metadata["data_type"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
+        if isinstance(data_type, dict) and data_type["name"] in ("fixed_length_utf32", "null_terminated_bytes"):
+            item_size = data_type["configuration"]["length_bytes"]
         else:
-            item = 0 if kind == "string" else _item_size(kind)
-        other = found.get("storage_transformers")
+            item_size = 0 if data_type == "string" else _item_size(data_type)
+        storage_transformers = metadata.get("storage_transformers")
     else:
-        codecs = [each["id"] for each in (found["filters"] or [])]
-        codecs += [found["compressor"]["id"]] if found["compressor"] else []
+        codecs = [entry["id"] for entry in (metadata["filters"] or [])]
+        codecs += [metadata["compressor"]["id"]] if metadata["compressor"] else []
         if "pickle" in codecs:
             raise ValueError(
                 f"the array {short(name)} is stored by pickle, which can run code; store it by another codec"
             )
-        kind, chunk, other = found["dtype"], found["chunks"], None
-        item = 0 if codecs[:1] == ["vlen-utf8"] else _item_size(kind)
+        data_type, chunk, storage_transformers = metadata["dtype"], metadata["chunks"], None
+        item_size = 0 if codecs[:1] == ["vlen-utf8"] else _item_size(data_type)
     packers = [codec for codec in codecs if codec in COMPRESSORS]
-    if other or len(packers) > 1 or not {*COMPRESSORS, *UNCOMPRESSED_CODECS}.issuperset(codecs):
+    if storage_transformers or len(packers) > 1 or not {*COMPRESSORS, *UNCOMPRESSED_CODECS}.issuperset(codecs):
         raise ValueError(
             f"the codecs of {short(name)} are {short(codecs)}; those of a run are {', '.join(COMPRESSORS)}"
         )
-    if any(type(size) is not int or size < 0 for size in (*found["shape"], *chunk, item)):
-        raise ValueError(f"the shape of {short(name)} is {short(found['shape'])}, in chunks of {short(chunk)}")
-    length = prod(chunk) * max(item, 1)
-    if length > max(UNCHECKED_BYTES, prod(found["shape"]) * item):
+    if any(type(size) is not int or size < 0 for size in (*metadata["shape"], *chunk, item_size)):
+        raise ValueError(f"the shape of {short(name)} is {short(metadata['shape'])}, in chunks of {short(chunk)}")
+    length = prod(chunk) * max(item_size, 1)
+    if length > max(UNCHECKED_BYTES, prod(metadata["shape"]) * item_size):
         raise ValueError(f"the chunks of {short(name)} are larger than the array")
     check_available_memory(2 * length, f"a chunk of {short(name)}")
-    packed = codecs.index(packers[0]) if packers else len(codecs)
-    inside, outside = (CHECKSUM_BYTES * part.count("crc32c") for part in (codecs[:packed], codecs[packed:]))
-    about = {
+    packer_index = codecs.index(packers[0]) if packers else len(codecs)
+    inside, outside = (CHECKSUM_BYTES * part.count("crc32c") for part in (codecs[:packer_index], codecs[packer_index:]))
+    declaration = {
         "packer": packers[0] if packers else "",
-        "text": item == 0,
+        "text": item_size == 0,
         "length": length,
         "sums": (inside, outside),
     }
-    if arrays.setdefault(name, about) != about:
+    if arrays.setdefault(name, declaration) != declaration:
         raise ValueError(f"the metadata of {short(name)} contradict each other")
 
 
@@ -193,15 +193,15 @@ def _item_size(kind: Any) -> int:
 def _check_chunk(file: Path, name: str, array: Mapping[str, Any]) -> None:
     """Reject a chunk that decompresses to more than the chunk size."""
     with open(file, "rb") as content:
-        held = _decompressed_length(content.read(32), array["packer"])
+        length = _decompressed_length(content.read(32), array["packer"])
         if array["text"]:
-            if held is not None:
-                check_available_memory(2 * held, name)
-            if held is None or 0 <= held <= UNCHECKED_BYTES:
+            if length is not None:
+                check_available_memory(2 * length, name)
+            if length is None or 0 <= length <= UNCHECKED_BYTES:
                 content.seek(0)
                 decode_texts(_decompress(content.read(), array["packer"], *array["sums"]), array["length"])
                 return
-        elif held is None or held == array["length"] + array["sums"][0]:
+        elif length is None or length == array["length"] + array["sums"][0]:
             return
     raise ValueError(f"the chunk {short(name)} has another length than its array declares")
 
@@ -220,7 +220,7 @@ def _decompressed_length(head: bytes, compressor: str) -> int | None:
 
 
 def _decompress(content: bytes, compressor: str, inside: int, outside: int) -> bytes:
-    """Decompress a chunk; omit its check sums, of so many bytes inside and outside of the compression."""
+    """Decompress a chunk without its checksums, of `inside` and `outside` bytes relative to the compression."""
     if compressor:
         import numcodecs
 

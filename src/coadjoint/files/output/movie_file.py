@@ -57,7 +57,7 @@ def check_speed(fps: float, target: Path) -> float:
 def write_movie(frames: Frames, target: Path, fps: float) -> None:
     """Write a movie atomically, to a target of `check_movie` and at a rate of `check_speed`."""
     with PendingOutput(target) as unfinished:
-        (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.place, fps)
+        (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.path, fps)
         unfinished.finish()
 
 
@@ -67,7 +67,7 @@ def _ffmpeg() -> str | None:
     return shutil.which(str(rcParams["animation.ffmpeg_path"]))
 
 
-def _write_gif(frames: Frames, place: Path, fps: float) -> None:
+def _write_gif(frames: Frames, path: Path, fps: float) -> None:
     """Write a GIF with the palette of the first frame, each colour counted once: its colour bar has all colours."""
     from PIL import Image
 
@@ -83,23 +83,34 @@ def _write_gif(frames: Frames, place: Path, fps: float) -> None:
             if palette is None:
                 shades = np.unique(np.asarray(image).reshape(-1, 3), axis=0)
                 shades = shades[(shades < GIF_WHITE_THRESHOLD).any(axis=1)]
-                found = Image.fromarray(shades[None]).quantize(255).getpalette() or []
+                colours = Image.fromarray(shades[None]).quantize(255).getpalette() or []
                 palette = Image.new("P", (1, 1))
-                palette.putpalette([*found[: 3 * 255], *3 * [255]])
+                palette.putpalette([*colours[: 3 * 255], *3 * [255]])
             yield image.quantize(palette=palette, dither=Image.Dither.NONE)
 
-    each = images()
-    next(each).save(place, save_all=True, append_images=each, duration=round(1000 / fps), loop=0)
+    image_iterator = images()
+    next(image_iterator).save(path, save_all=True, append_images=image_iterator, duration=round(1000 / fps), loop=0)
 
 
-def _write_mp4(frames: Frames, place: Path, fps: float) -> None:
+def _write_mp4(frames: Frames, path: Path, fps: float) -> None:
     width, height = frames.size
-    given = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-framerate", f"{fps:g}", "-i", "pipe:"]
-    made = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    command = [str(_ffmpeg()), "-loglevel", "error", "-y", *given, *made, str(place)]
+    input_options = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgba",
+        "-s",
+        f"{width}x{height}",
+        "-framerate",
+        f"{fps:g}",
+        "-i",
+        "pipe:",
+    ]
+    output_options = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    command = [str(_ffmpeg()), "-loglevel", "error", "-y", *input_options, *output_options, str(path)]
     with (
-        tempfile.TemporaryFile() as complaints,
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints) as writer,
+        tempfile.TemporaryFile() as error_file,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_file) as writer,
     ):
         assert writer.stdin is not None
         try:
@@ -112,8 +123,8 @@ def _write_mp4(frames: Frames, place: Path, fps: float) -> None:
             writer.kill()
             raise
         status = writer.wait()
-        complaints.seek(0)
-        said = complaints.read().decode(errors="replace").strip()
+        error_file.seek(0)
+        error_text = error_file.read().decode(errors="replace").strip()
     if status != 0:
-        last = said.splitlines()[-1] if said else f"it ended with status {status}"
-        raise OutputError(f"{place.name}: ffmpeg could not write it ({last})")
+        reason = error_text.splitlines()[-1] if error_text else f"it ended with status {status}"
+        raise OutputError(f"{path.name}: ffmpeg could not write it ({reason})")

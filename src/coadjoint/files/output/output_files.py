@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from coadjoint.errors import OneLineError
 from coadjoint.files.datasets.content_checksum import with_checksum
-from coadjoint.files.datasets.netcdf_file import write_netcdf
-from coadjoint.files.datasets.zarr_store import INDEX_FILE, foreign_file, write_zarr
+from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, write_netcdf, write_zarr
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.optional_packages import need
 from coadjoint.validation import read_path
@@ -65,21 +64,21 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     """
     target, allowed = read_path(path, "path"), tuple(suffixes)
     if target.suffix not in allowed:
-        listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
-        raise OutputError(f"{path}: the suffix sets the format; it must be {listed}")
+        choices = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
+        raise OutputError(f"{path}: the suffix sets the format; it must be {choices}")
     need(f"{path}: {FORMAT_NAMES[target.suffix]}", *REQUIRED_PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():
-            raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")
+            raise OutputError(f"{path}: the folder {target.parent} does not exist; create it first")
         remove_leftovers(target)
         _check_replaceable(target)
         _try_target(target)
     except (OSError, ValueError) as reason:
         if isinstance(reason, OutputError):
             raise
-        wanted = "a shorter name" if getattr(reason, "errno", None) == errno.ENAMETOOLONG else "another folder"
-        said = getattr(reason, "strerror", None) or reason
-        raise OutputError(f"{path}: cannot be written ({said}); give {wanted}") from None
+        advice = "a shorter name" if getattr(reason, "errno", None) == errno.ENAMETOOLONG else "another folder"
+        reason_text = getattr(reason, "strerror", None) or reason
+        raise OutputError(f"{path}: cannot be written ({reason_text}); give {advice}") from None
     return target
 
 
@@ -102,14 +101,14 @@ def _try_target(target: Path) -> None:
     """Create and remove the output once: the name may be too long, the disk full, or the folder not writable."""
     with PendingOutput(target) as trial:
         if target.suffix == ".zarr":
-            trial.place.mkdir()
-            (trial.place / INDEX_FILE).touch()
+            trial.path.mkdir()
+            (trial.path / INDEX_FILE).touch()
         else:
-            trial.place.touch()
+            trial.path.touch()
 
 
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a check sum of its content.
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a checksum of its content.
 
     It is written beside the target and renamed. A file is replaced in one step; when a Zarr store, which is a folder,
     is replaced, there is a moment without either.
@@ -140,7 +139,7 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     dataset = with_checksum(dataset)
     write = write_netcdf if target.suffix == ".nc" else write_zarr
     with PendingOutput(target) as unfinished:
-        _run_in_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.abandon)
+        _run_in_thread(lambda: write(dataset, unfinished.path, unfinished.writing), unfinished.abandon)
         unfinished.finish()
 
 
@@ -178,10 +177,10 @@ def write_figure(figure: Figure, path: str | Path) -> None:
     ...     write_figure(Figure(), f"{folder}/empty.png")
     """
     target = check_target(path, FIGURES)
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format=target.suffix[1:])
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=target.suffix[1:])
     with PendingOutput(target) as unfinished:
-        unfinished.place.write_bytes(drawn.getbuffer())
+        unfinished.path.write_bytes(buffer.getbuffer())
         unfinished.finish()
 
 
@@ -231,5 +230,5 @@ def write_page(text: str, path: str | Path) -> None:
 
 def _write(text: str, target: Path) -> None:
     with PendingOutput(target) as unfinished:
-        unfinished.place.write_text(text, encoding="utf-8")
+        unfinished.path.write_text(text, encoding="utf-8")
         unfinished.finish()

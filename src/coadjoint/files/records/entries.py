@@ -1,4 +1,4 @@
-"""Entries of records: validating accessors, with the place of the entry in errors."""
+"""Entries of records: validating accessors whose errors contain the path of the entry."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
 
 
 class Entry:
-    """A value of a record from a file, not validated yet, and its place for messages.
+    """An unvalidated value of a record from a file, and its path in the record for messages.
 
     Examples
     --------
@@ -38,21 +38,21 @@ class Entry:
     ValueError: algebra.basis[1] is 2; it must be text
     """
 
-    def __init__(self, value: Any, place: str, depth: int = 0) -> None:
-        self.value, self.place, self._depth = value, place, depth
+    def __init__(self, value: Any, path: str, depth: int = 0) -> None:
+        self.value, self.path, self._depth = value, path, depth
         if depth > MAX_DEPTH:
-            raise ValueError(f"{place} is nested deeper than {MAX_DEPTH} lists and tables")
+            raise ValueError(f"{path} is nested deeper than {MAX_DEPTH} lists and tables")
 
     def invalid_error(self, wanted: str) -> ValueError:
         """Return the error that the value must be `wanted`."""
-        return ValueError(f"{self.place} is {short(self.value, 60)}; it must be {wanted}")
+        return ValueError(f"{self.path} is {short(self.value, 60)}; it must be {wanted}")
 
     def table(self) -> dict[str, Entry]:
         """Return a table of entries."""
         if not isinstance(self.value, dict):
             raise self.invalid_error("a table")
         return {
-            key: Entry(value, f"{self.place}.{in_one_line(key, 40)}", self._depth + 1)
+            key: Entry(value, f"{self.path}.{in_one_line(key, 40)}", self._depth + 1)
             for key, value in self.value.items()
         }
 
@@ -60,23 +60,23 @@ class Entry:
         return key in self.table()
 
     def __getitem__(self, key: str) -> Entry:
-        found = self.table()
-        if key not in found:
-            raise ValueError(f"{self.place} has no {key!r}")
-        return found[key]
+        table = self.table()
+        if key not in table:
+            raise ValueError(f"{self.path} has no {key!r}")
+        return table[key]
 
     def reject_unknown(self, *known: str) -> Entry:
         """Reject unknown keys, whose meaning would be lost; return the entry itself."""
         for key, entry in self.table().items():
             if key not in known:
-                raise ValueError(f"{entry.place} is none of the keys that are known there, {', '.join(known)}")
+                raise ValueError(f"{entry.path} is an unknown key; the known keys are {', '.join(known)}")
         return self
 
     def entries(self, length: int | None = None) -> list[Entry]:
         """Return a list of entries, of the given length if any."""
         if not isinstance(self.value, list) or (length is not None and len(self.value) != length):
             raise self.invalid_error("a list" if length is None else f"a list of {length} entries")
-        return [Entry(value, f"{self.place}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
+        return [Entry(value, f"{self.path}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
 
     def integers(self, most: int, length: int | None = None) -> list[int]:
         """Return a list of integers from 0 to `most`, of the given length if any."""
@@ -97,23 +97,23 @@ class Entry:
         wanted = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
         if self.value == []:
             return np.zeros((0, len(bounds) + 1))
-        found = self._array(wanted, None, len(bounds) + 1)
-        for column, bound in zip(found.T, bounds, strict=False):
+        table = self._array(wanted, None, len(bounds) + 1)
+        for column, bound in zip(table.T, bounds, strict=False):
             if not ((column >= 0) & (column < bound) & (column == np.floor(column))).all():
                 raise self.invalid_error(wanted)
-        return found
+        return table
 
     def _array(self, wanted: str, *shape: int | None) -> NDArray[np.float64]:
         try:
-            found = np.array(self.value)
+            array = np.array(self.value)
         except (ValueError, TypeError, OverflowError, RecursionError):
             raise self.invalid_error(wanted) from None
-        fits_shape = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
-        if not isinstance(self.value, list) or found.dtype.kind not in "if" or not fits_shape:
+        fits_shape = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        if not isinstance(self.value, list) or array.dtype.kind not in "if" or not fits_shape:
             raise self.invalid_error(wanted)
-        if not np.isfinite(found).all():
+        if not np.isfinite(array).all():
             raise self.invalid_error(wanted)
-        return found.astype(np.float64)
+        return array.astype(np.float64)
 
     def text(self) -> str:
         """Return the value as text."""
@@ -140,10 +140,10 @@ class Entry:
     def exact(self) -> int | float | Fraction:
         """Return the value as an exact number: an integer, a float, or a quotient of integers."""
         if isinstance(self.value, str):
-            found = _QUOTIENT.fullmatch(self.value)
-            if found is None or not int(found[2]):
+            match = _QUOTIENT.fullmatch(self.value)
+            if match is None or not int(match[2]):
                 raise self.invalid_error("a number, or a quotient such as '1/3'")
-            quotient = Fraction(int(found[1]), int(found[2]))
+            quotient = Fraction(int(match[1]), int(match[2]))
             if not fits(quotient):
                 raise self.invalid_error("a quotient that float64 holds")
             return quotient
@@ -173,7 +173,7 @@ class Entry:
         return self.value
 
 
-def parsed(value: Any, place: str) -> Entry:
+def parsed(value: Any, path: str) -> Entry:
     """Parse an attribute that contains JSON.
 
     Examples
@@ -185,19 +185,19 @@ def parsed(value: Any, place: str) -> Entry:
     ValueError: t_span is '[1, 2', which is no JSON: Expecting ',' delimiter: line 1 column 6 (char 5)
     """
     if not isinstance(value, str):
-        raise ValueError(f"{place} is {short(value, 60)}; it must be text, JSON")
+        raise ValueError(f"{path} is {short(value, 60)}; it must be text, JSON")
     try:
-        return Entry(json.loads(value), place)
+        return Entry(json.loads(value), path)
     except ValueError as reason:
-        said = in_one_line(str(reason), 120)
+        problem = in_one_line(str(reason), 120)
     except RecursionError:
-        said = "lists or tables are nested too deeply"
-    raise ValueError(f"{place} is {short(value, 60)}, which is no JSON: {said}")
+        problem = "lists or tables are nested too deeply"
+    raise ValueError(f"{path} is {short(value, 60)}, which is no JSON: {problem}")
 
 
 @contextmanager
 def as_value_errors(entry: Entry) -> Iterator[None]:
-    """Convert errors of the library inside the context to ValueError with the place of the entry.
+    """Convert errors of the library inside the context to ValueError with the path of the entry.
 
     Examples
     --------
@@ -210,6 +210,6 @@ def as_value_errors(entry: Entry) -> Iterator[None]:
         with np.errstate(all="ignore"):  # overflows are rejected here or in the run
             yield
     except (ValueError, TypeError) as reason:
-        raise ValueError(f"{entry.place}: {in_one_line(str(reason), 300)}") from reason
+        raise ValueError(f"{entry.path}: {in_one_line(str(reason), 300)}") from reason
     except (ArithmeticError, RecursionError, MemoryError) as reason:
-        raise ValueError(f"{entry.place}: {type(reason).__name__}: {in_one_line(str(reason), 300)}") from reason
+        raise ValueError(f"{entry.path}: {type(reason).__name__}: {in_one_line(str(reason), 300)}") from reason

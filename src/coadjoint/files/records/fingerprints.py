@@ -27,7 +27,7 @@ PLAIN_TYPES = (type(None), bool, int, float, complex, str, bytes, Fraction, rang
 
 
 class Fingerprint:
-    """Digest used by archives older than `contents_of`; it does not cover everything that functions read.
+    """Digest of archives written before `contents_of` existed; it covers only part of what functions read.
 
     With `written`, source text replaces bytecode, which depends on the version of Python.
     """
@@ -35,7 +35,7 @@ class Fingerprint:
     def __init__(self, written: bool) -> None:
         self._digest, self._written = hashlib.sha256(), written
         self._seen: dict[int, int] = {}
-        self._kept: list[Any] = []  # keep objects alive, so that their ids stay unique
+        self._references: list[Any] = []  # keeps objects alive, so that their ids stay unique
         self.unknown = False
 
     def hexdigest(self) -> str:
@@ -52,7 +52,7 @@ class Fingerprint:
         if id(value) in self._seen:
             return self._feed("again", self._seen[id(value)])
         self._seen[id(value)] = len(self._seen)
-        self._kept.append(value)
+        self._references.append(value)
         if isinstance(value, np.ndarray | np.generic):
             self._feed("array", np.asarray(value).dtype.str, np.shape(value))
             self._digest.update(np.ascontiguousarray(value).tobytes())
@@ -90,10 +90,12 @@ class Fingerprint:
             self.add({field.name: getattr(value, field.name) for field in fields(value)})
         else:
             kind = type(value)
-            kept = {name: own for name, own in getattr(value, "__dict__", {}).items() if not _is_cache(kind, name)}
-            functions = {name: own for name, own in vars(kind).items() if isinstance(own, types.FunctionType)}
+            attributes = {
+                name: item for name, item in getattr(value, "__dict__", {}).items() if not _is_cache(kind, name)
+            }
+            functions = {name: item for name, item in vars(kind).items() if isinstance(item, types.FunctionType)}
             self._feed("object", kind.__qualname__)
-            self.add([kept, functions if _package(kind) != "coadjoint" else {}])
+            self.add([attributes, functions if _package(kind) != "coadjoint" else {}])
 
     def _add_function(self, function: types.FunctionType) -> None:
         self._feed("function", function.__name__)
@@ -106,13 +108,13 @@ class Fingerprint:
             self._add_code(function.__code__)
         closed = [cell.cell_contents for cell in function.__closure__ or () if _is_filled(cell)]
         self.add([function.__defaults__, function.__kwdefaults__, closed])
-        own = _package(function)
+        package = _package(function)
         for name in sorted(_names(function.__code__)):
-            found = function.__globals__.get(name, self)
-            if isinstance(found, (*PLAIN_TYPES, np.ndarray, np.generic, tuple)) or (
-                isinstance(found, types.FunctionType) and _package(found) == own
+            value = function.__globals__.get(name, self)
+            if isinstance(value, (*PLAIN_TYPES, np.ndarray, np.generic, tuple)) or (
+                isinstance(value, types.FunctionType) and _package(value) == package
             ):
-                self.add([name, found])
+                self.add([name, value])
 
     def _add_code(self, code: types.CodeType) -> None:
         self._feed("code", code.co_argcount, code.co_kwonlyargcount, code.co_names, code.co_varnames)
@@ -128,7 +130,7 @@ def _is_filled(cell: Any) -> bool:
 
 
 def _names(code: types.CodeType) -> set[str]:
-    """Return the global names that a function and those nested in it read."""
+    """Return the global names read by a function and its nested functions."""
     inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
     return set(code.co_names).union(*map(_names, inside))
 
@@ -142,14 +144,14 @@ def _is_cache(kind: type, name: str) -> bool:
 
 
 def fingerprint_of(value: Any) -> dict[str, Any]:
-    """Return a fingerprint of a value and all that its functions read, for `same_fingerprint`.
+    """Return a fingerprint of a value and of everything its functions read, for `same_fingerprint`.
 
     Examples
     --------
     >>> def times(a):
     ...     return lambda x: a * x
-    >>> one, other, again = (fingerprint_of(times(a)) for a in (1.0, 2.0, 1.0))
-    >>> same_fingerprint(one, other), same_fingerprint(one, again)
+    >>> first, second, third = (fingerprint_of(times(a)) for a in (1.0, 2.0, 1.0))
+    >>> same_fingerprint(first, second), same_fingerprint(first, third)
     (False, True)
     """
     code, text = Fingerprint(False), Fingerprint(True)
@@ -166,19 +168,19 @@ def fingerprint_of(value: Any) -> dict[str, Any]:
     }
 
 
-def same_fingerprint(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two values, with all that their functions read, are equal.
+def same_fingerprint(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Whether two values, including everything their functions read, are equal.
 
     Bytecode is compared if the version of Python is the same, otherwise source text; functions without text are
     unequal.
     """
-    if "contents" in one and "contents" in other:
-        if one["python"] == other["python"]:
-            return bool(one["contents"] == other["contents"])
-        return one["written"] is not None and one["written"] == other["written"]
-    if one["python"] == other["python"]:
-        return bool(one["code"] == other["code"])
-    return one["text"] is not None and one["text"] == other["text"]
+    if "contents" in first and "contents" in second:
+        if first["python"] == second["python"]:
+            return bool(first["contents"] == second["contents"])
+        return first["written"] is not None and first["written"] == second["written"]
+    if first["python"] == second["python"]:
+        return bool(first["code"] == second["code"])
+    return first["text"] is not None and first["text"] == second["text"]
 
 
 def functions_in(system: Any) -> list[str]:
@@ -200,7 +202,7 @@ def system_contents(system: Any) -> Any:
         streams = (system.stream, getattr(system, "second_stream", None))
         functions = [getattr(stream, "function", stream) for stream in streams]
         return [record_of(cast(Any, system)), functions, system.energy_function]
-    made = [system.name, system.sign, list(system.hamiltonian.terms()), dict(system.casimirs)]
+    contents = [system.name, system.sign, list(system.hamiltonian.terms()), dict(system.casimirs)]
     if isinstance(system, LiePoissonSystem):
-        return [record_of(system), *made]
-    return [*made, getattr(system, "structure_function", system)]
+        return [record_of(system), *contents]
+    return [*contents, getattr(system, "structure_function", system)]

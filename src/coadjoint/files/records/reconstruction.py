@@ -41,18 +41,18 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     Traceback (most recent call last):
     ValueError: system.parameters: inertia has shape (2,); give three principal moments, or a symmetric (3, 3)
     """
-    given = record if isinstance(record, Entry) else Entry(dict(record), "system")
-    if "members" not in given:
-        return _one_of(given, dim)
-    given.reject_unknown("name", "members", "not_stored")
-    members = [_one_of(member, dim) for member in given["members"].entries()]
-    with as_value_errors(given["members"]):
+    entry = record if isinstance(record, Entry) else Entry(dict(record), "system")
+    if "members" not in entry:
+        return _system_of(entry, dim)
+    entry.reject_unknown("name", "members", "not_stored")
+    members = [_system_of(member, dim) for member in entry["members"].entries()]
+    with as_value_errors(entry["members"]):
         return Batch(members)
 
 
-def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
+def _system_of(record: Entry, dim: int | None) -> System | ForcedSystem:
     if "forces" not in record:
-        return _member_of(record, dim)
+        return _unforced_system_of(record, dim)
     record.reject_unknown("name", "forces", "system", "not_stored")
     _check_stored(record, record["name"].text())
     forces = []
@@ -60,12 +60,12 @@ def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
         parameters = {key: entry.plain() for key, entry in force.table().items()}
         with as_value_errors(force):
             forces.append(described.from_description(parameters))
-    system = _member_of(record["system"], dim)
+    system = _unforced_system_of(record["system"], dim)
     with as_value_errors(record["forces"]):
         return ForcedSystem(system, forces)
 
 
-def _member_of(record: Entry, dim: int | None) -> Any:
+def _unforced_system_of(record: Entry, dim: int | None) -> Any:
     name = record["name"].text()
     if "parameters" in record:
         record.reject_unknown("name", "parameters")
@@ -105,17 +105,17 @@ def _member_of(record: Entry, dim: int | None) -> Any:
 def _check_stored(record: Entry, name: str) -> None:
     """Reject a record of a system whose motion depends on functions."""
     missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
-    lost = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
-    if lost:
+    required = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
+    if required:
         raise ValueError(
-            f"{short(name)[1:-1]} cannot be rebuilt from its record: functions are not stored "
-            f"({short(', '.join(lost), 200)[1:-1]}); make the system in Python and integrate it there"
+            f"{short(name)[1:-1]} cannot be rebuilt from its record, since functions are not stored "
+            f"({short(', '.join(required), 200)[1:-1]}); make the system in Python and integrate it there"
         )
 
 
-def _check_dimension(record: Entry, found: int, wanted: int | None) -> None:
-    if wanted is not None and found != wanted:
-        raise ValueError(f"{record.place} has the dimension {found}, and the stored states have {wanted}")
+def _check_dimension(record: Entry, dim: int, wanted: int | None) -> None:
+    if wanted is not None and dim != wanted:
+        raise ValueError(f"{record.path} has dimension {dim}, but the stored states have dimension {wanted}")
 
 
 def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
@@ -145,8 +145,8 @@ def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
     with as_value_errors(record):
         check_available_memory(8 * dim * size**2, "a representation")
         matrices = np.zeros((dim, size, size))
-    *where, values = record["entries"].rows(dim, size, size).T
-    matrices[tuple(index.astype(np.int64) for index in where)] = values
+    *indices, values = record["entries"].rows(dim, size, size).T
+    matrices[tuple(index.astype(np.int64) for index in indices)] = values
     return matrices
 
 
@@ -205,10 +205,10 @@ def _split_of(record: Entry, dim: int) -> SplitHamiltonian:
 
 
 def _sum_of(record: Entry, dim: int) -> Any:
-    given = record.reject_unknown("kind", "summands")["summands"]
-    summands = [_hamiltonian_of(one, dim) for one in given.entries()]
+    entries = record.reject_unknown("kind", "summands")["summands"]
+    summands = [_hamiltonian_of(summand, dim) for summand in entries.entries()]
     if not summands:
-        raise given.invalid_error("a list of at least one Hamiltonian")
+        raise entries.invalid_error("a list of at least one Hamiltonian")
     with as_value_errors(record):
         return sum(summands[1:], summands[0])
 
@@ -218,12 +218,12 @@ def _quadratic_of(record: Entry, dim: int) -> Quadratic:
 
     record.reject_unknown("kind", "dim", "M", "linear", "constant")
     upper = record["M"].rows(dim, dim)
-    places = upper[:, :2].astype(np.int64)
-    if len(np.unique(places, axis=0)) < len(places) or (places[:, 0] > places[:, 1]).any():
+    indices = upper[:, :2].astype(np.int64)
+    if len(np.unique(indices, axis=0)) < len(indices) or (indices[:, 0] > indices[:, 1]).any():
         raise record["M"].invalid_error("rows (i, j, value) with i up to j, each pair once")
-    below = places[places[:, 0] < places[:, 1]][:, ::-1]
-    (rows, columns), values = np.concatenate([places, below]).T, upper[:, 2]
+    mirrored = indices[indices[:, 0] < indices[:, 1]][:, ::-1]
+    (rows, columns), values = np.concatenate([indices, mirrored]).T, upper[:, 2]
     linear, constant = record["linear"].numbers(dim), record["constant"].exact()
     with as_value_errors(record):
-        values = np.concatenate([values, values[places[:, 0] < places[:, 1]]])
+        values = np.concatenate([values, values[indices[:, 0] < indices[:, 1]]])
         return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)

@@ -62,9 +62,11 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     if not isinstance(system, LiePoissonSystem):
         return {"name": system.name, "not_stored": [f"structure matrix: {_function_name(system.structure_function)}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
-    followed, known = system.casimirs, system.algebra.casimirs_known
-    lost = [name for name, value in (*followed.items(), *known.items()) if not isinstance(value, STORABLE_TYPES)]
-    missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(lost)]
+    casimirs, algebra_casimirs = system.casimirs, system.algebra.casimirs_known
+    functions_only = [
+        name for name, value in (*casimirs.items(), *algebra_casimirs.items()) if not isinstance(value, STORABLE_TYPES)
+    ]
+    missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(functions_only)]
     missing += [
         f"{INTEGRAL}{name}" for name, value in system.integrals.items() if not isinstance(value, STORABLE_TYPES)
     ]
@@ -74,7 +76,7 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         "sign": system.sign,
         "algebra": _algebra_record(system.algebra),
         "hamiltonian": hamiltonian,
-        "casimirs": invariants_record(followed),
+        "casimirs": invariants_record(casimirs),
     }
     if system.representation is not None and system.representation is not system.algebra.representation:
         record["representation"] = _matrices_record(system.representation)
@@ -103,8 +105,8 @@ def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
 
 
 def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
-    where = np.nonzero(matrices)
-    columns = [*(index.tolist() for index in where), matrices[where].tolist()]
+    indices = np.nonzero(matrices)
+    columns = [*(index.tolist() for index in indices), matrices[indices].tolist()]
     return {"size": matrices.shape[1], "entries": [list(row) for row in zip(*columns, strict=True)]}
 
 
@@ -128,12 +130,12 @@ def _forced_record(system: ForcedSystem) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
     inner, forces, missing = record_of(system.system), [], []
     for label, force in zip(system.labels, system.forces, strict=True):
-        given = force.parameters()
+        parameters = force.parameters()
         known = described.KINDS.get(type(force).__name__) is type(force)
-        if not known or any(callable(value) for value in given.values()):
+        if not known or any(callable(value) for value in parameters.values()):
             missing.append(f"force: {label}")
             continue
-        forces.append({"name": type(force).__name__, **{key: _plain(value) for key, value in given.items()}})
+        forces.append({"name": type(force).__name__, **{key: _plain(value) for key, value in parameters.items()}})
     missing = [*inner.get("not_stored", ()), *missing]
     record: dict[str, Any] = {"name": system.name, "forces": forces, "system": inner}
     return {**record, "not_stored": missing} if missing else record
@@ -170,10 +172,10 @@ def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
         return _form_record(H), []
     if isinstance(H, SplitHamiltonian):
         inner = [_hamiltonian_record(piece) for piece in H.pieces]
-        pieces = [[list(chosen), record] for chosen, (record, _) in zip(H.coordinates, inner, strict=True)]
+        pieces = [[list(coordinates), record] for coordinates, (record, _) in zip(H.coordinates, inner, strict=True)]
         return {"kind": "split", "pieces": pieces}, [name for _, names in inner for name in names]
     if isinstance(H, SumOfHamiltonians):
-        parts = [_hamiltonian_record(one) for one in H.summands]
+        parts = [_hamiltonian_record(summand) for summand in H.summands]
         missing = [name for _, names in parts for name in names]
         return {"kind": "sum", "summands": [record for record, _ in parts]}, missing
     names = [_function_name(term.value) for term in H.terms() if isinstance(term, FunctionTerm)]

@@ -31,83 +31,80 @@ class ResumeArguments(NamedTuple):
     events: tuple[Event, ...] | None
 
 
-def function_attributes(ready: PreparedRun, events: Sequence[Event]) -> dict[str, str]:
+def function_attributes(prepared: PreparedRun, events: Sequence[Event]) -> dict[str, str]:
     """Return the attributes with the observed quantities and the fingerprints of functions."""
-    observed, found = ready.observe, {}
-    functions = functions_in(ready.system)
+    observed, fingerprints = prepared.observe, {}
+    functions = functions_in(prepared.system)
     if functions:
-        found["system"] = {"named": functions, **fingerprint_of(system_contents(ready.system))}
-    named = [name for name, given in observed.items() if not isinstance(given, STORABLE_TYPES)]
-    if named:
-        found["observe"] = {"named": named, **fingerprint_of(observed)}
-    called = [
+        fingerprints["system"] = {"named": functions, **fingerprint_of(system_contents(prepared.system))}
+    functional_quantities = [name for name, quantity in observed.items() if not isinstance(quantity, STORABLE_TYPES)]
+    if functional_quantities:
+        fingerprints["observe"] = {"named": functional_quantities, **fingerprint_of(observed)}
+    functional_events = [
         event.name or str(k) for k, event in enumerate(events) if not isinstance(event.g, int | str | STORABLE_TYPES[0])
     ]
-    if called:
-        found["events"] = {"named": called, **fingerprint_of(list(events))}
+    if functional_events:
+        fingerprints["events"] = {"named": functional_events, **fingerprint_of(list(events))}
     return {
-        FUNCTIONS_ATTRIBUTE: json.dumps(found),
+        FUNCTIONS_ATTRIBUTE: json.dumps(fingerprints),
         OBSERVED_ATTRIBUTE: json.dumps({"names": list(observed), "stored": invariants_record(observed)}),
     }
 
 
 def requires_argument(attributes: Mapping[str, Any], what: str) -> bool:
-    """Whether the run of an archive needs its system, observed quantities or events given again."""
+    """Whether `what`, the system, observed quantities or events, contains functions and must be given to resume."""
     return what in json.loads(attributes[FUNCTIONS_ATTRIBUTE])
 
 
 def resume_arguments(
     path: Path, archive: ArchivedSolution, system: Any, observe: Mapping[str, Any] | None, events: Any
 ) -> ResumeArguments:
-    """Return the arguments of a resumed run, from those given and those stored.
-
-    ArchiveError: a function is missing, or differs from the one that the run began with.
-    """
+    """Return the arguments of a resumed run, given or stored; ArchiveError if one is missing or differs."""
     attributes = archive.attributes
-    wanted = json.loads(attributes[FUNCTIONS_ATTRIBUTE])
+    fingerprints = json.loads(attributes[FUNCTIONS_ATTRIBUTE])
     observed = json.loads(attributes[OBSERVED_ATTRIBUTE])
-    looked_for = None if events is None else read_events(events)
-    if looked_for and "events" not in wanted:
+    parsed_events = None if events is None else read_events(events)
+    if parsed_events and "events" not in fingerprints:
         raise ArchiveError(f"{path}: the run has no events; omit events")
     if system is not None:
-        _check(path, "system", system_contents(system), wanted, system)
+        _check(path, "system", system_contents(system), fingerprints, system)
         if json.loads(json.dumps(record_of(system))) != json.loads(attributes["system"]):
-            raise ArchiveError(f"{path}: system is {short(system)}, and the run is one of {attributes['system_repr']}")
-    elif "system" in wanted:
-        raise _missing(path, "system", wanted)
+            raise ArchiveError(f"{path}: system is {short(system)}, but the run has {attributes['system_repr']}")
+    elif "system" in fingerprints:
+        raise _missing(path, "system", fingerprints)
     if observe is not None:
         observe = check_observe(observe)
         if list(observe) != observed["names"]:
-            raise ArchiveError(f"{path}: the run observes {observed['names']}, and observe has {list(observe)}")
-        _check(path, "observe", observe, wanted, observe)
+            raise ArchiveError(f"{path}: the run observes {observed['names']}, but observe has {list(observe)}")
+        _check(path, "observe", observe, fingerprints, observe)
         records = json.loads(json.dumps(invariants_record(observe)))  # functions have none
         changed = [name for name in observe if records.get(name) != observed["stored"].get(name)]
         if changed:
             raise ArchiveError(
-                f"{path}: observe[{short(changed[0])}] is {short(observe[changed[0]])}, which is not the quantity that "
-                "the run was begun with; omit observe, or give the same"
+                f"{path}: observe[{short(changed[0])}] is {short(observe[changed[0]])}, which differs from "
+                "that of the run; omit observe, or give the same quantity"
             )
-    elif "observe" in wanted:
-        raise _missing(path, "observe", wanted)
+    elif "observe" in fingerprints:
+        raise _missing(path, "observe", fingerprints)
     else:
         dim = archive.inputs()["system"].dim if observed["names"] else 0
         stored = invariants_of(parsed(json.dumps(observed["stored"]), OBSERVED_ATTRIBUTE), dim)
         observe = {name: stored[name] for name in observed["names"]}
-    if looked_for is not None:
-        _check(path, "events", list(looked_for), wanted, events)
-    elif "events" in wanted:
-        raise _missing(path, "events", wanted)
-    return ResumeArguments(dict(observe), looked_for)
+    if parsed_events is not None:
+        _check(path, "events", list(parsed_events), fingerprints, events)
+    elif "events" in fingerprints:
+        raise _missing(path, "events", fingerprints)
+    return ResumeArguments(dict(observe), parsed_events)
 
 
-def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: Any) -> None:
-    """Raise ArchiveError if an argument differs from the one that the run began with."""
-    if what in wanted and not same_fingerprint(wanted[what], fingerprint_of(made)):
+def _check(path: Path, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:
+    """Raise ArchiveError if an argument differs from the stored fingerprint."""
+    if what in stored and not same_fingerprint(stored[what], fingerprint_of(contents)):
         raise ArchiveError(
-            f"{path}: {what} is {short(given)}, which is not what the run was begun with: its numbers, or the code of "
-            f"its functions ({short(', '.join(wanted[what]['named']))[1:-1]}), differ"
+            f"{path}: {what} is {short(argument)}, which differs from that of the run in its numbers, "
+            f"or in the code of its functions ({short(', '.join(stored[what]['named']))[1:-1]})"
         )
-    unknown = wanted.get(what, {}).get("unknown", ())
+    unknown = stored.get(what, {}).get("unknown", ())
     if unknown:
         warnings.warn(
             f"{path}: {what} is compared without {short(', '.join(unknown))[1:-1]}, which cannot be fingerprinted",
@@ -116,8 +113,8 @@ def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: A
         )
 
 
-def _missing(path: Path, what: str, wanted: Mapping[str, Any]) -> ArchiveError:
-    named = short(", ".join(wanted[what]["named"]))[1:-1]
+def _missing(path: Path, what: str, stored: Mapping[str, Any]) -> ArchiveError:
+    named = short(", ".join(stored[what]["named"]))[1:-1]
     return ArchiveError(
-        f"{path}: the run has functions, which are not stored ({named}); give them again: co.resume(path, {what}=...)"
+        f"{path}: the run uses functions, which are not stored ({named}); give them by co.resume(path, {what}=...)"
     )

@@ -9,15 +9,14 @@ from typing import Any
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.files.configuration.polynomials import parse_polynomial
-from coadjoint.files.datasets.state_arrays import split_complex, state_dimensions
-from coadjoint.files.datasets.variables import cf_attributes
+from coadjoint.files.configuration.construction import parse_polynomial
+from coadjoint.files.datasets.variables import cf_attributes, split_complex, state_dimensions
 from coadjoint.files.records.entries import Entry, as_value_errors
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import invariants_record
 from coadjoint.runs.events import Event, Events
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.description import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
@@ -33,22 +32,22 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     >>> event_of_file("far", {"g": "x1^2 - 0.25", "direction": 1}, rigid_body((1, 2, 3))).g
     -0.25 + x1^2
     """
-    moved = unforced(system[0] if isinstance(system, Batch) else system)
-    if isinstance(moved, MatrixSystem):
-        raise ValueError(f"an event of a file needs coordinates; the states of {moved.name} are matrices")
+    unforced_system = unforced(system[0] if isinstance(system, Batch) else system)
+    if isinstance(unforced_system, MatrixSystem):
+        raise ValueError(f"an event of a file needs coordinates; the states of {unforced_system.name} are matrices")
     options = dict(table)
     g = options.pop("g")
-    if isinstance(g, str) and g not in coordinate_names(moved, moved.dim):
-        g = parse_polynomial(g, moved.dim)
+    if isinstance(g, str) and g not in coordinate_names(unforced_system, unforced_system.dim):
+        g = parse_polynomial(g, unforced_system.dim)
     elif isinstance(g, list):
-        g = parse_polynomial(g, moved.dim)
+        g = parse_polynomial(g, unforced_system.dim)
     elif not isinstance(g, str):
-        g = read_integer(g, "g", 0, moved.dim - 1)
+        g = read_integer(g, "g", 0, unforced_system.dim - 1)
     return Event(g, name=name, **options)
 
 
 def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return events as JSON, and the names of those that are functions, whose g is null since it cannot be stored.
+    """Return events as JSON, and the names of events whose g is a function; these have a null g.
 
     Examples
     --------
@@ -71,17 +70,17 @@ def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, li
 
 def variables_of(events: Events) -> dict[str, Any]:
     """Return crossings as variables of a dataset, over ``crossing``."""
-    over = ("crossing",)
-    found: dict[str, Any] = {
-        "event_time": (over, events.t, cf_attributes("time of a crossing")),
-        "event_x": ((*over, *state_dimensions(events.x, 1)), split_complex(events.x), cf_attributes("momentum there")),
-        "event_which": (over, events.which, {"long_name": "number of the event"}),
-        "event_member": (over, events.member, {"long_name": "member that crosses"}),
-        "event_direction": (over, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
+    dims = ("crossing",)
+    variables: dict[str, Any] = {
+        "event_time": (dims, events.t, cf_attributes("time of a crossing")),
+        "event_x": ((*dims, *state_dimensions(events.x, 1)), split_complex(events.x), cf_attributes("momentum there")),
+        "event_which": (dims, events.which, {"long_name": "number of the event"}),
+        "event_member": (dims, events.member, {"long_name": "member that crosses"}),
+        "event_direction": (dims, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
     }
     if events.attitude is not None:
-        found["event_attitude"] = ((*over, "row", "column"), events.attitude, cf_attributes("group element there"))
-    return found
+        variables["event_attitude"] = ((*dims, "row", "column"), events.attitude, cf_attributes("group element there"))
+    return variables
 
 
 def not_stored(x: NDArray[Any], t: float) -> float:
@@ -91,14 +90,14 @@ def not_stored(x: NDArray[Any], t: float) -> float:
 
 def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
     """Parse the events of `event_record`, with `not_stored` for functions; ValueError if damaged."""
-    found = []
+    events = []
     with as_value_errors(entry):
         for name, table in json.loads(entry.text()).items():
             if table["g"] is None:
-                found.append(Event(**{**table, "g": not_stored}, name=name))
+                events.append(Event(**{**table, "g": not_stored}, name=name))
             elif isinstance(table["g"], dict):
-                g = invariants_of(Entry({name: table["g"]}, entry.place), system.dim)[name]
-                found.append(Event(**{**table, "g": g}, name=name))
+                g = invariants_of(Entry({name: table["g"]}, entry.path), system.dim)[name]
+                events.append(Event(**{**table, "g": g}, name=name))
             else:
-                found.append(event_of_file(name, table, system))
-    return tuple(found)
+                events.append(event_of_file(name, table, system))
+    return tuple(events)

@@ -17,46 +17,46 @@ from coadjoint.private_folders import WRITABLE_BY_OTHERS, check_private, private
 def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
     """Load a library from the cache, after `build` has written it there if it is missing or damaged.
 
-    If the cache cannot be used, warn, and build in a temporary folder. `build` must not raise OSError; OSError means
-    that the library cannot be loaded.
+    If the cache cannot be used, warn, and build in a temporary folder. OSError: the library cannot be loaded; `build`
+    must not raise it.
     """
     try:
         folder = _cache_folder()
         path = _cached(folder, name)
         if path is None:
-            with tempfile.TemporaryDirectory(dir=folder) as own:
-                made = Path(own, name)
-                build(made)
-                path = folder / _cache_name(name, _flushed_content(made))
-                os.replace(made, path)
+            with tempfile.TemporaryDirectory(dir=folder) as build_folder:
+                new_file = Path(build_folder, name)
+                build(new_file)
+                path = folder / _cache_name(name, _flushed_content(new_file))
+                os.replace(new_file, path)
     except OSError as reason:
-        why = f"{reason.strerror}: {reason.filename}" if reason.strerror else reason
+        detail = f"{reason.strerror}: {reason.filename}" if reason.strerror else reason
         warnings.warn(
-            f"the cache of compiled steps is not used ({why}), so that each process compiles them again; correct this "
-            "or name another folder by XDG_CACHE_HOME",
+            f"the cache of compiled steps is not used ({detail}), so that each process compiles them again; correct "
+            "this or name another folder by XDG_CACHE_HOME",
             RuntimeWarning,
             stacklevel=2,
         )
-        with private_folder() as own_folder:
-            build(own_folder / name)
-            return ctypes.CDLL(str(own_folder / name))
+        with private_folder() as temporary_folder:
+            build(temporary_folder / name)
+            return ctypes.CDLL(str(temporary_folder / name))
     return ctypes.CDLL(str(path))
 
 
 def _cache_name(name: str, content: bytes) -> str:
-    """Return a file name that contains a digest of the content: loading a damaged library would crash the process."""
+    """Return a file name with a digest of the content, since loading a damaged library would crash the process."""
     return f"{name}-{hashlib.sha256(content).hexdigest()[:32]}.so"
 
 
 def _cache_folder() -> Path:
     """Return the cache folder, created if missing; no other user can change or replace its contents."""
-    given = os.environ.get("XDG_CACHE_HOME", "")
+    configured = os.environ.get("XDG_CACHE_HOME", "")
     # A relative path is ignored, as the XDG Base Directory Specification requires.
-    base = Path(given) if os.path.isabs(given) else _home() / ".cache"
+    base = Path(configured) if os.path.isabs(configured) else _home() / ".cache"
     folder = Path(os.path.realpath(base / "coadjoint"))
-    for place in (*reversed(folder.parents), folder):
-        if not place.exists():
-            place.mkdir(mode=0o700, exist_ok=True)
+    for level in (*reversed(folder.parents), folder):
+        if not level.exists():
+            level.mkdir(mode=0o700, exist_ok=True)
     check_private(folder)
     return folder
 
@@ -72,9 +72,9 @@ def _home() -> Path:
 
 
 def _cached(folder: Path, name: str) -> Path | None:
-    """Return the undamaged library of this name, or None; damaged ones are removed.
+    """Return the undamaged library of this name, or None; remove damaged ones.
 
-    Raise PermissionError if another user can have written it.
+    PermissionError: another user can have written it.
     """
     for path in sorted(folder.iterdir()):
         if path.name.startswith(f"{name}-"):
@@ -86,14 +86,12 @@ def _cached(folder: Path, name: str) -> Path | None:
 
 
 def _trusted_content(path: Path) -> bytes:
-    """Return the content of a file; raise PermissionError unless it belongs to this user and only this user can write
-    it.
-    """
+    """Return the content of a file; PermissionError unless this user owns it and nobody else can write it."""
     with open(path, "rb", opener=_without_links) as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & WRITABLE_BY_OTHERS:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid() or status.st_mode & WRITABLE_BY_OTHERS:
             raise PermissionError(
-                f"{path} is not a file that only this user can write: owner {found.st_uid}, mode {found.st_mode:o}"
+                f"{path} is not a file that only this user can write: owner {status.st_uid}, mode {status.st_mode:o}"
             )
         return file.read()
 
@@ -103,7 +101,7 @@ def _without_links(path: str, flags: int) -> int:
 
 
 def _flushed_content(path: Path) -> bytes:
-    """Flush a new file to disk, writable by its owner only whatever the umask; return its content."""
+    """Restrict a new file to its owner, flush it to disk, and return its content."""
     path.chmod(0o600)
     with open(path, "rb") as file:
         os.fsync(file.fileno())

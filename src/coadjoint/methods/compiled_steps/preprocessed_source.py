@@ -20,14 +20,15 @@ SEARCH_FOLDERS = re.compile(
 )
 ABSENT_FOLDER = re.compile(rb'^ignoring nonexistent directory "(.*)"$', re.MULTILINE)
 TIMESTAMP_GRANULARITY = 2 * 10**9
-"""Files modified within this many nanoseconds can change again without a new time stamp."""
+"""Files modified within this time (nanoseconds) can change again without a new time stamp."""
 
 Stamp = tuple[int, ...] | None
 
 
 class PreprocessedSource(NamedTuple):
-    """The preprocessed `text`, the `files` that it comes from, in order, with whether each is a system header, and the
-    `folders` searched for headers (empty if the compiler does not list them).
+    """Preprocessed `text` with its source `files`, in order, and the `folders` searched for headers.
+
+    `files` maps names to whether they are system headers; `folders` is empty if the compiler does not list them.
     """
 
     text: bytes
@@ -47,28 +48,28 @@ class PreprocessedSource(NamedTuple):
 
     def digest(self, options: Sequence[str]) -> str:
         """Return a digest of the user's files and options, independent of the compiler."""
-        found = hashlib.sha256(json.dumps(list(options)).encode())
+        digest = hashlib.sha256(json.dumps(list(options)).encode())
         for name, system in self.files.items():
             if not system and not name.startswith(os.fsencode(SOURCE)):
                 try:
                     content = Path(os.fsdecode(name)).read_bytes()
                 except OSError:  # a name from a #line directive, not a file
                     continue
-                found.update(hashlib.sha256(content).digest())
-        return found.hexdigest()
+                digest.update(hashlib.sha256(content).digest())
+        return digest.hexdigest()
 
-    def watched(self) -> set[bytes]:
+    def dependencies(self) -> set[bytes]:
         """Return the files, and the folders in which a new header would shadow an included one; empty if unknown."""
         if not self.folders:
             return set()
         folders = {*self.folders, *(os.path.dirname(name) for name, system in self.files.items() if not system)}
-        below = {
+        subfolders = {
             os.path.dirname(name[len(folder) + 1 :])
             for name in self.files
             for folder in folders
             if name.startswith(folder + b"/")
         }
-        return {*self.files, *(_existing(os.path.join(folder, name)) for folder in folders for name in below)}
+        return {*self.files, *(_existing(os.path.join(folder, name)) for folder in folders for name in subfolders)}
 
 
 def _existing(folder: bytes) -> bytes:
@@ -79,16 +80,16 @@ def _existing(folder: bytes) -> bytes:
 
 
 def stamps_of(paths: Iterable[bytes]) -> dict[bytes, Stamp]:
-    """Return file metadata that changes with a file or an entry of a folder; None for missing ones."""
-    found: dict[bytes, Stamp] = {}
+    """Return metadata that changes when a file or the entries of a folder change; None for missing paths."""
+    stamps: dict[bytes, Stamp] = {}
     for path in paths:
         try:
-            of = os.stat(path)
+            status = os.stat(path)
         except OSError:
-            found[path] = None
+            stamps[path] = None
         else:
-            found[path] = of.st_dev, of.st_ino, of.st_size, of.st_mtime_ns, of.st_ctime_ns
-    return found
+            stamps[path] = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+    return stamps
 
 
 def stamps_are_final(stamps: dict[bytes, Stamp]) -> bool:

@@ -50,8 +50,8 @@ class CompiledStep:
         library = _LIBRARIES.get((self.path, self.digest))
         if library is None:
             # Pickled in another process, perhaps on another machine: machine code may differ, its source must not.
-            here = compile_step(self.path, self.name)
-            if here.digest != self.digest:
+            recompiled = compile_step(self.path, self.name)
+            if recompiled.digest != self.digest:
                 raise ValueError(
                     f"{self.path}: is not what the step {self.name} was compiled from: the file, its headers or the "
                     "options in CXX have changed; give every process the same ones"
@@ -135,12 +135,12 @@ def _digest_of_library(source_path: str) -> str:
     executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
     command = [*compiler, *options(tuning(settings[0])), "-DCOADJOINT_APART"]
     version = _run([*compiler, "--version"], source_path).stdout.decode(errors="replace")
-    found = _run([*command, "-E", "-v", source_path], source_path)
-    if found.returncode != 0:
-        raise _compiler_error(compiler, source_path, found)
-    source = PreprocessedSource.read(found.stdout, found.stderr)
-    watched = source.watched()
-    stamps = stamps_of([*watched, executable])
+    preprocessed = _run([*command, "-E", "-v", source_path], source_path)
+    if preprocessed.returncode != 0:
+        raise _compiler_error(compiler, source_path, preprocessed)
+    source = PreprocessedSource.read(preprocessed.stdout, preprocessed.stderr)
+    dependencies = source.dependencies()
+    stamps = stamps_of([*dependencies, executable])
     identity = [command, version, os.fsdecode(executable), (stamps[executable] or ())[2:4]]
     key = hashlib.sha256(json.dumps(identity).encode() + source.text).hexdigest()
     if key not in _LOADED:
@@ -149,7 +149,7 @@ def _digest_of_library(source_path: str) -> str:
         )
     digest = source.digest([word for word in compiler if word.startswith("-")])
     _LIBRARIES[source_path, digest] = _LOADED[key]
-    if watched and stamps_are_final(stamps):
+    if dependencies and stamps_are_final(stamps):
         _LAST_COMPILATIONS[source_path] = _Compiled(settings, stamps, digest)
     return digest
 
@@ -159,17 +159,17 @@ def _load(name: str, source_path: str, build: Callable[[str, Path], None]) -> ct
         library = cached_library(name, partial(build, source_path))
     except OSError as reason:
         raise ValueError(f"{source_path}: the compiled step cannot be loaded ({reason})") from None
-    lending = kernels().lent_to_others
-    lending.restype = ctypes.c_void_p
-    library.borrow(ctypes.c_void_p(lending()))
+    exports = kernels().lent_to_others
+    exports.restype = ctypes.c_void_p
+    library.borrow(ctypes.c_void_p(exports()))
     return library
 
 
 def _build(command: Sequence[str], text: bytes, source_path: str, output_path: Path) -> None:
     """Compile the preprocessed text, not the file, which may have changed since."""
-    done = _run([*command, "-shared", "-o", str(output_path), "-x", "c++-cpp-output", "-"], source_path, text)
-    if done.returncode != 0:
-        raise _compiler_error(command, source_path, done)
+    process = _run([*command, "-shared", "-o", str(output_path), "-x", "c++-cpp-output", "-"], source_path, text)
+    if process.returncode != 0:
+        raise _compiler_error(command, source_path, process)
     if not output_path.is_file():
         raise RuntimeError(f"{source_path}: the compiler {command[0]} has written nothing; name another one by CXX=")
 
@@ -192,25 +192,26 @@ def _run(command: Sequence[str], source_path: str, text: bytes = b"") -> subproc
         ) from None
 
 
-def _compiler_error(command: Sequence[str], source_path: str, done: subprocess.CompletedProcess[bytes]) -> Exception:
-    lines = done.stderr.decode(errors="replace").splitlines()
+def _compiler_error(command: Sequence[str], source_path: str, process: subprocess.CompletedProcess[bytes]) -> Exception:
+    lines = process.stderr.decode(errors="replace").splitlines()
     shown = [line for line in lines if re.search(r"\berror: ", line)][:3] or lines[-3:]
-    if done.returncode < 0 or not shown:
+    if process.returncode < 0 or not shown:
         return RuntimeError(
-            f"{source_path}: the compiler {command[0]} failed (exit status {done.returncode}); name another one by CXX="
+            f"{source_path}: the compiler {command[0]} failed (exit status {process.returncode}); "
+            "name another one by CXX="
         )
-    return ValueError(f"{source_path}: the compiler {command[0]} refuses it: {' | '.join(shown)[:600]}")
+    return ValueError(f"{source_path}: the compiler {command[0]} rejects it: {' | '.join(shown)[:600]}")
 
 
 def _compiler() -> list[str]:
-    given = os.environ.get("CXX", "")
+    setting = os.environ.get("CXX", "")
     try:
-        words = shlex.split(given)
+        words = shlex.split(setting)
     except ValueError as reason:
-        raise RuntimeError(f"CXX is {short(given)}, which cannot be read as a command ({reason})") from None
+        raise RuntimeError(f"CXX is {short(setting)}, which cannot be read as a command ({reason})") from None
     if words:
         return words
-    found = next((name for name in COMPILERS if shutil.which(name)), None)
-    if found is None:
+    compiler = next((name for name in COMPILERS if shutil.which(name)), None)
+    if compiler is None:
         raise RuntimeError("no C++ compiler is installed (c++, g++ or clang++); install one, or name it by CXX=")
-    return [found]
+    return [compiler]

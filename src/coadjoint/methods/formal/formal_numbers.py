@@ -11,35 +11,33 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 
 NODE = "c"
-"""Name of the symbol for the node of a stage: the equations of a collocation method are the same at each node."""
+"""Symbol for the node of a stage; the equations of a collocation method are the same at each node."""
 
 
 class FormalNumber:
-    """A truncated power series in the step with coefficients in a ring of polynomials; `formal_numbers` makes its
-    class.
+    """A truncated power series in the step with coefficients in a ring of polynomials; see `formal_numbers`.
 
-    It supports the arithmetic of numbers, so that formulas of steps can be evaluated as they are. Floats are converted
-    exactly. Each result records the power up to which it is known. There is no order: steps that branch or iterate to a
-    tolerance cannot be evaluated. ``terms`` are the known coefficients.
+    It supports the arithmetic of numbers, for formulas of steps; floats are converted exactly. Numbers are not ordered:
+    steps that branch or iterate to a tolerance cannot be evaluated. ``terms`` are the known coefficients.
     """
 
     __slots__ = ("terms",)
 
     ring: ClassVar[ExactPolynomials]
     count: ClassVar[int]
-    """Number of coefficients kept."""
+    """Number of coefficients."""
     exact: ClassVar[bool] = True
 
     terms: tuple[Exact, ...]
 
     def __init__(self, value: Any = 0) -> None:
-        found = self._operand(value)
-        if found is None:
+        operand = self._operand(value)
+        if operand is None:
             raise TypeError(f"a {type(value).__name__} is not a rational number; formal series need rational numbers")
-        self.terms = found.terms
+        self.terms = operand.terms
 
     @classmethod
     def of(cls, terms: Any) -> FormalNumber:
@@ -101,7 +99,7 @@ class FormalNumber:
         right = self._operand(other)
         if right is None:
             return NotImplemented
-        at("products of series in exact polynomials")
+        note_progress("products of series in exact polynomials")
         a, b = self.terms, right.terms
         known = min(len(a) + right.valuation, len(b) + self.valuation, self.count)
         total = [self.ring.zero] * known
@@ -120,15 +118,15 @@ class FormalNumber:
             return NotImplemented
         lead = right.terms[0] if right.terms else self.ring.zero
         if lead == 0 or not lead.is_constant():
-            raise ZeroDivisionError("a formal series is divided by one whose constant term is zero or not a number")
+            raise ZeroDivisionError("the divisor of a formal series has a constant term that is zero or not a number")
         inverse = 1 / lead.leading_coefficient()
-        found: list[Exact] = []
+        coefficients: list[Exact] = []
         for k in range(min(len(self.terms), len(right.terms))):
-            rest = self.terms[k]
+            remainder = self.terms[k]
             for j in range(1, k + 1):
-                rest = rest - right.terms[j] * found[k - j]
-            found.append(rest * inverse)
-        return self.of(found)
+                remainder = remainder - right.terms[j] * coefficients[k - j]
+            coefficients.append(remainder * inverse)
+        return self.of(coefficients)
 
     def __rtruediv__(self, other: Any) -> FormalNumber:
         left = self._operand(other)
@@ -136,7 +134,7 @@ class FormalNumber:
 
     def __pow__(self, exponent: Any) -> FormalNumber:
         if isinstance(exponent, bool) or int(exponent) != exponent or exponent < 0:
-            raise TypeError(f"a formal series has no power {exponent!r}; whole numbers from 0 up are its powers")
+            raise TypeError(f"the exponent of a formal series is {exponent!r}; give an integer of at least 0")
         result = type(self)(1)
         for _ in range(int(exponent)):
             result = result * self
@@ -146,7 +144,7 @@ class FormalNumber:
         """Return the size of the constant term if it is a number, for pivoting in elimination."""
         lead = self.terms[0]
         if not lead.is_constant():
-            raise TypeError("a formal series has no absolute value: its constant term is no number")
+            raise TypeError("a formal series has no absolute value: its constant term is not a number")
         return abs(Fraction(str(lead.leading_coefficient())) if lead != 0 else Fraction(0))
 
     def __eq__(self, other: object) -> bool:
@@ -160,7 +158,7 @@ class FormalNumber:
 
 
 def formal_numbers(ring: ExactPolynomials, count: int) -> type[FormalNumber]:
-    """Return the class of formal numbers over a ring that keeps the coefficients of h^0, ..., h^(count - 1).
+    """Return the class of formal numbers over a ring with the coefficients of h^0, ..., h^(count - 1).
 
     Examples
     --------
@@ -183,9 +181,7 @@ def vector(entries: Any) -> NDArray[Any]:
 
 
 def is_short(value: Any) -> bool:
-    """Return whether a number is a fraction with a short denominator, such as 0.375 or 1/3 but not 0.1, and hence
-    exact.
-    """
+    """Return whether a number is exactly a fraction with a small denominator, such as 0.375 or 1/3 but not 0.1."""
     return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR
 
 

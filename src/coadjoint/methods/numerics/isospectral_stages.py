@@ -1,4 +1,4 @@
-"""Stages of isospectral Gauss methods in NumPy, and their derivative: the reference for the compiled steps.
+"""Steps of isospectral Gauss methods in NumPy, of matrices and of two layers: the reference for the compiled steps.
 
 ``V_i = 1 + h sum_j a_ij P_j V_j`` and ``U_i = 1 - h sum_j a_ij U_j P_j`` are inverses of one another at the end of a
 step, ``M_i = V_i W U_i`` and ``P_i = stream(M_i)``. For skew-Hermitian W, U_i is V_i*.
@@ -15,6 +15,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 Matrix = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -42,22 +43,22 @@ class Stages(NamedTuple):
 def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, scheme_name: str) -> Stages:
     """Return the stages of a step of length h from W (N, N) at time t, with coefficients a (s, s).
 
-    Raise IntegrationError, which names the scheme `scheme_name`, if the iteration does not converge.
+    IntegrationError: the iteration does not converge; `scheme_name` is for the message.
     """
-    one, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
+    identity, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
     P0 = system.stream_of(W, t)
-    V = np.stack([one + h * row.sum() * P0 for row in a])
-    U = np.stack([one - h * row.sum() * P0 for row in a])
-    rest, change = _StagnationTest(len(W)), np.inf
+    V = np.stack([identity + h * row.sum() * P0 for row in a])
+    U = np.stack([identity - h * row.sum() * P0 for row in a])
+    stagnation, change = _StagnationTest(len(W)), np.inf
     for _ in range(MOST_ITERATIONS):
         if system.algebra.skew:
             U = np.conj(np.swapaxes(V, -1, -2))
         M = V @ W @ U
         P = np.stack([system.stream_of(m, time) for m, time in zip(M, times, strict=True)])
-        V_new, U_new = one + h * _mixed(a, P @ V), one - h * _mixed(a, U @ P)
+        V_new, U_new = identity + h * _weighted_sums(a, P @ V), identity - h * _weighted_sums(a, U @ P)
         change = max(_largest(V_new - V), 0.0 if system.algebra.skew else _largest(U_new - U))
         V, U = V_new, U_new
-        if rest.after(change, 1.0):
+        if stagnation.after(change, 1.0):
             return Stages(V, U, M, P, times)
         if not change < DIVERGED:
             break
@@ -77,8 +78,8 @@ def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
 def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: float, a: Floats, b: Floats) -> Floats:
     """Return the derivative (n, n) of a step in coordinates, for the projection on the algebra.
 
-    The linear equations of the stages are iterated for all directions at once, as the stages themselves. Raise
-    IntegrationError if the iteration does not converge.
+    The linear equations of the stages are iterated for all directions at once, like the stages. IntegrationError: the
+    iteration does not converge.
     """
     n, s = system.dim, len(b)
     check_available_memory(8 * 12 * s * n**2, f"the derivative of a step of {n} numbers")
@@ -86,15 +87,15 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: 
     V, U, M, P, times = stages
     # Axes: stage, direction, row, column.
     dV, dU = np.zeros((2, s, *directions.shape), dtype=M.dtype)
-    V1, U1, M1, P1 = (found[:, None] for found in (V, U, M, P))
-    rest, change = _StagnationTest(len(W)), np.inf
+    V1, U1, M1, P1 = (array[:, None] for array in (V, U, M, P))
+    stagnation, change = _StagnationTest(len(W)), np.inf
     for _ in range(MOST_ITERATIONS):
         dM = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
         dP = np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, dM, times, strict=True)])
-        dV_new, dU_new = h * _mixed(a, dP @ V1 + P1 @ dV), -h * _mixed(a, dU @ P1 + U1 @ dP)
+        dV_new, dU_new = h * _weighted_sums(a, dP @ V1 + P1 @ dV), -h * _weighted_sums(a, dU @ P1 + U1 @ dP)
         change = max(_largest(dV_new - dV), _largest(dU_new - dU))
         dV, dU = dV_new, dU_new
-        if rest.after(change, _largest(dV)):
+        if stagnation.after(change, _largest(dV)):
             rows = directions + h * np.tensordot(b, dP @ M1 + P1 @ dM - dM @ P1 - M1 @ dP, 1)
             return system.to_vector(rows).T
         if not change < DIVERGED:
@@ -117,8 +118,8 @@ def slope_along(system: MatrixSystem, M: Matrix, directions: Matrix, t: float) -
     return np.asarray((ahead - behind) / (2.0 * small))
 
 
-def _mixed(a: Floats, of_stages: Matrix) -> Matrix:
-    return np.tensordot(a, of_stages, 1)
+def _weighted_sums(a: Floats, stages: Matrix) -> Matrix:
+    return np.tensordot(a, stages, 1)
 
 
 def _largest(values: Matrix) -> float:
@@ -139,5 +140,67 @@ class _StagnationTest:
         self._smallest = min(self._smallest, change)
         # In a slow iteration with complex eigenvalues, corrections oscillate while they shrink.
         fast = change <= self._rounding * size and self._count < LATE_ITERATION
-        still = self._stagnant_count >= (1 if fast else max(STAGNANT_CORRECTIONS, self._count // 4))
-        return change == 0.0 or (change <= ROUND_OFF_CANDIDATE * size and self._count >= FIRST_TESTED and still)
+        stagnant = self._stagnant_count >= (1 if fast else max(STAGNANT_CORRECTIONS, self._count // 4))
+        return change == 0.0 or (change <= ROUND_OFF_CANDIDATE * size and self._count >= FIRST_TESTED and stagnant)
+
+
+def as_blocks(X: Matrix) -> Matrix:
+    """Return A + eps B, given as (2, N, N), as the matrix ``[[A, B], [0, A]]``: products are those of dual numbers.
+
+    Examples
+    --------
+    >>> as_blocks(np.array([[[1.0]], [[2.0]]]))
+    array([[1., 2.],
+           [0., 1.]])
+    """
+    return np.block([[X[0], X[1]], [np.zeros_like(X[0]), X[0]]])
+
+
+def of_blocks(A: Matrix) -> Matrix:
+    """Return the two layers: the inverse of `as_blocks`."""
+    N = len(A) // 2
+    return np.stack([A[:N, :N], A[:N, N:]])
+
+
+def two_layer_increment(
+    system: TwoLayerSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64], b: NDArray[np.float64]
+) -> Matrix:
+    """Return the change (2, N, N) of a state in a step; raise IntegrationError if the stages do not converge."""
+    W, identity = as_blocks(X), np.eye(2 * len(X[0]))
+
+    def stream(M: Matrix) -> Matrix:
+        return as_blocks(system.stream_of(of_blocks(M)))
+
+    Y = [stream(W) for _ in b]
+    M, previous, change = [W for _ in b], np.inf, np.inf
+    for _ in range(MOST_ITERATIONS):
+        # V and U are solved exactly for given streams, unlike in the kernels: an independent implementation.
+        V, U = _solve_stages(h * a, Y, identity, left=False), _solve_stages(-h * a, Y, identity, left=True)
+        new = [v @ W @ u for v, u in zip(V, U, strict=True)]
+        change = max(float(np.abs(n - m).max()) for n, m in zip(new, M, strict=True))
+        M, Y = new, [stream(m) for m in new]
+        if change == 0.0 or (change <= ROUND_OFF * float(np.abs(W).max()) and not change < previous):
+            increment = sum(weight * (y @ m - m @ y) for weight, y, m in zip(b, Y, M, strict=True))
+            return of_blocks(np.asarray(h * increment))
+        if not change < DIVERGED * float(np.abs(W).max()):
+            break
+        previous = change
+    raise IntegrationError(
+        f"the stages do not converge with a step of {float(h):g}; take a smaller one",
+        step=1,
+        time=float(t),
+        residual=change,
+    )
+
+
+def _solve_stages(a: NDArray[np.float64], Y: list[Matrix], identity: Matrix, left: bool) -> list[Matrix]:
+    """Return the solution of V_i = 1 + sum_j a_ij Y_j V_j, or with V_j on the left of Y_j."""
+    s, n = len(Y), len(identity)
+    matrix = np.eye(s * n, dtype=Y[0].dtype)
+    for i in range(s):
+        for j in range(s):
+            part = Y[j].T if left else Y[j]
+            matrix[i * n : (i + 1) * n, j * n : (j + 1) * n] -= a[i, j] * part
+    solution = np.linalg.solve(matrix, np.tile(identity.astype(matrix.dtype), (s, 1)))
+    parts = [solution[i * n : (i + 1) * n] for i in range(s)]
+    return [part.T for part in parts] if left else parts

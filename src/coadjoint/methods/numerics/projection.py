@@ -33,14 +33,14 @@ def polynomial_casimirs(system: System) -> dict[str, Any]:
 
 def casimirs_restored(system: System) -> str:
     """Return which Casimirs a projection keeps, as the value of `Properties.casimirs`."""
-    kept = len(polynomial_casimirs(system))
-    if not kept:
+    count = len(polynomial_casimirs(system))
+    if not count:
         return "none"
-    return "all" if kept == len(system.casimirs) else "polynomial"
+    return "all" if count == len(system.casimirs) else "polynomial"
 
 
 def restored_invariants(system: System) -> list[HamiltonianLike]:
-    """Return the restored invariants, with the energy last, to which most of the others are coupled."""
+    """Return the restored invariants, the energy last."""
     casimirs = [as_hamiltonian(C, system.dim) for C in polynomial_casimirs(system).values()]
     return [*reversed(casimirs), system.hamiltonian]
 
@@ -53,13 +53,14 @@ def project_with_tangent(
     With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and ``G(y) dy
     = G(x) dx``.
     """
-    found = project(restored_invariants(system), x, z, float, time)
-    bent = dz + sum(
-        multiplier * (C.hessian(z) @ dz) for C, multiplier in zip(found.invariants, found.multipliers, strict=True)
+    projected = project(restored_invariants(system), x, z, float, time)
+    corrected = dz + sum(
+        multiplier * (C.hessian(z) @ dz)
+        for C, multiplier in zip(projected.invariants, projected.multipliers, strict=True)
     )
-    before, after = (np.array([C.gradient(point) for C in found.invariants]) for point in (x, found.y))
-    spread = linear_solve(after @ found.directions.T, before - after @ bent)
-    return found.y, bent + found.directions.T @ spread
+    before, after = (np.array([C.gradient(point) for C in projected.invariants]) for point in (x, projected.y))
+    multiplier_changes = linear_solve(after @ projected.directions.T, before - after @ corrected)
+    return projected.y, corrected + projected.directions.T @ multiplier_changes
 
 
 def project(
@@ -67,9 +68,8 @@ def project(
 ) -> OnLevelSet:
     """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages.
 
-    An invariant whose gradient depends on those before it adds no direction: restoring the others restores it. Raise
-    TypeError for fractions, IntegrationError if Newton's iteration, with the Gram matrix of the gradients at z, does
-    not converge.
+    Linearly dependent gradients add no direction: restoring the other invariants restores these too. TypeError:
+    fractions. IntegrationError: Newton's iteration, with the Gram matrix of the gradients at z, does not converge.
     """
     from coadjoint.kernels.interface import limit
 
@@ -77,7 +77,7 @@ def project(
     unit = roundoff(number)
     if unit == 0:
         raise TypeError("a projection iterates, which does not terminate in exact fractions; take projected=False")
-    wanted = [C.value(x) for C in invariants]
+    targets = [C.value(x) for C in invariants]
     sizes = [max(_terms_of(C, y) for y in (x, z)) for C in invariants]
     # Constant gradients are fractions, from which mpmath before 1.4 cannot subtract.
     gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
@@ -87,7 +87,7 @@ def project(
     y, residual = z, float("inf")
     for _ in range(limit("PROJECTION_CORRECTIONS") + 1):
         before = residual
-        defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
+        defects = np.array([target - C.value(y) for target, C in zip(targets, invariants, strict=True)])
         residual = float(max(abs(defects)))
         allowed = exact * (stagnant if residual >= 0.5 * before else 1)
         if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
@@ -115,7 +115,7 @@ def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:
-    """Return the rows of gradients (k, n) that are not, up to rounding, combinations of those before them.
+    """Return the rows of gradients (k, n) that are, up to rounding, linearly independent of the previous rows.
 
     Examples
     --------
@@ -125,12 +125,12 @@ def independent(gradients: NDArray[Any]) -> list[int]:
     from coadjoint.kernels.interface import limit
 
     least = 2.0 ** -limit("DEPENDENT_BITS")
-    found: list[int] = []
+    selected: list[int] = []
     for row, gradient in enumerate(gradients):
-        rest = gradient
-        if found:
-            others = gradients[found]
-            rest = gradient - linear_solve(others @ others.T, (others @ gradient)[:, None])[:, 0] @ others
-        if rest @ rest > least * (gradient @ gradient):
-            found.append(row)
-    return found
+        remainder = gradient
+        if selected:
+            basis = gradients[selected]
+            remainder = gradient - linear_solve(basis @ basis.T, (basis @ gradient)[:, None])[:, 0] @ basis
+        if remainder @ remainder > least * (gradient @ gradient):
+            selected.append(row)
+    return selected

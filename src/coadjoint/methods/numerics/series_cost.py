@@ -14,20 +14,19 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Q
 from coadjoint.systems.system_checks import System
 
 LANES = 8
-# Sums of up to WRITTEN_OUT vectors of rows are unrolled, if there are no products behind the coordinates. Others are
-# slower by the factor BY_TABLES per vector, and have a longer chain of dependent operations for each coefficient, and
-# for each vector of rows.
+# Sums of up to UNROLLED_VECTORS vectors of rows are unrolled, if no products are stored behind the coordinates. Others
+# are slower by TABLE_FACTOR per vector, and have a longer chain of dependent operations for each coefficient, and for
+# each vector of rows.
 UNROLLED_VECTORS = 3
 TABLE_FACTOR, TABLE_LATENCY, BLOCK_LATENCY = 3.5, 6.5, 2.0
 # Dependent operations per product in the sum of a coefficient.
 PRODUCT_LATENCY = 1.4
-# Up to FEW_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
+# Up to REGISTER_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
 REGISTER_INVARIANTS, SPILL_FACTOR = 4, 1.5
 
 
 def series_operations(system: System, order: int, invariants: Iterable[HamiltonianLike]) -> Operations:
-    """Return the operations of a step: products of series, operations that depend on the previous coefficient, and
-    projection.
+    """Return the operations of a step: products of series, dependent operations, and the projection.
 
     Examples
     --------
@@ -39,30 +38,33 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
     """
     lanes = 4 if system.dim <= 4 else LANES
     blocks = -(-system.dim // lanes)
-    products, behind = vectors_of_products(system, lanes) * lanes / LANES, ProductVectors(system.hamiltonian).blocks
-    if behind or blocks > UNROLLED_VECTORS:
-        vectors = TABLE_FACTOR * (products + behind)
-        waiting = TABLE_LATENCY + BLOCK_LATENCY * blocks + products + behind
+    products, product_blocks = (
+        vectors_of_products(system, lanes) * lanes / LANES,
+        ProductVectors(system.hamiltonian).blocks,
+    )
+    if product_blocks or blocks > UNROLLED_VECTORS:
+        vectors = TABLE_FACTOR * (products + product_blocks)
+        waiting = TABLE_LATENCY + BLOCK_LATENCY * blocks + products + product_blocks
     else:
         vectors, waiting = products, 1.0 + PRODUCT_LATENCY * products
     rows = [Rows(C, system.dim, lanes).vectors for C in invariants]
-    looks = len(rows) + sum(rows) / LANES
+    invariant_terms = len(rows) + sum(rows) / LANES
     if len(rows) > REGISTER_INVARIANTS or blocks > 2:
-        looks *= SPILL_FACTOR
-    return Operations(float(0.5 * order**2 * vectors), float(order * waiting), float(looks))
+        invariant_terms *= SPILL_FACTOR
+    return Operations(float(0.5 * order**2 * vectors), float(order * waiting), float(invariant_terms))
 
 
 def vectors_of_products(system: System, lanes: int) -> float:
     """Return the number of vectors of rows that multiply series, in the layout of ``series_field.hpp``."""
     assert system.algebra is not None
     i, j, k, _ = system.algebra.triples
-    row, moved, other = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
+    row, state, factor = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
     terms = system.hamiltonian.terms()
     form = terms[0].form if len(terms) == 1 else None
     if form is not None and np.all(form.rows == form.indices):
-        # Products are unrolled, each once; those with a coordinate that is not in H are omitted.
-        there = np.isin(other, form.indices)
-        pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
+        # Products are unrolled, each once; products with a coordinate that H does not contain are omitted.
+        included = np.isin(factor, form.indices)
+        pairs = np.stack([row, np.minimum(state, factor), np.maximum(state, factor)], axis=1)[included]
         row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
     return _longest_of_blocks(np.bincount(row, minlength=-(-system.dim // lanes) * lanes), lanes)
 
@@ -88,9 +90,9 @@ class ProductVectors:
         for exponents in term.polynomial.monomials:
             factors = [i for i, exponent in enumerate(exponents) for _ in range(exponent)]
             for i in set(factors):
-                rest = list(factors)
-                rest.remove(i)
-                self._products.update(tuple(rest[:count]) for count in range(2, len(rest) + 1))
+                remaining = list(factors)
+                remaining.remove(i)
+                self._products.update(tuple(remaining[:count]) for count in range(2, len(remaining) + 1))
 
     def function(self, term: FunctionTerm) -> None:
         """Do nothing: functions are not supported by series."""
@@ -108,8 +110,8 @@ class Rows:
     @property
     def vectors(self) -> float:
         """Number of vectors."""
-        found = (factors * _longest_of_blocks(counts, self._lanes) for factors, counts in self._counts.items())
-        return sum(found, 0.0)
+        vectors = (factors * _longest_of_blocks(counts, self._lanes) for factors, counts in self._counts.items())
+        return sum(vectors, 0.0)
 
     def quadratic(self, term: QuadraticTerm) -> None:
         """Count entries of M."""

@@ -15,16 +15,15 @@ from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 
-# STEPS is the number of steps of an orbit, PART their length in units of the time in which the motion rotates by one
-# radian or grows by a factor e.
 STEPS = 128
-RELATIVE_STEP = 0.25
+RELATIVE_STEP = 0.25  # in units of the time in which the motion rotates by one radian or grows by a factor e
 MIN_STEPS = 8
 
 
 class ShortOrbit(NamedTuple):
-    """States (k + 1, n) at evenly spaced times, and the derivatives (k, n, n) of each with respect to the previous one;
-    `spacing` is negative for backward.
+    """States (k + 1, n) at evenly spaced times, and the derivative (k, n, n) of each with respect to its predecessor.
+
+    `spacing` is negative for backward motion.
     """
 
     points: Floats
@@ -37,14 +36,15 @@ class ShortOrbit(NamedTuple):
         return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
 
     def propagated(self, fields: Floats) -> Floats:
-        """Return the first-order errors (k + 1, n, m) of m perturbations of the vector field, given at the points in
-        the same shape, by the trapezoidal rule.
+        """Return the first-order errors (k + 1, n, m) due to m perturbations of the vector field at the points.
+
+        `fields` has the same shape; the integral is computed by the trapezoidal rule.
         """
         half = 0.5 * self.spacing
-        found = np.zeros_like(fields)
+        errors = np.zeros_like(fields)
         for k, tangent in enumerate(self.tangents):
-            found[k + 1] = _product(tangent, found[k] + half * fields[k]) + half * fields[k + 1]
-        return found
+            errors[k + 1] = _product(tangent, errors[k] + half * fields[k]) + half * fields[k + 1]
+        return errors
 
 
 def _product(matrix: Floats, columns: Floats) -> Floats:
@@ -57,10 +57,9 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
 
 @ignore_overflow
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
-    """Return the orbit from a state over some dozens of radians, with tangents, by a scheme of order at least two in
-    Python.
+    """Return the orbit from a state over some dozens of radians, with tangents, by Python steps of a scheme.
 
-    It is shorter if the motion leaves the range of float64; raise ValueError if this happens within a few steps.
+    It ends early if the motion leaves the range of float64; ValueError if that happens within `MIN_STEPS` steps.
     """
     spacing = RELATIVE_STEP / rate_at(system, x0, t)
     points, tangents = [x0], []
@@ -88,13 +87,13 @@ def orbit_overflow_error(x0: Floats, spacing: float) -> ValueError:
 
 @ignore_overflow
 def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
-    """Return the rate at which the motion rotates or grows at a state, per unit of time; ValueError if the field
-    overflows.
+    """Return the rate at which the motion rotates or grows at a state, per unit of time.
 
-    The larger of |f|/|x| and |(Df)^2|^(1/2), f the vector field; 1 at an equilibrium with (Df)^2 = 0.
+    It is the larger of |f|/|x| and |(Df)^2|^(1/2), f the vector field; 1 at an equilibrium with (Df)^2 = 0. ValueError:
+    the field overflows.
     """
-    size, near = float(np.linalg.norm(x0)), system.jacobian(x0, t)
-    turning = float(np.linalg.norm(near @ near)) ** 0.5
+    size, jacobian = float(np.linalg.norm(x0)), system.jacobian(x0, t)
+    turning = float(np.linalg.norm(jacobian @ jacobian)) ** 0.5
     speed = float(np.linalg.norm(system.vector_field(x0, t))) / size if size > 0.0 else 0.0
     rate = max(turning, speed) or 1.0
     if not np.isfinite(rate):

@@ -31,7 +31,9 @@ def explicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
         X = step.points(slopes)[j]
         slopes[j] = step.lengths[j] * step.system.vector_field(X, step.times[j])
         if derivatives is not None:
-            derivatives[j] = step.lengths[j] * step.system.jacobian(X, step.times[j]) @ step.spread(derivatives)[j]
+            derivatives[j] = (
+                step.lengths[j] * step.system.jacobian(X, step.times[j]) @ step.stage_derivatives(derivatives)[j]
+            )
     return Evaluation(slopes, derivatives)
 
 
@@ -50,7 +52,7 @@ def implicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
     if not tangent:
         return Evaluation(slopes, None)
     jacobians = step.jacobians(step.points(slopes))
-    return Evaluation(slopes, step.solve(jacobians, np.zeros_like(jacobians)))
+    return Evaluation(slopes, step.solve_slopes(jacobians, np.zeros_like(jacobians)))
 
 
 def structure_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
@@ -60,12 +62,12 @@ def structure_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
     """
     iterates = iterate(step, iterations)
     frozen = iterates[-1]
-    blocks = step.bends(frozen)
+    blocks = step.structure_hessians(frozen)
     slopes = _linear(step, frozen, blocks, lambda points: step.products(frozen, step.gradients(points)))
     if not tangent:
         return Evaluation(slopes, None)
-    others = step.turns(frozen, step.gradients(step.points(slopes)))
-    return Evaluation(slopes, step.solve(blocks, others @ iterate_tangents(step, iterates)))
+    frozen_blocks = step.structure_derivatives(frozen, step.gradients(step.points(slopes)))
+    return Evaluation(slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates)))
 
 
 def gradient_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
@@ -73,12 +75,12 @@ def gradient_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
     iterates = iterate(step, iterations)
     frozen = iterates[-1]
     gradients = step.gradients(frozen)
-    blocks = step.turns(frozen, gradients)
+    blocks = step.structure_derivatives(frozen, gradients)
     slopes = _linear(step, frozen, blocks, lambda points: step.products(points, gradients))
     if not tangent:
         return Evaluation(slopes, None)
-    others = step.bends(step.points(slopes), frozen)
-    return Evaluation(slopes, step.solve(blocks, others @ iterate_tangents(step, iterates)))
+    frozen_blocks = step.structure_hessians(step.points(slopes), frozen)
+    return Evaluation(slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates)))
 
 
 SOLVERS: dict[str, Callable[[Step, int, bool], Evaluation]] = {
@@ -95,7 +97,7 @@ def _linear(
     step: Step, frozen: NDArray[Any], blocks: NDArray[Any], slopes_at: Callable[[NDArray[Any]], NDArray[Any]]
 ) -> NDArray[Any]:
     """Return the slopes at the stages that solve a linear system."""
-    return slopes_at(frozen + step.resolve(blocks, step.points(slopes_at(frozen)) - frozen))
+    return slopes_at(frozen + step.solve_stages(blocks, step.points(slopes_at(frozen)) - frozen))
 
 
 def iterate(step: Step, count: int) -> list[NDArray[Any]]:
@@ -108,16 +110,16 @@ def iterate(step: Step, count: int) -> list[NDArray[Any]]:
 
 def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.float64]:
     """Return the derivative of the last of the function iterates, shape (s, n, n)."""
-    spread = step.spread(np.zeros((len(step.times), step.x.size, step.x.size)))
+    derivatives = step.stage_derivatives(np.zeros((len(step.times), step.x.size, step.x.size)))
     for points in iterates[:-1]:
-        spread = step.spread(step.jacobians(points) @ spread)
-    return spread
+        derivatives = step.stage_derivatives(step.jacobians(points) @ derivatives)
+    return derivatives
 
 
 def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 
-    Raise IntegrationError if the iteration does not converge.
+    IntegrationError: the iteration does not converge.
     """
     from coadjoint.kernels.interface import limit
 
@@ -125,12 +127,13 @@ def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArra
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:
         raise TypeError(
-            "the stages are found by iterating, which does not end in exact fractions; take floats or mpmath.mpf"
+            "the stages are computed by iteration, which does not terminate in exact fractions; take floats or "
+            "mpmath.mpf"
         )
-    most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
-    points, least, quiet, largest, first = step.start(), None, 0, None, 0
+    max_iterations = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
+    points, smallest, stagnant, largest, first = step.start(), None, 0, None, 0
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is detected by the last correction
-        for iteration in range(1, most + 1):
+        for iteration in range(1, max_iterations + 1):
             slopes = slopes_at(points)
             new = step.points(slopes)
             change = np.max(np.abs(new - points), axis=0)
@@ -140,10 +143,10 @@ def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArra
             first = largest if iteration == 1 else first
             if not largest <= most_growth * first:
                 break
-            falling = least is None or bool(np.any(change < least))
-            least = change if least is None else np.minimum(change, least)
-            quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
-            if quiet >= max(2, iteration // 4):  # slow corrections may oscillate for longer before they shrink
+            falling = smallest is None or bool(np.any(change < smallest))
+            smallest = change if smallest is None else np.minimum(change, smallest)
+            stagnant = stagnant + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
+            if stagnant >= max(2, iteration // 4):  # slow corrections may oscillate for longer before they shrink
                 return slopes
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(

@@ -63,13 +63,13 @@ def sweeps_of_steps(coefficients: Sequence[Any], number: Callable[[Any], Any]) -
 def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
     """Return forward and backward sweeps in turn: a first-order step and its adjoint.
 
-    The first advances time before the parts, its adjoint after them: both of a pair are evaluated at the same time.
+    The step advances time before the parts, its adjoint after them, so that both are evaluated at the same time.
     """
-    sweeps, passed = [], number(0)
+    sweeps, elapsed = [], number(0)
     for k, coefficient in enumerate(coefficients):
         forward = k % 2 == 0
-        sweeps.append(Sweep(forward, coefficient, passed + coefficient if forward else passed))
-        passed = passed + coefficient
+        sweeps.append(Sweep(forward, coefficient, elapsed + coefficient if forward else elapsed))
+        elapsed = elapsed + coefficient
     return sweeps
 
 
@@ -89,7 +89,7 @@ def _read() -> dict[str, SplittingScheme]:
 
 SCHEMES = _read()
 
-# The schemes with the smallest error at equal cost on a rigid body, among those without a processor. This depends on
+# Smallest error at equal cost on a rigid body, among schemes without a processor. This depends on
 # the state: on other orbits blanes_moan4 halves the error of order 4. Other schemes of an order are worse by a factor
 # of up to 3, or by more.
 DEFAULT_SCHEMES = {

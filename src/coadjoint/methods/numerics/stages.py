@@ -61,45 +61,42 @@ class Step(NamedTuple):
         parts = zip(momenta, gradients, self.lengths, strict=True)
         return np.stack([length * sign * (J(Z) @ u) for Z, u, length in parts])
 
-    def spread(self, derivatives: NDArray[np.float64]) -> NDArray[np.float64]:
+    def stage_derivatives(self, derivatives: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return dX_i / dx = 1 + sum_j mix_ij dL_j / dx, shape (s, n, n)."""
         return np.eye(self.x.size) + np.einsum("ij,jab->iab", self.coefficients.mix, derivatives)
 
-    def bends(self, momenta: NDArray[Any], points: NDArray[Any] | None = None) -> NDArray[Any]:
+    def structure_hessians(self, momenta: NDArray[Any], points: NDArray[Any] | None = None) -> NDArray[Any]:
         """Return h scale_j sign J(Z_j) H''(X_j), shape (s, n, n); X = Z if not given."""
         sign, H, J = self.system.sign, self.system.hamiltonian, self.system.structure_matrix
-        where = momenta if points is None else points
-        parts = zip(momenta, where, self.times, self.lengths, strict=True)
+        states = momenta if points is None else points
+        parts = zip(momenta, states, self.times, self.lengths, strict=True)
         return np.stack([length * sign * (J(Z) @ H.hessian(X, t)) for Z, X, t, length in parts])
 
-    def turns(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
+    def structure_derivatives(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
         """Return the derivatives of h scale_j sign J(Z) u_j at Z_j, shape (s, n, n), such as h scale_j sign D_u."""
         parts = zip(momenta, gradients, self.lengths, strict=True)
         return np.stack([length * structure_derivative(self.system, Z, u) for Z, u, length in parts])
 
-    def resolve(self, blocks: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-        """Return the Y with Y_i = sum_j mix_ij W_j Y_j + right_i; right has shape (s, n) or (s, n, lanes)."""
+    def solve_stages(self, blocks: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+        """Return the solution of Y_i = sum_j mix_ij W_j Y_j + right_i; right has shape (s, n) or (s, n, lanes)."""
         s, n = len(self.times), self.x.size
         mix = self.coefficients.mix
         coupled = np.stack([np.concatenate([mix[i, j] * blocks[j] for j in range(s)], axis=1) for i in range(s)])
         matrix = np.eye(s * n, dtype=np.int64) - coupled.reshape(s * n, s * n)
         return linear_solve(matrix, right.reshape(s * n, -1)).reshape(right.shape)
 
-    def solve(self, blocks: NDArray[np.float64], constant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the dL_j with dL_j = W_j (1 + sum_k mix_jk dL_k) + constant_j, shape (s, n, n)."""
-        return np.asarray(blocks @ self.resolve(blocks, self.spread(constant)) + constant)
+    def solve_slopes(self, blocks: NDArray[np.float64], constant: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the solution of dL_j = W_j (1 + sum_k mix_jk dL_k) + constant_j, shape (s, n, n)."""
+        return np.asarray(blocks @ self.solve_stages(blocks, self.stage_derivatives(constant)) + constant)
 
 
-def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficients:
-    """Return a tableau as floats; raise ValueError or TypeError if its shapes or values do not suit the solver.
-
-    An explicit step, for instance, cannot read slopes that are computed later.
-    """
+def validated_tableau(coefficients: Coefficients, solver: str, scheme: str) -> Coefficients:
+    """Return a tableau as floats; raise ValueError or TypeError if its shapes or values do not suit the solver."""
     if not isinstance(coefficients, tuple) or len(coefficients) != len(Coefficients._fields):
         raise TypeError(f"coefficients of {scheme} must return coadjoint.methods.Coefficients(node, scale, mix, out)")
-    found = Coefficients(*(np.asarray(entry, dtype=np.float64) for entry in coefficients))
-    s = found.node.size
-    for name, entry in found._asdict().items():
+    tableau = Coefficients(*(np.asarray(entry, dtype=np.float64) for entry in coefficients))
+    s = tableau.node.size
+    for name, entry in tableau._asdict().items():
         shape = (s, s) if name == "mix" else (s,)
         if entry.shape != shape or not s:
             raise ValueError(
@@ -107,13 +104,13 @@ def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficient
             )
         if not np.all(np.isfinite(entry)):
             raise ValueError(f"{name} of {scheme} contains NaN or infinity; every coefficient must be finite")
-    if solver == "explicit" and np.any(np.triu(found.mix)):
-        i, j = np.argwhere(np.triu(found.mix))[0]
+    if solver == "explicit" and np.any(np.triu(tableau.mix)):
+        i, j = np.argwhere(np.triu(tableau.mix))[0]
         raise ValueError(
-            f"mix[{i}, {j}] of {scheme} is {found.mix[i, j]:g}, and an explicit stage knows only slopes before it; "
-            'make it zero, or take solver = "implicit"'
+            f"mix[{i}, {j}] of {scheme} is {tableau.mix[i, j]:g}, but an explicit stage uses only the slopes before it"
+            '; make it zero, or take solver = "implicit"'
         )
-    return found
+    return tableau
 
 
 def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> Step:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.numerics.short_orbit import ShortOrbit, short_orbit
 from coadjoint.methods.protocol.flow_method import FlowMethod
-from coadjoint.program.modified_energy.modified_terms import leading_term
-from coadjoint.program.modified_energy.nested_brackets import NestedBrackets
+from coadjoint.program.modified_energy.modified_series import leading_term
+from coadjoint.program.modified_energy.second_order import NestedBrackets
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import best_decomposition, candidates, decompose
 from coadjoint.program.parts.order_of_parts import IMPROVEMENT_FACTOR, MAX_ORDERED, smallest_order
@@ -24,9 +24,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Floats = NDArray[np.float64]
 
-# Larger systems are compared at the given states only: brackets cost n^3 operations at each point of a motion.
+# Above this dimension only the given states are compared: brackets cost n^3 operations at each point of a motion.
 MAX_ORBIT_DIMENSION = 64
-# Number of choices compared by the first term of the scheme itself, for orders above two.
+# Number of choices compared by the first term of the scheme, for orders above two.
 MAX_CANDIDATES = 12
 # Largest number of monomials of that term; above it, the choice is that for order two.
 MOST_MONOMIALS = 4000
@@ -34,8 +34,7 @@ MOST_MONOMIALS = 4000
 
 @long_operation("Splitting.tuned")
 def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
-    """Return shift and order of the automatic parts with the smallest error along short motions from `starts` (members,
-    n).
+    """Return shift and order of the automatic parts with the smallest error along motions from `starts` (members, n).
 
     The field of the modified Hamiltonian of a scheme differs from that of the motion by J times the gradient of the
     first term; the tangent map carries this difference from each point to all later ones. For a scheme of order two all
@@ -54,14 +53,14 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
     for shift, parts in candidates(system):
         errors = PartOrderErrors(system, parts, orbits)
         natural = automatic.order if shift == automatic.shift else tuple(range(len(parts)))
-        tried: dict[tuple[int, ...], float] = {}
-        smallest_order(natural, partial(_cached_sizes, errors, tried))
-        ranked += [(size, ChosenParts(order, shift)) for order, size in tried.items()]
-    ranked.sort(key=lambda one: (one[0], one[1] != automatic))
+        error_by_order: dict[tuple[int, ...], float] = {}
+        smallest_order(natural, partial(_cached_sizes, errors, error_by_order))
+        ranked += [(size, ChosenParts(order, shift)) for order, size in error_by_order.items()]
+    ranked.sort(key=lambda pair: (pair[0], pair[1] != automatic))
     if method.order == 2 or _monomials(system, method.order) > MOST_MONOMIALS:
-        return _least(ranked, automatic)
-    some = [automatic, *(choice for _, choice in ranked if choice != automatic)][:MAX_CANDIDATES]
-    return _least([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in some], automatic)
+        return _best_choice(ranked, automatic)
+    compared = [automatic, *(choice for _, choice in ranked if choice != automatic)][:MAX_CANDIDATES]
+    return _best_choice([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in compared], automatic)
 
 
 def _monomials(system: LiePoissonSystem, order: int) -> float:
@@ -77,9 +76,9 @@ def _cached_sizes(
     return [cache[order] for order in orders]
 
 
-def _least(sizes: Sequence[tuple[float, ChosenParts]], automatic: ChosenParts) -> ChosenParts:
+def _best_choice(sizes: Sequence[tuple[float, ChosenParts]], automatic: ChosenParts) -> ChosenParts:
     """Return the choice with the smallest error; the automatic one unless another is clearly better."""
-    least, best = min(sizes, key=lambda one: one[0])
+    least, best = min(sizes, key=lambda pair: pair[0])
     return (
         best if all(choice != automatic or least < size * IMPROVEMENT_FACTOR for size, choice in sizes) else automatic
     )
@@ -99,8 +98,7 @@ def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Seque
 
 
 class PartOrderErrors:
-    """Errors of each bracket of the h^2 term along some orbits; the error of every order of the parts is a linear
-    combination.
+    """Errors of each bracket of the h^2 term along orbits; the error of any order of the parts is their combination.
 
     The parts are those of the Hamiltonian, or of the Hamiltonian minus a Casimir.
     """
@@ -147,7 +145,7 @@ def _summed(propagated: Floats, weights: Floats) -> Floats:
 def _structure_times(system: LiePoissonSystem, x: Floats, slopes: Floats) -> Floats:
     """Return sign J(x) times columns, summed in order."""
     structure = system.sign * system.algebra.structure_matrix(x)
-    found = np.zeros_like(slopes)
+    product = np.zeros_like(slopes)
     for j, slope in enumerate(slopes):
-        found += structure[:, j : j + 1] * slope
-    return found
+        product += structure[:, j : j + 1] * slope
+    return product

@@ -16,10 +16,9 @@ from coadjoint.systems.system_checks import System
 def check_attitude(method: Method, system: System, representation: Any) -> None:
     """Raise ValueError if the scheme cannot keep the group element in this representation, "coadjoint" or (n, d, d).
 
-    Gauss methods keep quadratic invariants. They keep the group if it is that of a bilinear form, rho_i^T P + P rho_i =
-    0, and the spatial momentum if it is bilinear in g and x, which requires a T of full rank with T rho_i = D_(e_i) T
-    (then K T = T g, K the coadjoint matrix). This holds for the rotation matrices of so(3), not for those of so(n), n
-    >= 4, where the spatial momentum g X g^T is quadratic in g.
+    Gauss methods keep quadratic invariants: the group of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
+    momentum if it is bilinear in g and x, that is if T rho_i = D_(e_i) T for a T of full rank (then K T = T g, K the
+    coadjoint matrix). This holds for so(3), but not for so(n), n >= 4, where the momentum g X g^T is quadratic in g.
     """
     kind = declared_properties(method, system).attitude
     scheme = type(method).__name__
@@ -27,7 +26,7 @@ def check_attitude(method: Method, system: System, representation: Any) -> None:
         raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
     if kind == "none":
         raise ValueError(
-            f"{scheme} carries no group element; take Splitting, or GaussLegendre for the coadjoint matrix"
+            f"{scheme} computes no group element; take Splitting, or GaussLegendre for the coadjoint matrix"
         )
     if kind != "coadjoint" or isinstance(representation, str):
         return

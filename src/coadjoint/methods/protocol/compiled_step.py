@@ -55,11 +55,10 @@ class CompiledStepMethod(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.step_tables import step_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import STEP_LOOP, step_tables
 
-        found = step_tables(system, self, representation, fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keepalive, memory=scheme_memory(STEP_LOOP, found.tables))
+        tables = step_tables(system, self, representation, fractions)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=scheme_memory(STEP_LOOP, tables.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the operations of a step, or of its iterations."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
 from coadjoint.methods.formal.formal_numbers import is_short
-from coadjoint.methods.formal.order_conditions import composition_order
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+
+HIGHEST_ORDER = 12
 
 
 class WithBase(Method):
@@ -75,16 +77,16 @@ class Composed(WithBase):
 
     @property
     def known_to(self) -> float:
-        """The larger of two errors: that of the base, and that of the fractions, which are exact if they are short."""
-        own = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
-        return max(own, self.base.known_to)
+        """The error of the base or of the fractions, whichever is larger; short fractions are exact."""
+        fraction_error = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
+        return max(fraction_error, self.base.known_to)
 
     def properties(self, system: System) -> Properties:
         """Return the properties of the base, which a composition shares."""
         return self.base.properties(system)
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return those of the base."""
+        """Return the restored invariants of the base."""
         return self.base.restored(system)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
@@ -97,13 +99,13 @@ class Composed(WithBase):
 
 
 def with_compensated_base(method: Any) -> Any:
-    """Return a scheme, a dataclass, with its base compensated; None if the base has no such choice left."""
+    """Return a dataclass scheme with compensated sums in its base; None if the base leaves no choice."""
     base = method.base.with_compensation()
     return None if base is None else replace(method, base=base)
 
 
 def with_settled_base(method: Any, system: System, coordinates: Sequence[int]) -> Any:
-    """Return a scheme, a dataclass, with the automatic choices of its base for a system fixed."""
+    """Return a dataclass scheme with the automatic choices of its base fixed for a system."""
     base = method.base.settled(system, coordinates)
     return method if base is method.base else replace(method, base=base)
 
@@ -149,13 +151,13 @@ class ComposedFlows(Composed, FlowsOfBase):
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base, scaled and shifted."""
         inner = self.base.sweeps(number)
-        result, passed = [], number(0)
+        result, elapsed = [], number(0)
         for coefficient in map(number, self.coefficients):
             result += [
-                Sweep(forward, coefficient * fraction, passed + coefficient * moment, turn)
+                Sweep(forward, coefficient * fraction, elapsed + coefficient * moment, turn)
                 for forward, fraction, moment, turn in inner
             ]
-            passed = passed + coefficient
+            elapsed = elapsed + coefficient
         return result
 
 
@@ -194,8 +196,8 @@ class Substeps(Composed):
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         product = np.eye(len(x))
         for fraction in self.coefficients:
-            x, own = self.base.tangent(system, x, t, h * fraction)
-            product, t = own @ product, t + h * fraction
+            x, derivative = self.base.tangent(system, x, t, h * fraction)
+            product, t = derivative @ product, t + h * fraction
         return x, product
 
     def work(self, system: System, group: Representation = None) -> Work:
@@ -204,3 +206,29 @@ class Substeps(Composed):
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
         """Return whether the base needed Newton's method."""
         return self.base.took_newton(memory)
+
+
+def composition_order(coefficients: Sequence[float], base_order: int) -> int:
+    """Return the order of a composition of a symmetric map of even order p, up to max(12, p).
+
+    The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) in the free associative algebra of the Y's; the
+    product is compared with exp(h Y_1) word by word.
+    """
+    highest = max(HIGHEST_ORDER, base_order)
+    letters = [1, *range(base_order + 1, highest + 1, 2)]
+
+    def exponential_of(coefficients: dict[int, float]) -> Series:
+        return exponential([{(d,): coefficients[d]} if d in coefficients else {} for d in range(highest + 1)])
+
+    composed = unit_series(highest)
+    for c in coefficients:
+        composed = product(composed, exponential_of({d: c**d for d in letters}))
+    exact = exponential_of({1: 1.0})
+    scale = max(1.0, max(map(abs, coefficients)))
+    for order in range(base_order + 1, highest + 1):
+        words = composed[order].keys() | exact[order].keys()
+        # Rounding of the coefficients changes a condition by u times the sum of its terms.
+        tolerance = UNIT_ROUNDOFF * 8 * len(coefficients) * scale**order
+        if any(abs(composed[order].get(word, 0.0) - exact[order].get(word, 0.0)) > tolerance for word in words):
+            return order - 1
+    return highest

@@ -50,8 +50,8 @@ INVARIANT_COST = 0.25
 STEP_CONTROL_COST = 6.0
 FIRST_CORRECTION_COST = 3.2
 NEXT_CORRECTION_COST = 1.0
-# From CROWD members on, flows and series in few dimensions are computed for many members in vector lanes, at these
-# fractions of the cost. Other steps fill the lanes with one member.
+# From MIN_LANE_MEMBERS members on, flows and series in few dimensions are computed for many members in vector lanes,
+# at these fractions of the cost. Other steps fill the lanes with one member.
 MIN_LANE_MEMBERS = 16
 LANE_FLOW_FACTOR = 0.1
 LANE_BODY_FACTOR = 0.17
@@ -64,31 +64,21 @@ PRODUCT_COST, PRODUCT_CALL_COST = 0.006, 10.0
 
 @dataclass(frozen=True)
 class Work:
-    """Cost of a step of a scheme on a system.
-
-    Parameters
-    ----------
-    cost : callable
-        ``cost(iterations, evaluations)`` returns the cost of a step in rotations, from the counts of the loop for a
-        step of one member. Linear systems are not counted.
-    flows : int
-        Number of elementary flows that round the momentum in a step; 0 for schemes that do not consist of flows.
-    in_a_crowd : float
-        Cost per member in a large ensemble, relative to that of a single member.
-    compensated : callable, optional
-        Returns the work of the same step with compensated sums, if it differs.
-    """
+    """Cost of a step of a scheme on a system."""
 
     cost: Callable[[float, float], float]
+    """``cost(iterations, evaluations)``: cost of a step in rotations, without linear systems, from the counts of one
+    member."""
     flows: int = 0
+    """Number of elementary flows that round the momentum in a step; 0 for schemes that do not consist of flows."""
     in_a_crowd: float = 1.0
+    """Cost per member in a large ensemble, relative to that of a single member."""
     compensated: Callable[[], Work] | None = None
+    """Work of the same step with compensated sums, if it differs."""
 
 
 def flow_work(program: Program, compensated: bool) -> float:
-    """Return the cost of one step of a splitting, in rotations: its rows, including the group action, by the blocks
-    that they rotate.
-    """
+    """Return the cost of one step of a splitting, including the group action, in rotations."""
     parts = [_part_work(program, number, compensated) for number in range(len(program.parts))]
     first, last = int(program.rows.section[1]), int(program.rows.section[2])
     return sum(parts[int(part)] for part in program.rows.part[first:last])
@@ -100,19 +90,19 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
     if bodies:
         multiplications, functions = 0, 0
     cost = FLOW_COST + MULTIPLICATION_COST * multiplications + FUNCTION_COST * functions
-    acting = action_work(program.state, number)
+    action = action_work(program.state, number)
     if bodies:
         bonds = bool(bodies[0].other)
         cost += len(bodies) * (FREE_BODY_COST if not bonds else COMPENSATED_BOND_COST if compensated else BOND_COST)
-        acting = 0 if bonds else acting[0], 0  # sines are part of the cost of the body
-    cost += (MULTIPLICATION_COST * acting[0] + FUNCTION_COST * acting[1]) * (
+        action = 0 if bonds else action[0], 0  # sines are part of the cost of the body
+    cost += (MULTIPLICATION_COST * action[0] + FUNCTION_COST * action[1]) * (
         COMPENSATION_FACTOR if compensated else 1.0
     )
     cost += SPARSE_SERIES_COST * count_series_blocks(program.state, number)
     if program.group is not None:
         # The rows of a group element are rotated in vector lanes, by one sine.
-        acting = action_work(program.group, number)
-        cost += MULTIPLICATION_COST * acting[0] * math.ceil(program.group.size / LANES) + FUNCTION_COST * acting[1]
+        action = action_work(program.group, number)
+        cost += MULTIPLICATION_COST * action[0] * math.ceil(program.group.size / LANES) + FUNCTION_COST * action[1]
     return cost
 
 
@@ -158,9 +148,9 @@ def flows_of(program: Program) -> int:
 def work_of_flows(program: Program, compensated: bool) -> Work:
     """Return the work of a step that consists of flows."""
     cost = flow_work(program, compensated)
-    better = None if compensated else lambda: work_of_flows(program, True)
-    crowd = LANE_BODY_FACTOR if program.parts.bodies else LANE_FLOW_FACTOR
-    return Work(lambda iterations, evaluations: cost, flows_of(program), crowd, better)
+    compensated_work = None if compensated else lambda: work_of_flows(program, True)
+    lane_factor = LANE_BODY_FACTOR if program.parts.bodies else LANE_FLOW_FACTOR
+    return Work(lambda iterations, evaluations: cost, flows_of(program), lane_factor, compensated_work)
 
 
 def work_of_iterations(system: System, group: Any) -> Work:
@@ -174,7 +164,7 @@ def work_of_iterations(system: System, group: Any) -> Work:
 
 
 def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Work:
-    """Return the work of a step with these evaluations of the field, and a linear system unless it is explicit."""
+    """Return the work of a step with this number of evaluations of the field, and a linear system unless explicit."""
     cost = IMPLICIT_STEP_COST + evaluations * iteration_work(system, 1, None)
     if not explicit:
         cost += newton_work(system.dim, 1)
@@ -224,17 +214,18 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
     step = work_of_operations(operations, 1)
 
     def cost(iterations: float, evaluations: float) -> float:
-        own = evaluations / order
-        look = INVARIANT_COST * operations.looks * (1.0 + FIRST_CORRECTION_COST) + LATENCY_COST * 0.5 * order
-        return look + (own * (STEP_CONTROL_COST + step.cost(iterations / own, evaluations)) if own > 0.0 else 0.0)
+        count = evaluations / order
+        projection = INVARIANT_COST * operations.looks * (1.0 + FIRST_CORRECTION_COST) + LATENCY_COST * 0.5 * order
+        steps = count * (STEP_CONTROL_COST + step.cost(iterations / count, evaluations)) if count > 0.0 else 0.0
+        return projection + steps
 
     return Work(cost)
 
 
 def work_of_projection(base: Work, invariants: int) -> Work:
     """Return the work of a step of another scheme, and of a projection to this number of invariants."""
-    back = INVARIANT_COST * invariants * (1.0 + FIRST_CORRECTION_COST)
-    return Work(lambda iterations, evaluations: base.cost(iterations, evaluations) + back)
+    projection = INVARIANT_COST * invariants * (1.0 + FIRST_CORRECTION_COST)
+    return Work(lambda iterations, evaluations: base.cost(iterations, evaluations) + projection)
 
 
 def newton_work(dim: int, stages: float) -> float:

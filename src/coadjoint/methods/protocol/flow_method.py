@@ -60,7 +60,7 @@ class FlowMethod(Method):
         """Return the sweeps of one step, first to last, with coefficients in the given number type."""
 
     def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K; none by default."""
+        """Return the sweeps of the processor P of a step P K P^-1 with `sweeps` as the kernel K; none by default."""
         return ()
 
     @property
@@ -89,9 +89,11 @@ class FlowMethod(Method):
                 f"{type(self).__name__} is made of flows on a Lie algebra, which {system.name} does not have; "
                 "take GaussLegendre"
             )
-        covered = [sweep.coefficient for sweep in self.sweeps()]
-        if not abs(sum(covered) - 1.0) <= SUM_TOLERANCE * sum(map(abs, covered)):
-            raise ValueError(f"the sweeps of {self} cover {sum(covered)!r} of the step; their coefficients add up to 1")
+        coefficients = [sweep.coefficient for sweep in self.sweeps()]
+        if not abs(sum(coefficients) - 1.0) <= SUM_TOLERANCE * sum(map(abs, coefficients)):
+            raise ValueError(
+                f"the coefficients of the sweeps of {self} add up to {sum(coefficients)!r}; they must add up to 1"
+            )
         return build_program(system, self, group=group, number=number)
 
     def swept(self) -> FlowMethod:
@@ -108,9 +110,7 @@ class FlowMethod(Method):
         if not automatic or not isinstance(system, LiePoissonSystem):
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
-            raise TypeError(
-                f"{self} has no field for its parts, which it chooses for each Hamiltonian anew; give it one"
-            )
+            raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
         self.properties(system)
         try:
             choice = decompose(with_placeholders(system, coordinates), self.parts).choice
@@ -123,12 +123,11 @@ class FlowMethod(Method):
         return self._program_loop(self.program(system, group=representation), h)
 
     def _program_loop(self, program: Program, h: float) -> CompiledLoop:
-        from coadjoint.kernels.flow import FLOW_LOOP
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables import flow_tables
+        from coadjoint.kernels.tables import FLOW_LOOP, flow_tables
 
-        found = flow_tables(program, h, bool(self.compensated))
-        return CompiledLoop(FLOW_LOOP, found.tables, found.keepalive, program.shift, parts=program.parts)
+        tables = flow_tables(program, h, bool(self.compensated))
+        return CompiledLoop(FLOW_LOOP, tables.tables, tables.keepalive, program.shift, parts=program.parts)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""
@@ -144,7 +143,7 @@ class FlowMethod(Method):
         return _interpreter(self, system, number).steps(point, number(h), 1, t0=number(t))
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        from coadjoint.methods.formal.formal_flows import FormalInterpreter
+        from coadjoint.methods.formal.formal_steps import FormalInterpreter
 
         return FormalInterpreter(self.program(system, number=Fraction)).steps(x, h, 1, t0=0 * h)
 
@@ -155,20 +154,20 @@ class FlowMethod(Method):
         return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else COEFFICIENT_ERROR
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        return self._carry_vectors(system, x, t, h, np.eye(len(x)))
+        return self._step_with_vectors(system, x, t, h, np.eye(len(x)))
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        return self._carry_vectors(system, x, t, h, vectors)[1]
+        return self._step_with_vectors(system, x, t, h, vectors)[1]
 
-    def _carry_vectors(
+    def _step_with_vectors(
         self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         point = np.asarray(x, dtype=np.float64)
         try:
             after, carried = _interpreter(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
         except (OverflowError, ValueError) as error:  # sines of infinities
-            said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
-            raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
+            message = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
+            raise IntegrationError(message, step=1, time=t, residual=float("nan")) from error
         return after, carried
 
     def work(self, system: System, group: Representation = None) -> Work:

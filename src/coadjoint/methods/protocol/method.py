@@ -31,7 +31,7 @@ Representation = NDArray[np.float64] | str | None
 
 
 class FinerRun(NamedTuple):
-    """A more accurate scheme and number of steps, and the fraction of the original error that is left."""
+    """A more accurate scheme and number of steps, and the remaining fraction of the original error."""
 
     method: Method
     steps: int
@@ -44,7 +44,7 @@ NO_ERROR_CONTROL = (
     "integrate accuracy=, which finds a constant step, or take Taylor(tolerance=...), or "
     "ReversibleSteps(Splitting(...)), whose steps follow the motion reversibly"
 )
-SIZE_SAMPLES = 240  # sampled points to find the size of a motion, for schemes that choose their own steps
+SIZE_SAMPLES = 240  # samples of the size of a motion, for schemes that choose their own steps
 FEW_STEPS = 20  # with fewer steps the error may not scale with the order; a finer run takes at least this many more
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
@@ -58,15 +58,15 @@ class Method(ABC):
     tests schemes uses this protocol only.
     """
 
-    def __new__(cls, *given: Any, **named: Any) -> Self:
+    def __new__(cls, *arguments: Any, **parameters: Any) -> Self:
         """Raise TypeError for a tolerance that the scheme does not have, and for unknown parameters."""
-        for name in ERROR_CONTROL.intersection(named):
+        for name in ERROR_CONTROL.intersection(parameters):
             if name not in getattr(cls, "__dataclass_fields__", {}):
                 raise TypeError(f"{cls.__name__} has no {name}: {NO_ERROR_CONTROL}")
-        for name in named.keys() - getattr(cls, "__dataclass_fields__", {}).keys():
-            taken = signature(cls.__init__).parameters  # a class may define its own constructor
-            if name not in taken and not any(one.kind is Parameter.VAR_KEYWORD for one in taken.values()):
-                raise unknown_keyword(cls.__name__, name, list(taken)[1:])
+        for name in parameters.keys() - getattr(cls, "__dataclass_fields__", {}).keys():
+            accepted = signature(cls.__init__).parameters  # a class may define its own constructor
+            if name not in accepted and Parameter.VAR_KEYWORD not in {p.kind for p in accepted.values()}:
+                raise unknown_keyword(cls.__name__, name, list(accepted)[1:])
         return super().__new__(cls)
 
     failures: ClassVar[Mapping[str, str]] = {}
@@ -445,8 +445,8 @@ class Method(ABC):
 
         Returns
         -------
-        Finer
-            Its `left` is the fraction of the error that is left according to the order.
+        FinerRun
+            Its `left` is the remaining fraction of the error according to the order.
         """
         count = math.ceil(times * (steps + FEW_STEPS))
         return FinerRun(self, count, (steps / count) ** self.order)
@@ -499,12 +499,13 @@ def check_base(base: Any, wrapper: str, example: str) -> None:
 
 def declared_properties(method: Method, system: System) -> Properties:
     """Return what a scheme declares to keep on a system; raise TypeError if it returns anything but `Properties`."""
-    said = method.properties(system)
-    if not isinstance(said, Properties):
+    declared = method.properties(system)
+    if not isinstance(declared, Properties):
         raise TypeError(
-            f"properties of {type(method).__name__} returned {short(said)}; it must return coadjoint.methods.Properties"
+            f"properties of {type(method).__name__} returned {short(declared)}; "
+            "it must return coadjoint.methods.Properties"
         )
-    return said
+    return declared
 
 
 def has_quadratic_energy(system: System) -> bool:

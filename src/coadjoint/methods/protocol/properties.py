@@ -48,14 +48,14 @@ class Properties:
     reversible: bool = False
 
     def __repr__(self) -> str:
-        told = (field.name for field in fields(self) if field.name not in SHOWN_IF_SET or getattr(self, field.name))
-        return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in told)})"
+        shown = (field.name for field in fields(self) if field.name not in SHOWN_IF_SET or getattr(self, field.name))
+        return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in shown)})"
 
     def __post_init__(self) -> None:
         for name in ("poisson", "energy", "reversible"):
             object.__setattr__(self, name, read_bool(getattr(self, name), name))
         broken = read_list(self.broken_by, "broken_by", "give a tuple of str")
-        if not all(isinstance(one, str) for one in broken):
+        if not all(isinstance(entry, str) for entry in broken):
             raise TypeError(f"broken_by is {short(self.broken_by)}; give a tuple of str")
         object.__setattr__(self, "broken_by", broken)
         read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
-from coadjoint.methods.numerics.stages import Coefficients, Step, begin, checked
+from coadjoint.methods.numerics.stages import Coefficients, Step, begin, validated_tableau
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
 from coadjoint.program.numbers import Number
@@ -88,7 +88,7 @@ class RungeKuttaMethod(SteppedMethod):
         return None
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        from coadjoint.methods.formal.formal_stages import (
+        from coadjoint.methods.formal.formal_steps import (
             FormalStages,
             StagesOfCollocation,
             StagesOfTableau,
@@ -113,7 +113,7 @@ class RungeKuttaMethod(SteppedMethod):
     @property
     def _rational(self) -> tuple[Coefficients, float]:
         """The tableau in fractions, and their relative error."""
-        from coadjoint.methods.formal.formal_stages import rational_tableau
+        from coadjoint.methods.formal.formal_steps import rational_tableau
 
         return rational_tableau(self.coefficients)
 
@@ -151,20 +151,19 @@ class RungeKuttaMethod(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.runge_kutta import RUNGE_KUTTA_LOOP
-        from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+        from coadjoint.kernels.runge_kutta_tables import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
         scheme = type(self).__name__
-        forecast = np.shape(self.forecast(1.0)), checked(self.coefficients(), self.solver, scheme).mix.shape
+        forecast = np.shape(self.forecast(1.0)), validated_tableau(self.coefficients(), self.solver, scheme).mix.shape
         if forecast[0] != forecast[1]:
             raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
-        found = runge_kutta_tables(system, self, representation, fractions)
+        tables = runge_kutta_tables(system, self, representation, fractions)
         return CompiledLoop(
             RUNGE_KUTTA_LOOP,
-            found.tables,
-            found.keepalive,
-            memory=scheme_memory(RUNGE_KUTTA_LOOP, found.tables),
+            tables.tables,
+            tables.keepalive,
+            memory=scheme_memory(RUNGE_KUTTA_LOOP, tables.tables),
         )
 
     def tangent_loop_of_substeps(
@@ -176,8 +175,8 @@ class RungeKuttaMethod(SteppedMethod):
 
         check_differentiable(system)
         if self.solver not in ("explicit", "iterated"):
-            edge = len(self.coefficients().node) * system.dim
-            check_available_memory(8 * 2 * edge**2, f"the derivative of the stages of {type(self).__name__}")
+            unknowns = len(self.coefficients().node) * system.dim
+            check_available_memory(8 * 2 * unknowns**2, f"the derivative of the stages of {type(self).__name__}")
         table = TermTable()
         for term in system.hamiltonian.terms():
             table.add(term)
@@ -191,9 +190,7 @@ class RungeKuttaMethod(SteppedMethod):
         return work_of_iterations(system, group)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether any implicit step of a member still starts with Newton's method, the first number in its
-        memory.
-        """
+        """Return whether an implicit step of any member starts with Newton's method: the first number of its memory."""
         return bool(np.any(memory[:, :1] > 0.0))
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# So small that second-order terms vanish, and large enough that products do not underflow.
+# Second-order terms vanish, and products do not underflow.
 COMPLEX_STEP = 2.0**-300
 # Cube root of the unit round-off, for which rounding and truncation of a central difference are of equal size.
 DIFFERENCE_STEP = 2.0**-17
-# Largest deviation of the complex step from a difference, whose own error is smaller, for an analytic function.
+# Largest deviation of a complex step from a difference for an analytic function; differences are more accurate.
 AGREEMENT = 2.0**-20
 
 
@@ -44,8 +44,8 @@ def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64
     exact = _by_complex_steps(function, x)
     if exact is not None:
         direction = np.cos(1.0 + np.arange(len(x)))
-        seen = _difference(function, x, direction)
-        if np.all(np.abs(exact @ direction - seen) <= AGREEMENT * (1.0 + np.abs(exact) @ np.abs(direction))):
+        difference = _difference(function, x, direction)
+        if np.all(np.abs(exact @ direction - difference) <= AGREEMENT * (1.0 + np.abs(exact) @ np.abs(direction))):
             return Derivative(value, exact, "complex step")
     columns = [_difference(function, x, unit) for unit in np.eye(len(x))]
     return Derivative(value, np.stack(columns, axis=1), "differences")
@@ -57,10 +57,10 @@ def _by_complex_steps(function: Callable[[NDArray[Any]], Any], x: NDArray[np.flo
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # such as ComplexWarning for a discarded imaginary part
             for unit in np.eye(len(x)):
-                moved = np.asarray(function(x + 1j * COMPLEX_STEP * unit))
-                if moved.dtype.kind != "c":
+                value = np.asarray(function(x + 1j * COMPLEX_STEP * unit))
+                if value.dtype.kind != "c":
                     return None
-                columns.append(moved.imag / COMPLEX_STEP)
+                columns.append(value.imag / COMPLEX_STEP)
     except Exception:
         return None
     return np.stack(columns, axis=1)

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 class StepMethod(SteppedMethod):
-    """A scheme of your own whose step is one Python function.
+    """Base class of user-defined schemes with a step that is one Python function.
 
-    Derive a frozen dataclass from it, whose fields are the parameters of the scheme. Define `order`, `explicit`,
+    Derive a frozen dataclass from it; its fields are the parameters of the scheme. Define `order`, `explicit`,
     `symmetric`, `properties` and `step`. The scheme then works in every run, stepper, composition and choice. If Numba
     is installed and can compile the step, it is compiled at the start of a run, in a second or two. In compiled code
     the system has ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``jacobian(x,
@@ -70,17 +70,16 @@ class StepMethod(SteppedMethod):
         """Return the loop over steps that are functions, for the momentum only."""
         if representation is not None:
             raise ValueError(
-                f"{type(self).__name__} is a StepMethod, whose steps carry no group element, but its properties have "
+                f"{type(self).__name__} is a StepMethod, which computes no group element, but its properties have "
                 f'attitude="{self.properties(system).attitude}"; set it to "none"'
             )
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.step_functions import StepFunction
-        from coadjoint.kernels.step_tables import function_tables
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.step_tables import STEP_LOOP, function_tables
 
         function = StepFunction(self, system)
-        found = function_tables(system, function.address, fractions)
-        return CompiledLoop(STEP_LOOP, found.tables, (*found.keepalive, function))
+        tables = function_tables(system, function.address, fractions)
+        return CompiledLoop(STEP_LOOP, tables.tables, (*tables.keepalive, function))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""

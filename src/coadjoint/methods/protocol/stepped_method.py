@@ -1,4 +1,4 @@
-"""Base class of schemes whose step is a function of the state and the time, which compositions repeat."""
+"""Base class of schemes with a step from state and time, which compositions repeat."""
 
 from __future__ import annotations
 
@@ -28,41 +28,11 @@ class SteppedMethod(Method):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the compiled loop.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        h : float
-            The step, negative for backward.
-        representation : ndarray of shape (n, d, d), "coadjoint", or None
-            Representation in which the group element is computed; None for no group element.
-        fractions : sequence of float
-            The lengths of the substeps of a step, in units of it.
-
-        Returns
-        -------
-        CompiledLoop
-        """
+        """Return the compiled loop; `fractions` are the lengths of the substeps in units of the step."""
 
     @abstractmethod
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of a step with this number of substeps; iterations and evaluations are those of all substeps.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        group : ndarray of shape (n, d, d), "coadjoint", or None
-            Representation in which the group element is computed; None for no group element.
-        substeps : int
-            Number of substeps.
-
-        Returns
-        -------
-        Work
-        """
+        """Return the work of a step of this many substeps; iterations and evaluations are those of all substeps."""
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop without substeps."""
@@ -71,7 +41,7 @@ class SteppedMethod(Method):
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop | None:
-        """Return the loop that also carries tangent vectors, or None: see `tangent_loop` and `loop_of_substeps`."""
+        """Return the loop with tangent vectors, or None; see `tangent_loop` and `loop_of_substeps`."""
         return None
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
@@ -91,8 +61,8 @@ class SteppedMethod(Method):
         """Return one step and its derivative, by complex steps or differences."""
         from coadjoint.methods.protocol.step_derivatives import derivative_of
 
-        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
-        return found.value, found.derivative
+        result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return result.value, result.derivative
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         from coadjoint.methods.protocol.step_derivatives import derivative_of

@@ -6,15 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.sign_changes import flips as flips_of
 from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
 
 MAX_COMPONENTS = 8
+BISECTIONS = 52
 
+Floats = npt.NDArray[np.float64]
 Function = Callable[[Any], Any]
 
 
@@ -40,52 +42,52 @@ def components(
     quantity : str, optional
         Label of the axis; by default the quantity of the coordinates of the system.
     """
-    n, drawn = drawn.n, drawn.between
+    n, drawn = drawn.n, drawn.refined
     chosen = chosen(n) if callable(chosen) else chosen
     functions = functions(n) if callable(functions) else functions
-    places = [drawn.place(i) for i in chosen or ()]
+    indices = [drawn.index_of(i) for i in chosen or ()]
     if chosen is None and functions is None:
-        places = spread(n, MAX_COMPONENTS).tolist()
-    lines = {drawn.label(i): drawn.x[..., i] for i in places}
+        indices = spread(n, MAX_COMPONENTS).tolist()
+    lines = {drawn.label(i): drawn.x[..., i] for i in indices}
     for name, function in (functions or {}).items():
         with np.errstate(all="ignore"):  # nonfinite values are not drawn
             lines[coordinate(name)] = np.asarray(function(drawn.x))
-    flipping = None if flips is None else drawn.place(flips)
+    flip_index = None if flips is None else drawn.index_of(flips)
 
     def paint(axes: Any) -> None:
         by_member = len(drawn.x) > 1 and len(lines) == 1
-        for place, (label, members) in enumerate(lines.items()):
+        for line, (label, members) in enumerate(lines.items()):
             if by_member:
                 for m, values in enumerate(members):
-                    draw_members(axes, drawn.t, values[None], drawn.close, colour(m), None)
+                    draw_members(axes, drawn.t, values[None], drawn.dense, colour(m), None)
             else:
-                draw_members(axes, drawn.t, members, drawn.close, colour(place), label)
-        what = drawn.quantity if quantity is None else quantity
-        title = f"components of the {what}"
+                draw_members(axes, drawn.t, members, drawn.dense, colour(line), label)
+        name = drawn.quantity if quantity is None else quantity
+        title = f"components of the {name}"
         if quantity is not None or functions is not None or by_member:
-            title = f"{what} over time"
-        if chosen is None and functions is None and len(places) < n:
-            title += f" ({len(places)} of {n})"
-        symbol = what
+            title = f"{name} over time"
+        if chosen is None and functions is None and len(indices) < n:
+            title += f" ({len(indices)} of {n})"
+        ylabel = name
         if by_member:
-            symbol = f"{what} {next(iter(lines))}"
-        elif all(name.startswith("$x_{") for name in lines):
-            symbol = f"{what} $x_i$"
-        axes.set(xlabel="time $t$", ylabel=symbol, title=title)
+            ylabel = f"{name} {next(iter(lines))}"
+        elif all(label.startswith("$x_{") for label in lines):
+            ylabel = f"{name} $x_i$"
+        axes.set(xlabel="time $t$", ylabel=ylabel, title=title)
         plain_axes(axes)
         if not by_member:
             key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        if flipping is not None:
-            _mark_flips(axes, drawn, flipping)
+        if flip_index is not None:
+            _mark_flips(axes, drawn, flip_index)
 
     return paint
 
 
 def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
-    if len(drawn.x) > 1 or not drawn.close:
+    if len(drawn.x) > 1 or not drawn.dense:
         return
-    times = flips_of(drawn.slope, drawn.t, drawn.x[0], i, most=2)
-    # Too close for a visible arrow between them.
+    times = flip_times(drawn.slope, drawn.t, drawn.x[0], i, most=2)
+    # An arrow between closer times would not be visible.
     if len(times) < 2 or abs(times[1] - times[0]) < 0.05 * abs(drawn.t[-1] - drawn.t[0]):
         return
     low, high = axes.get_ylim()
@@ -99,5 +101,33 @@ def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
     left, right = axes.get_xlim()
     middle = (times.mean() - left) / (right - left)
     side = "left" if middle < 0.3 else "right" if middle > 0.7 else "center"
-    where = {"left": times.min(), "right": times.max(), "center": times.mean()}[side]
-    axes.text(where, height, text, ha=side, va="bottom", fontsize=8, color=INK)
+    position = {"left": times.min(), "right": times.max(), "center": times.mean()}[side]
+    axes.text(position, height, text, ha=side, va="bottom", fontsize=8, color=INK)
+
+
+def flip_times(
+    field: Callable[[Floats, float], Floats], t: Floats, x: Floats, i: int, most: int | None = None
+) -> Floats:
+    """Return the first `most` times, in the order of t, at which coordinate i of a motion crosses zero.
+
+    Between saved points the motion is interpolated by cubic Hermite polynomials with the slopes `field(x, t)`.
+    """
+    values = x[:, i]
+    intervals = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) * np.sign(values[1:]) <= 0.0))
+    times = []
+    for p in intervals[:most]:
+        dt = float(t[p + 1] - t[p])
+        before, after = (dt * float(field(x[q], float(t[q]))[i]) for q in (p, p + 1))
+        times.append(float(t[p]) + dt * _root(float(values[p]), float(values[p + 1]), before, after))
+    return np.array(times)
+
+
+def _root(a: float, b: float, slope: float, end_slope: float) -> float:
+    """Return the zero in [0, 1] of a cubic Hermite polynomial with a change of sign, by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        s = 0.5 * (low + high)
+        r = 1.0 - s
+        value = a * r * r * (1 + 2 * s) + b * s * s * (3 - 2 * s) + s * r * (slope * r - end_slope * s)
+        low, high = (s, high) if (value > 0.0) == (a > 0.0) else (low, s)
+    return 0.5 * (low + high)

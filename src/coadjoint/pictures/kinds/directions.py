@@ -23,7 +23,7 @@ def directions(
     title: str = "",
     view: tuple[float, float] | None = None,
 ) -> Paint:
-    """Show where vectors of three coordinates point.
+    """Show the directions of vectors of three coordinates.
 
     If the length of such a vector is a Casimir, the sphere is a coadjoint orbit, or a factor of one.
 
@@ -39,19 +39,19 @@ def directions(
         Direction of view in degrees: around the third axis, and above the plane of the others. By default from the side
         of the paths.
     """
-    drawn = drawn.between
-    paths = {name: _unit(_components(drawn, given)) for name, given in vectors.items()}
+    drawn = drawn.refined
+    paths = {name: _unit(_components(drawn, vector)) for name, vector in vectors.items()}
 
     def paint(axes: Any) -> None:
-        every = np.concatenate([members.reshape(-1, 3) for members in paths.values()])
-        globe = Globe(axes, axes_named, view or view_of(every))
+        points = np.concatenate([members.reshape(-1, 3) for members in paths.values()])
+        globe = Globe(axes, axes_named, view or view_of(points))
         several = len(drawn.x) > 1
         for i, (name, members) in enumerate(paths.items()):
             if len(paths) > 1:
                 axes.plot([], [], color=colour(i), label=name)
             for m, path in enumerate(members):
                 shade = colour(m) if several and len(paths) == 1 else colour(i)
-                globe.path(path[drawn.kept], shade, drawn.joined)
+                globe.path(path[drawn.curve_indices], shade, drawn.joined)
                 globe.mark(path[0], shade, label="start" if i == m == 0 else None, size=3.0 if several else 5.0)
         axes.set_title(title or "directions", fontsize=9.5, color=INK)
         key(axes, loc="lower right")
@@ -59,16 +59,16 @@ def directions(
     return paint
 
 
-def _components(drawn: PlottedRun, given: Any) -> npt.NDArray[np.float64]:
+def _components(drawn: PlottedRun, vector: Any) -> npt.NDArray[np.float64]:
     n = drawn.n
-    if np.ndim(given) == 2:
-        forms = read_finite(given, "forms of a vector")
+    if np.ndim(vector) == 2:
+        forms = read_finite(vector, "forms of a vector")
         if forms.shape != (3, n):
             raise CannotShow(f"the vector is made of {forms.shape[1]} coordinates, and the state has {n}")
         return drawn.x @ forms.T
-    if any(isinstance(i, int) and i >= n for i in given):
-        raise CannotShow(f"the vector has the coordinates {list(given)}, and the state has {n}")
-    return drawn.x[..., [drawn.place(i) for i in given]]
+    if any(isinstance(i, int) and i >= n for i in vector):
+        raise CannotShow(f"the vector has the coordinates {list(vector)}, and the state has {n}")
+    return drawn.x[..., [drawn.index_of(i) for i in vector]]
 
 
 def _unit(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -17,7 +17,7 @@ from coadjoint.pictures.style import colour, key, plain_axes, symbol
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MAX_CASIMIRS = 5
-"""Number of Casimirs with a line of their own; of more, the worst four, and a band of all."""
+"""Largest number of Casimirs drawn as lines; of more, the worst four are drawn, with a band of all."""
 BAND_COLOUR = "#9AA7B5"
 TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 
@@ -26,10 +26,9 @@ TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 def drift(drawn: PlottedRun) -> Paint:
     """Show the absolute deviations from the start on a logarithmic scale.
 
-    If the Hamiltonian depends on time, the title states that the energy is driven. Of many Casimirs the worst four have
-    lines, and a band spans the deviations of all. With forces, dotted lines show the change minus the work of the
-    forces: the error of the run. For matrices, whose traces of powers are large, deviations are relative to their
-    sizes.
+    If the Hamiltonian depends on time, the title states that the energy is driven. Of many Casimirs the worst four are
+    drawn as lines, and a band spans the deviations of all. With forces, dotted lines show the change minus the work of
+    the forces: the error of the run. For matrices, deviations are relative to the sizes of the traces, which are large.
     """
     sizes = _sizes(drawn)
     deviations = {
@@ -37,28 +36,29 @@ def drift(drawn: PlottedRun) -> Paint:
     }
     measure = "relative" if sizes else "absolute"
     energy = deviations.pop("energy")
-    lines, others = {"energy": energy, **_worst(deviations)}, len(deviations)
+    lines = {"energy": energy, **_worst(deviations)}
 
     def paint(axes: Any) -> None:
-        if others > MAX_CASIMIRS:
+        if len(deviations) > MAX_CASIMIRS:
             _draw_band(axes, drawn, np.stack(list(deviations.values())))
         for i, (name, members) in enumerate(lines.items()):
             # Zero deviations have no logarithm, and leave gaps.
             visible = np.where(members > 0.0, members, np.nan)
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
-            draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
+            draw_members(axes, drawn.t, visible, drawn.dense, colour(i), label)
             if drawn.unexplained_change is not None:
-                shown = np.abs(drawn.unexplained_change[name]) / sizes.get(name, 1.0)
-                _draw_left(axes, drawn, shown, colour(i), None if i else "$H$ less their work")
+                change = np.abs(drawn.unexplained_change[name]) / sizes.get(name, 1.0)
+                _draw_dotted(axes, drawn, change, colour(i), None if i else "$H$ less their work")
         axes.set(yscale="log", ylabel=f"{measure} deviation from start")
-        plain = "drift of the energy $H$ and the Casimirs"
-        title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
+        title = "drift of the energy $H$ and the Casimirs"
         if drawn.unexplained_change is not None:
             title = "change of the energy $H$ and the Casimirs by forces"
+        elif drawn.driven:
+            title = "change of the driven energy $H$, drift of the Casimirs"
         axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
             axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
-        _at_least_two_decades(axes)
+        _widen_to_two_decades(axes)
         plain_axes(axes)
         key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
@@ -68,12 +68,12 @@ def drift(drawn: PlottedRun) -> Paint:
 def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
     """Return the scales of the invariants at the start of the first member, for matrices only.
 
-    Traces of powers cancel, so their scale is the sum without signs.
+    The scale of a trace is the sum of its absolute terms, since the terms cancel.
     """
     if not isinstance(drawn.family, MatrixSystem):
         return {}
     state = drawn.state(0)
-    found = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}
+    scales = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}
     singular = {
         "W": np.linalg.svd(vorticity_of(state), compute_uv=False),
         "Theta": np.linalg.svd(carried_by(state), compute_uv=False),
@@ -83,21 +83,19 @@ def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
         if trace is not None:
             first, second = singular[trace[1]], singular["Theta" if trace[2] else trace[1]]
             power = int(trace[3] or 1) if trace[2] else int(trace[3] or 1) - 1
-            found[name] = float(np.sum(first * second**power))
-    known = all(np.isfinite(found.get(name, np.nan)) and found[name] > 0.0 for name in drawn.invariants)
-    return found if known else {}
+            scales[name] = float(np.sum(first * second**power))
+    complete = all(np.isfinite(scales.get(name, np.nan)) and scales[name] > 0.0 for name in drawn.invariants)
+    return scales if complete else {}
 
 
-def _draw_left(
-    axes: Any, drawn: PlottedRun, unexplained_change: npt.NDArray[np.float64], shade: str, label: str | None
-) -> None:
-    for m, values in enumerate(unexplained_change):
+def _draw_dotted(axes: Any, drawn: PlottedRun, members: npt.NDArray[np.float64], shade: str, label: str | None) -> None:
+    for m, values in enumerate(members):
         visible = np.where(values > 0.0, values, np.nan)
         axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
 
 
 def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return all Casimirs if they are few, else those with the largest deviations."""
+    """Return all Casimirs, or of many those with the largest deviations."""
     if len(deviations) <= MAX_CASIMIRS:
         return dict(deviations)
     size = {name: float(np.nanmax(values, initial=0.0)) for name, values in deviations.items()}
@@ -105,7 +103,7 @@ def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDAr
     return {name: deviations[name] for name in worst}
 
 
-def _at_least_two_decades(axes: Any) -> None:
+def _widen_to_two_decades(axes: Any) -> None:
     low, high = axes.get_ylim()
     if 0.0 < low < high < 100.0 * low:
         middle = (low * high) ** 0.5
@@ -113,10 +111,10 @@ def _at_least_two_decades(axes: Any) -> None:
 
 
 def _draw_band(axes: Any, drawn: PlottedRun, deviations: npt.NDArray[np.float64]) -> None:
-    every = deviations.reshape(-1, deviations.shape[-1])
-    every = np.where(every > 0.0, every, np.nan)
-    some: npt.NDArray[np.bool_] = np.isfinite(every).any(axis=0)  # type: ignore[assignment]
-    low, high = np.full((2, every.shape[1]), np.nan)
-    low[some], high[some] = np.nanmin(every[:, some], axis=0), np.nanmax(every[:, some], axis=0)
+    series = deviations.reshape(-1, deviations.shape[-1])
+    series = np.where(series > 0.0, series, np.nan)
+    finite: npt.NDArray[np.bool_] = np.isfinite(series).any(axis=0)  # type: ignore[assignment]
+    low, high = np.full((2, series.shape[1]), np.nan)
+    low[finite], high[finite] = np.nanmin(series[:, finite], axis=0), np.nanmax(series[:, finite], axis=0)
     label = f"all {len(deviations)} Casimirs"
     axes.fill_between(drawn.t, low, high, color=BAND_COLOUR, alpha=0.4, linewidth=0.5, label=label)

@@ -12,15 +12,15 @@ from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MAX_MARKED = 40
-"""Number of eigenvalues up to which lines have markers."""
+"""Largest number of eigenvalues drawn with markers."""
 
 
 @kind("eigenvalues", low=True)
 def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """Show the eigenvalues of a matrix of the first member at the start and at another time, and their displacement.
 
-    If W is skew-Hermitian, those of -i W in ascending order; else those of W in the complex plane. For a fluid they are
-    the distribution of vorticity over area. For two fields, the conserved ones of the carried field are shown.
+    For a skew-Hermitian W, the eigenvalues of -i W are drawn in ascending order, otherwise those of W in the complex
+    plane. For a fluid they are the distribution of vorticity over area. For two fields, the matrix is the carried one.
 
     Parameters
     ----------
@@ -29,24 +29,24 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """
     if not isinstance(drawn.family, MatrixSystem):
         raise CannotShow(f"the state of {drawn.family.name} is not a matrix, and has no eigenvalues")
-    k = drawn.at(at)
+    k = drawn.index_at(at)
     if not np.isfinite(drawn.x[0, k]).all():
         raise CannotShow(f"the first member has failed before t = {drawn.t[k]:g}, and has no eigenvalues there")
     first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size
     name = r"\Theta" if len(drawn.family.shape) == 3 else "W"
-    part = (np.arange(len(first)) + 0.5) / len(first)
+    fraction = (np.arange(len(first)) + 0.5) / len(first)
 
     def paint(axes: Any) -> None:
-        for values, j, place, width in ((first, 0, 4, 3.0), (last, k, 6, 0.9)):
-            style = {"color": colour(place), "linewidth": width, "label": f"$t$ = {drawn.t[j]:.4g}"}
+        for values, j, line, width in ((first, 0, 4, 3.0), (last, k, 6, 0.9)):
+            style = {"color": colour(line), "linewidth": width, "label": f"$t$ = {drawn.t[j]:.4g}"}
             if np.iscomplexobj(values):
                 style |= {"linestyle": "none", "marker": "o", "markersize": 3.0 * width}
                 axes.plot(values.real / size, values.imag / size, **style)
             else:
                 style |= {"marker": "o", "markersize": 2.0 * width} if len(values) <= MAX_MARKED else {}
-                axes.plot(part, values / size, **style)
+                axes.plot(fraction, values / size, **style)
         if np.iscomplexobj(first):
             axes.set(xlabel="real part over the largest", ylabel="imaginary part over the largest")
         else:

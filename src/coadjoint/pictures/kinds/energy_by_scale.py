@@ -18,24 +18,24 @@ LETTER = {"sphere": "l", "torus": "|n|"}
 
 @kind("energy by scale", over_time=True)
 def energy_by_scale(drawn: PlottedRun) -> Paint:
-    """Show the fractions of the energy in the scales that have most of it, at up to 200 saved times.
+    """Show the fractions of the energy in the most energetic scales, at up to 200 saved times.
 
     Scales are degrees on the sphere, or wave numbers on the torus; the first member is shown.
     """
     fluid = fluid_of(drawn)
     times = spread(len(drawn.t), MAX_TIMES)
-    found = [fluid.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
-    scales = np.asarray(found[0][0])
-    energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in found])
+    spectra = [fluid.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
+    scales = np.asarray(spectra[0][0])
+    energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in spectra])
     total = energies.sum(axis=1, keepdims=True)
     # Failed members leave gaps; a fluid at rest has no shares.
     shares = np.divide(energies, total, out=0.0 * energies, where=total > 0.0)
-    most = np.sort(np.argsort(-np.nanmax(shares, axis=0), kind="stable")[:MAX_SCALES])
+    largest = np.sort(np.argsort(-np.nanmax(shares, axis=0), kind="stable")[:MAX_SCALES])
 
     def paint(axes: Any) -> None:
-        for place, i in enumerate(most):
+        for line, i in enumerate(largest):
             label = f"${LETTER[surface_of(fluid)]} = {scales[i]:g}$"
-            axes.plot(drawn.t[times], shares[:, i], color=colour(place), linewidth=0.9, label=label)
+            axes.plot(drawn.t[times], shares[:, i], color=colour(line), linewidth=0.9, label=label)
         axes.set(xlabel="time $t$", ylabel="share of the energy", title="energy by scale")
         axes.set_ylim(0.0, None)
         plain_axes(axes)

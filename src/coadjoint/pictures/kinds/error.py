@@ -17,25 +17,25 @@ MAX_TIMES = 400
 
 @kind("error", over_time=True)
 def error(drawn: PlottedRun) -> Paint:
-    """Show the distance from the closed form, relative to the size of the start, at up to 400 times.
+    """Show the distance from the closed form, relative to the size of the initial state, at up to 400 times.
 
     For a motion that stays on its orbit it is the phase error. Batches are not supported.
     """
     system = drawn.system
     if getattr(system, "closed_form", None) is None or isinstance(drawn.solution.system, Batch):
         raise CannotShow(f"no closed form is known for {drawn.solution.system.name}")
-    at = spread(len(drawn.t), MAX_TIMES)
-    t = drawn.t[at]
-    found = []
+    indices = spread(len(drawn.t), MAX_TIMES)
+    t = drawn.t[indices]
+    errors_of_members = []
     for states in drawn.x:
         exact = np.asarray(system.exact(states[0], t - drawn.t[0]))
         size = float(np.linalg.norm(states[0])) or 1.0
-        found.append(np.linalg.norm(states[at] - exact, axis=-1) / size)
-    errors = np.array(found)
+        errors_of_members.append(np.linalg.norm(states[indices] - exact, axis=-1) / size)
+    errors = np.array(errors_of_members)
 
     def paint(axes: Any) -> None:
         # Zero errors have no logarithm, and leave gaps.
-        draw_members(axes, t, np.where(errors > 0.0, errors, np.nan), drawn.close, colour(0), None)
+        draw_members(axes, t, np.where(errors > 0.0, errors, np.nan), drawn.dense, colour(0), None)
         axes.set(xlabel="time $t$", ylabel="relative error", title="distance from the closed form")
         if np.any(errors > 0.0):
             axes.set_yscale("log")

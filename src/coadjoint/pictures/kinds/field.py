@@ -25,7 +25,7 @@ def field(
     at: float = 0.0,
     label: str = "field",
 ) -> Paint:
-    """Show the sum of the modes, each times its coordinate, at one time for the first member; or values of a function.
+    """Show a sum of modes weighted by the coordinates, or values of a function, at one time for the first member.
 
     Parameters
     ----------
@@ -41,24 +41,24 @@ def field(
     label : str
         Name of the field.
     """
-    k, wide = drawn.at(at), read_positive(width(drawn.family), "width")
+    k, side = drawn.index_at(at), read_positive(width(drawn.family), "width")
     if values is not None:
-        first, size = drawn.of_state(values, k)
+        first, size = drawn.evaluate(values, k)
 
-        def at_point(j: int) -> Any:
+        def field_at(j: int) -> Any:
             return np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)
 
     elif modes is not None:
-        edge = np.linspace(0.0, wide, CELLS + 1)
+        edge = np.linspace(0.0, side, CELLS + 1)
         waves = np.asarray(modes(drawn.family, *np.meshgrid(edge, edge)))
         if len(waves) != drawn.n:
             raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
 
-        def at_point(j: int) -> Any:
+        def field_at(j: int) -> Any:
             return np.tensordot(drawn.x[0, j], waves, axes=1)
 
-        first = at_point(k)
-        # One scale for all times, which bounds the sum of the modes.
+        first = field_at(k)
+        # A bound on the sum of the modes, so that the scale is the same at all times.
         size = float(np.max(np.abs(drawn.x[0]) @ np.abs(waves).max(axis=(1, 2)))) or 1.0
     else:
         raise TypeError("a field needs its modes, or a function that gives its values")
@@ -66,10 +66,10 @@ def field(
     def paint(axes: Any) -> Update:
         from matplotlib.ticker import MaxNLocator
 
-        places = [np.linspace(0.0, wide, count) for count in first.shape[::-1]]
+        coordinates = [np.linspace(0.0, side, count) for count in first.shape[::-1]]
         style = {"levels": np.linspace(-size, size, LEVELS), "cmap": "RdBu_r"}
-        drawn_field = axes.contourf(*places, first, **style)
-        bar = axes.figure.colorbar(drawn_field, ax=axes, shrink=0.7, pad=0.02, ticks=MaxNLocator(5))
+        contours = axes.contourf(*coordinates, first, **style)
+        bar = axes.figure.colorbar(contours, ax=axes, shrink=0.7, pad=0.02, ticks=MaxNLocator(5))
         bar.set_label(label, fontsize=9)
         bar.ax.tick_params(labelsize=8)
         axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
@@ -78,9 +78,9 @@ def field(
         title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
 
         def update(j: int) -> None:
-            nonlocal drawn_field
-            drawn_field.remove()
-            drawn_field = axes.contourf(*places, np.clip(at_point(j), -size, size), **style)
+            nonlocal contours
+            contours.remove()
+            contours = axes.contourf(*coordinates, np.clip(field_at(j), -size, size), **style)
             title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
 
         return update

@@ -20,33 +20,33 @@ DECADES = 8.0
 def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """Show energy and enstrophy of the first member over the degree on the sphere, or wave number on the torus.
 
-    Thin dashed lines are those of the start.
+    Thin dashed lines show the start.
 
     Parameters
     ----------
     at : float
         The time as a fraction of the span: 0 is the start, 1 the end.
     """
-    fluid, k = fluid_of(drawn), drawn.at(at)
+    fluid, k = fluid_of(drawn), drawn.index_at(at)
     spectra = {"energy": fluid.energy_spectrum, "enstrophy": fluid.enstrophy_spectrum}
-    found = {
-        (name, j): [np.asarray(part, dtype=np.float64) for part in spectrum(vorticity_of(drawn.state(j)))]
+    points = {
+        (name, j): [np.asarray(values, dtype=np.float64) for values in spectrum(vorticity_of(drawn.state(j)))]
         for name, spectrum in spectra.items()
         for j in dict.fromkeys((k, 0))
     }
 
     def paint(axes: Any) -> None:
-        for place, name in enumerate(spectra):
+        for line, name in enumerate(spectra):
             for j, style in {0: {"linestyle": "--", "linewidth": 0.8}, k: {"linestyle": "-", "linewidth": 1.2}}.items():
-                scales, values = found[name, j]
+                scales, values = points[name, j]
                 label = f"{name}, $t$ = {drawn.t[j]:.4g}"
-                axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(place), label=label, **style)
+                axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(line), label=label, **style)
         axes.set(xscale="log", xlabel=AXIS_LABELS[surface_of(fluid)])
         axes.set(ylabel="energy and enstrophy", title="spectra of energy and enstrophy")
-        top = max(float(values.max()) for _, values in found.values())
+        top = max(float(values.max()) for _, values in points.values())
         if top > 0.0:  # a fluid at rest has no logarithms
-            seen = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in found.values())
-            axes.set(yscale="log", ylim=(seen / 2, top * 3))
+            low = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in points.values())
+            axes.set(yscale="log", ylim=(low / 2, top * 3))
         plain_axes(axes)
         key(axes)
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.pictures.kinds.body_axis import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.spatial import axis_in_space
 from coadjoint.pictures.style import INK, colour, dots, key, plain_axes
 
 
@@ -25,13 +25,13 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
     turns : float
         Number of revolutions of the axis after which the curve ends.
     """
-    drawn = drawn.between
+    drawn = drawn.refined
     path, name = axis_in_space(drawn, axis, up)
 
     def paint(axes: Any) -> None:
         ended = False
-        for m, own in enumerate(path):
-            points = own[drawn.kept]
+        for m, directions in enumerate(path):
+            points = directions[drawn.curve_indices]
             azimuth = np.degrees(np.unwrap(np.arctan2(points[:, 1], points[:, 0])))
             azimuth -= azimuth[0]
             inclination = np.degrees(np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2]))

@@ -16,17 +16,17 @@ MAX_OBSERVED = 8
 
 @kind("observed", over_time=True)
 def observed(drawn: PlottedRun) -> Paint:
-    """Show the quantities of ``observe=`` that are numbers; at most the first eight."""
-    series = {name: drawn.of_each(values) for name, values in drawn.solution.observed.items()}
+    """Show the observed quantities (``observe=``) that are numbers, at most the first eight."""
+    series = {name: drawn.select(values) for name, values in drawn.solution.observed.items()}
     numbers = {name: values for name, values in series.items() if values.ndim == 2 and values.dtype.kind in "fiub"}
     if not numbers:
         raise CannotShow("nothing was observed; integrate with observe={name: function}")
-    shown = dict(list(numbers.items())[:MAX_OBSERVED])
+    lines = dict(list(numbers.items())[:MAX_OBSERVED])
 
     def paint(axes: Any) -> None:
-        for i, (name, members) in enumerate(shown.items()):
-            draw_members(axes, drawn.t, members.astype(np.float64), drawn.close, colour(i), symbol(name))
-        title = "observed" + (f" ({len(shown)} of {len(numbers)})" if len(shown) < len(numbers) else "")
+        for i, (name, members) in enumerate(lines.items()):
+            draw_members(axes, drawn.t, members.astype(np.float64), drawn.dense, colour(i), symbol(name))
+        title = "observed" + (f" ({len(lines)} of {len(numbers)})" if len(lines) < len(numbers) else "")
         axes.set(xlabel="time $t$", ylabel="observed quantity", title=title)
         plain_axes(axes)
         key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))

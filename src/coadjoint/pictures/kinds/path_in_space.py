@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.orbit import frame_space
+from coadjoint.pictures.kinds.coadjoint_orbit import frame_space
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, colour, dots, key
 from coadjoint.validation import read_integer
 
-SHOWN = 40  # attitudes along the path
+MAX_ATTITUDES = 40
+"""Largest number of attitudes drawn along the path."""
 
 
 @kind("path in space", projection="3d")
@@ -24,24 +25,24 @@ def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
     Parameters
     ----------
     axis : int
-        The axis that is drawn, 0 to 2.
+        The body axis drawn, 0 to 2.
     """
     number = read_integer(axis, "axis", 0, 2)
-    drawn = drawn.between
+    drawn = drawn.refined
     g = drawn.attitude
     if g is None or g.shape[-1] != 4:
         raise CannotShow("the run has no group element of SE(3); integrate with attitude=True")
-    kept = drawn.kept
-    positions, pointing = g[:, kept][..., :3, 3], g[:, kept][..., :3, number]
+    points = g[:, drawn.curve_indices]
+    positions, directions = points[..., :3, 3], points[..., :3, number]
 
     def paint(axes: Any) -> None:
         low, high = np.nanmin(positions, axis=(0, 1)), np.nanmax(positions, axis=(0, 1))
         reach = 0.09 * float(np.max(high - low)) or 1.0
-        for m, (path, direction) in enumerate(zip(positions, pointing, strict=True)):
+        for m, (path, direction) in enumerate(zip(positions, directions, strict=True)):
             style: dict[str, Any] = {"linewidth": 1.2} if drawn.axis_joined else dots(len(path))
             axes.plot(*path.T, color=colour(m), **style)
-            at = spread(len(path), SHOWN)
-            ends = np.stack([path[at], path[at] + reach * direction[at], np.full((len(at), 3), np.nan)], axis=1)
+            k = spread(len(path), MAX_ATTITUDES)
+            ends = np.stack([path[k], path[k] + reach * direction[k], np.full((len(k), 3), np.nan)], axis=1)
             axes.plot(*ends.reshape(-1, 3).T, color=colour(1), linewidth=0.9, label=f"body axis {number + 1}")
             axes.plot(*path[:1].T, "o", markersize=4, color=INK, label="start")
             if m == 0:

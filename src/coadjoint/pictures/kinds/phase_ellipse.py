@@ -44,26 +44,25 @@ def phase_ellipse(
     if moments is not None:
         if any(isinstance(i, int) and i >= x.shape[1] for i in moments):
             raise CannotShow(f"the moments are the coordinates {list(moments)}, and the state has {x.shape[1]}")
-        qq, qp, pp = (x[:, drawn.place(i)] for i in moments)
-        shown: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
+        qq, qp, pp = (x[:, drawn.index_of(i)] for i in moments)
+        distributions: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
     elif lumps is not None:
-        shown = lumps(x, drawn.family)
+        distributions = lumps(x, drawn.family)
     else:
         raise TypeError("a phase ellipse needs `moments`, the coordinates of second moments, or a function `lumps`")
-    end = drawn.at(1.0 if until is None else read_number(until, "until")) + 1
+    end = drawn.index_at(1.0 if until is None else read_number(until, "until")) + 1
 
     def paint(axes: Any) -> None:
         from matplotlib import colormaps
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
-        at = spread(end, count)
-        scale = Normalize(float(drawn.t[at].min()), float(drawn.t[at].max()))
-        # The light end of the colormap is too light for lines.
+        indices = spread(end, count)
+        scale = Normalize(float(drawn.t[indices].min()), float(drawn.t[indices].max()))
         shades = ScalarMappable(scale, colormaps["plasma"].with_extremes())
-        for q, p, qq, qp, pp in shown:
+        for q, p, qq, qp, pp in distributions:
             axes.plot(q[:end], p[:end], color=INK, linewidth=0.4, alpha=0.6)
-            for k in at:
+            for k in indices:
                 axes.plot(*_ellipse(q[k], p[k], qq[k], qp[k], pp[k]), color=shades.to_rgba(drawn.t[k]), linewidth=1.2)
         bar = axes.figure.colorbar(shades, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label("time $t$", fontsize=9)
@@ -75,7 +74,7 @@ def phase_ellipse(
 
 
 def _ellipse(q: float, p: float, qq: float, qp: float, pp: float) -> Any:
-    """Return the curve (q, p) + L (cos, sin), with L L^T the matrix of moments; requires only qq > 0."""
+    """Return the curve (q, p) + L (cos, sin), with L L^T the matrix of moments; NaN if that is not positive."""
     turn = np.linspace(0.0, 2.0 * np.pi, 121)
     if not (qq > 0.0 and qq * pp - qp * qp >= 0.0):
         return np.full((2, 1), np.nan)

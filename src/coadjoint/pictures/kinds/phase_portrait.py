@@ -25,7 +25,7 @@ def phase_portrait(
     equal: bool = False,
     title: str = "phase portrait",
 ) -> Paint:
-    """Show a coordinate over another, or functions of the state, with one colour per member.
+    """Show a coordinate or function of the state over another one, with one colour per member.
 
     Parameters
     ----------
@@ -43,15 +43,15 @@ def phase_portrait(
     for chosen in (across, up):
         if isinstance(chosen, int) and chosen >= drawn.n:
             raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.n}")
-    drawn = drawn.between
-    values = [_of(drawn, chosen) for chosen in (across, up)]
-    names = labels or tuple("" if callable(chosen) else drawn.label(drawn.place(chosen)) for chosen in (across, up))
+    drawn = drawn.refined
+    values = [_evaluate(drawn, chosen) for chosen in (across, up)]
+    names = labels or tuple("" if callable(chosen) else drawn.label(drawn.index_of(chosen)) for chosen in (across, up))
 
     def paint(axes: Any) -> None:
         for m, (x, y) in enumerate(zip(*values, strict=True)):
             if cyclic > 0.0:
-                x = _folded(x, cyclic)
-                # A curve that wraps around has a gap there.
+                x = _wrap(x, cyclic)
+                # NaN interrupts the curve where it wraps around.
                 jumps = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * cyclic) + 1
                 shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
             else:
@@ -69,11 +69,11 @@ def phase_portrait(
     return paint
 
 
-def _of(drawn: PlottedRun, chosen: Any) -> Floats:
-    x = drawn.x[:, drawn.kept]
+def _evaluate(drawn: PlottedRun, chosen: Any) -> Floats:
+    x = drawn.x[:, drawn.curve_indices]
     with np.errstate(all="ignore"):  # nonfinite values are not drawn
-        return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
+        return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.index_of(chosen)]
 
 
-def _folded(values: Floats, cyclic: float) -> Floats:
+def _wrap(values: Floats, cyclic: float) -> Floats:
     return values - cyclic * np.rint(values / cyclic)

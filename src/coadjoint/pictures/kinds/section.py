@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from coadjoint.optional_packages import need
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.section import draw_crossings, places
+from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
+from coadjoint.runs.events import Events
+from coadjoint.validation import read_choice, read_integer, read_list
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MAX_LARGE_DOTS = 2000
+"""Largest number of crossings drawn with dots of full size."""
 
 
 @kind("section")
@@ -20,12 +31,12 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
     components : (int or str, int or str), optional
         Components to the right and upwards; by default the two that vary most.
     """
-    found = drawn.solution.events
-    if found is None:
+    events = drawn.solution.events
+    if events is None:
         raise CannotShow("the run has no events; integrate with events=co.Event(...)")
     try:
-        chosen = found if event is None else found[event]
-        places(chosen, components)
+        chosen = events if event is None else events[event]
+        drawn_coordinates(chosen, components)
     except (TypeError, ValueError) as reason:
         raise CannotShow(str(reason)) from None
 
@@ -33,3 +44,52 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
         draw_crossings(chosen, components, axes)
 
     return paint
+
+
+def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> Figure:
+    """Draw the crossings of events in two coordinates (right, up), by default those that vary most.
+
+    Raises TypeError or ValueError without crossings, for matrix states, or for unknown coordinates.
+    """
+    need("pictures", "matplotlib")
+    from coadjoint.pictures.figure import ShownFigure
+
+    names = events.coordinates
+    across, up = drawn_coordinates(events, components)
+    if axes is None:
+        axes = ShownFigure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
+    plain_axes(axes)
+    size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
+    for i, colour in enumerate(COLOURS):
+        members = events.member % len(COLOURS) == i
+        if members.any():
+            x = events.x[members]
+            style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0}
+            axes.plot(x[:, across], x[:, up], color=colour, rasterized=True, **style)
+    axes.set(xlabel=coordinate(names[across]), ylabel=coordinate(names[up]))
+    axes.set_title(f"{len(events)} crossings of {', '.join(events.names)}")
+    figure: Figure = axes.figure
+    return figure
+
+
+def drawn_coordinates(events: Events, components: Any = None) -> tuple[int, int]:
+    """Return the indices of the coordinates (right, up); arguments and errors are those of `draw_crossings`."""
+    names = events.coordinates
+    if len(names) < 2:
+        raise TypeError("crossings of matrix states cannot be drawn; plot two quantities computed from the states")
+    if not len(events):
+        raise ValueError("there are no crossings to draw; take a longer run, or another event")
+    if components is None:
+        widest = np.argsort(-np.std(events.x, axis=0), kind="stable")[:2]
+        across, up = sorted(widest.tolist())
+        return across, up
+    chosen = read_list(components, "components", "give two numbers or names of coordinates")
+    if len(chosen) != 2:
+        raise ValueError(f"components has {len(chosen)} entries; give two numbers or names of coordinates")
+    across, up = (
+        names.index(read_choice(name, "coordinate", names))
+        if isinstance(name, str)
+        else read_integer(name, "a coordinate", 0, len(names) - 1)
+        for name in chosen
+    )
+    return across, up

@@ -38,19 +38,19 @@ def space_time(
     title : str
         Title of the picture.
     """
-    places = list(sites(drawn.n))
-    if len(places) < 2:
+    indices = list(sites(drawn.n))
+    if len(indices) < 2:
         raise CannotShow("there are fewer than two sites")
 
     def paint(axes: Any) -> None:
         rows = spread(len(drawn.t), MAX_ROWS)
-        values = drawn.x[0][rows][:, places]
+        values = drawn.x[0][rows][:, indices]
         limits: dict[str, Any] = {"cmap": "viridis"}
         if centred:
             size = float(np.nanmax(np.abs(values))) or 1.0
             limits = {"cmap": "RdBu_r", "vmin": -size, "vmax": size}
         mesh = axes.pcolormesh(
-            np.arange(1, len(places) + 1), drawn.t[rows], values, shading="nearest", rasterized=True, **limits
+            np.arange(1, len(indices) + 1), drawn.t[rows], values, shading="nearest", rasterized=True, **limits
         )
         bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label(label, fontsize=9)

@@ -1,4 +1,4 @@
-"""Function on the sphere given by the state, such as vorticity on a planet, seen from outside."""
+"""Function on the sphere computed from the state, such as vorticity on a planet, seen from outside."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def sphere_field(
     label : str
         Name of the function.
     """
-    k = drawn.at(at)
-    grid, size = drawn.of_state(values, k)
+    k = drawn.index_at(at)
+    grid, size = drawn.evaluate(values, k)
 
     def paint(axes: Any) -> Update:
         globe = Globe(axes, ("$X$", "$Y$", "$Z$"), view)
@@ -50,11 +50,11 @@ def sphere_field(
         height = 1.0 - across**2 - up**2
         towards = np.stack([across, up, np.sqrt(np.maximum(height, 0.0))], axis=-1) @ globe.frame
 
-        def seen(values: Floats) -> Floats:
+        def pixels(values: Floats) -> Floats:
             return np.where(height >= 0.0, on_grid(values, towards), np.nan)
 
         picture = axes.imshow(
-            seen(grid), extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
+            pixels(grid), extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
         )
         axes.set(xlim=(-1.42, 1.42), ylim=(-1.42, 1.42))
         bar = axes.figure.colorbar(picture, ax=axes, shrink=0.6, pad=0.02)
@@ -63,7 +63,7 @@ def sphere_field(
         title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
 
         def update(j: int) -> None:
-            picture.set_data(seen(np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)))
+            picture.set_data(pixels(np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)))
             title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
 
         return update
@@ -86,5 +86,5 @@ def on_grid(grid: Floats, towards: Floats) -> Floats:
     j = np.floor(longitude).astype(np.int64)
     up, along = latitude - i, longitude - j
     below, above = ((1.0 - along) * grid[row, j % columns] + along * grid[row, (j + 1) % columns] for row in (i, i + 1))
-    found: Floats = (1.0 - up) * below + up * above
-    return found
+    interpolated: Floats = (1.0 - up) * below + up * above
+    return interpolated

@@ -42,17 +42,15 @@ def vorticity(
     centre: tuple[float, float] = (0.0, 0.0),
     limit: float | None = None,
 ) -> Paint:
-    """Show the vorticity of a quantized fluid at one time, with the colour scale of its start and its end.
-
-    Only the first member is shown.
+    """Show the vorticity of a quantized fluid at one time, for the first member.
 
     Parameters
     ----------
     at : float
         The time as a fraction of the span: 0 is the start, 1 the end.
     part : {"all", "large", "small", "stream", "carried"}
-        The whole vorticity; its large scales, which are constant along streamlines; the remainder; the stream function;
-        or the second field, which the fluid carries.
+        The vorticity; its large scales, which are constant along streamlines; the remainder; the stream function; or
+        the second field, which the fluid carries.
     projection : {"mollweide", "hammer", "outside"}
         Projection of the sphere: equal-area maps, or the view from outside.
     centre : (float, float)
@@ -66,27 +64,27 @@ def vorticity(
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
     if part == "carried" and len(drawn.family.shape) != 3:
         raise CannotShow(f"{drawn.family.name} carries no second field; reduced_mhd and passive_scalar do")
-    surface, k = surface_of(fluid), drawn.at(at)
+    surface, k = surface_of(fluid), drawn.index_at(at)
 
-    def shown(system: Any, state: Any) -> Floats:
+    def on_fluid_grid(system: Any, state: Any) -> Floats:
         return part_on_grid(fluid, state, part, _shape(fluid.algebra.N, surface))
 
-    first, largest = drawn.of_state(shown, k)
+    first, largest = drawn.evaluate(on_fluid_grid, k)
     size = largest if limit is None else read_positive(limit, "limit")
 
     def paint(axes: Any) -> Update:
-        put, pixels = (_map if surface == "sphere" else _square)(axes, across, middle)
+        options, pixels = (_map if surface == "sphere" else _square)(axes, across, middle)
         style = {"cmap": "RdBu_r", "vmin": -size, "vmax": size, "origin": "lower"}
-        image = axes.imshow(pixels(first), **put, **style)
+        image = axes.imshow(pixels(first), **options, **style)
         ends = "both" if largest > size else "neither"
         bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, extend=ends)
         bar.set_label(PART_TITLES[part], fontsize=9)
         bar.ax.tick_params(labelsize=8)
         title = axes.set_title(_title(drawn, part, k), fontsize=9.5, color=INK)
 
-        def update(later: int) -> None:
-            image.set_data(pixels(shown(drawn.family, drawn.state(later))))
-            title.set_text(_title(drawn, part, later))
+        def update(j: int) -> None:
+            image.set_data(pixels(on_fluid_grid(drawn.family, drawn.state(j))))
+            title.set_text(_title(drawn, part, j))
 
         return update
 
@@ -98,12 +96,13 @@ def _title(drawn: PlottedRun, part: str, k: int) -> str:
 
 
 def _shape(N: int, surface: str) -> tuple[int, int]:
-    """Return a grid fine enough for the picture: with both poles, or a square."""
+    """Return the size of a grid that is fine enough for the picture: with both poles, or a square."""
     side = min(max(MIN_GRID, 2 * N), MAX_GRID)
     return (side + 1, 2 * side) if surface == "sphere" else (side, side)
 
 
 Pixels = tuple[dict[str, Any], Callable[[Floats], Floats]]
+"""Options of `imshow`, and the function from grid values to pixels."""
 
 
 def _map(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixels:
@@ -122,10 +121,10 @@ def _map(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixels:
     inside = np.isfinite(towards[..., 0])
 
     def pixels(values: Floats) -> Floats:
-        found = np.full(inside.shape, np.nan)
+        image = np.full(inside.shape, np.nan)
         # rows of the grid go from north to south
-        found[inside] = on_grid(values[::-1], towards[inside])
-        return found
+        image[inside] = on_grid(values[::-1], towards[inside])
+        return image
 
     return {"extent": (-wide, wide, -1.0, 1.0)}, pixels
 
@@ -138,7 +137,7 @@ def _square(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixel
     axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
 
     def pixels(values: Floats) -> Floats:
-        # values are those of cell centres; the first ones are repeated at the opposite edge
+        # values at cell centres; the first ones are repeated at the opposite edge
         return np.pad(values.T, (0, 1), mode="wrap")
 
     return {"extent": (0.0, 2 * np.pi, 0.0, 2 * np.pi), "interpolation": "bilinear"}, pixels

@@ -34,22 +34,22 @@ def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float
     slopes = np.zeros((n, n), dtype=bool)  # slopes[i]: coordinates in dR_1/dx_i
     second = np.zeros((n, n, n) if cubic else 0, dtype=bool)  # second[m]: pairs that multiply x_m in R_2
     counts = np.zeros(n)  # counts[i]: monomials in dR_2/dx_i
-    every = max(1, len(parts) // SAMPLED_PARTS)
+    stride = max(1, len(parts) // SAMPLED_PARTS)
     total = 0.0
     angles = np.split(np.argsort(parts.part_of_angle, kind="stable"), np.cumsum(np.diff(parts.angle))[:-1])
     for number, p in enumerate(reversed(range(len(parts)))):
-        length, again = slopes.sum(axis=1, dtype=float), np.zeros(n)
-        if cubic and number % every == 0:
+        length, pair_counts = slopes.sum(axis=1, dtype=float), np.zeros(n)
+        if cubic and number % stride == 0:
             counts = _monomials_per_coordinate(second)
         for angle in angles[p].tolist():
             weights = _mask(parts.weights, angle, n)
-            field, moved = _field(acting, _mask(parts.forms, angle, n), weights, parts.offset[angle] != 0, n)
+            field, field_pattern = _field(acting, _mask(parts.forms, angle, n), weights, parts.offset[angle] != 0, n)
             total += float(field @ (length + counts))
             if cubic and np.any(length):
-                pairs = _pairs(moved, slopes)
+                pairs = _pairs(field_pattern, slopes)
                 second[weights] |= pairs
-                again += np.where(weights, pairs.sum() / 2, 0.0) + pairs.sum(axis=1) * weights.sum()
-                total += float(field @ np.minimum(again, n * (n + 1) / 2))
+                pair_counts += np.where(weights, pairs.sum() / 2, 0.0) + pairs.sum(axis=1) * weights.sum()
+                total += float(field @ np.minimum(pair_counts, n * (n + 1) / 2))
         for angle in angles[p].tolist():
             form, weights = _mask(parts.forms, angle, n), _mask(parts.weights, angle, n)
             slopes |= (form[:, None] & weights) | (weights[:, None] & form)
@@ -57,9 +57,9 @@ def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float
 
 
 def _mask(rows: SparseRows, row: int, n: int) -> NDArray[np.bool_]:
-    found = np.zeros(n, dtype=bool)
-    found[rows.coordinate[rows.start[row] : rows.start[row + 1]]] = True
-    return found
+    mask = np.zeros(n, dtype=bool)
+    mask[rows.coordinate[rows.start[row] : rows.start[row + 1]]] = True
+    return mask
 
 
 def _field(
@@ -74,28 +74,28 @@ def _field(
     The second result encodes as i n + k where component i of J(x) form contains x_k.
     """
     row, column, k = acting
-    there = form[column]
-    moved = np.unique(row[there] * n + k[there])
-    component, coordinate = np.divmod(moved, n)
+    selected = form[column]
+    field_pattern = np.unique(row[selected] * n + k[selected])
+    component, coordinate = np.divmod(field_pattern, n)
     length = np.bincount(component, minlength=n).astype(float)
-    both = np.bincount(component[weights[coordinate]], minlength=n)
-    return length * (int(weights.sum()) + shifted) - both * (both - 1) / 2, moved
+    overlap = np.bincount(component[weights[coordinate]], minlength=n)
+    return length * (int(weights.sum()) + shifted) - overlap * (overlap - 1) / 2, field_pattern
 
 
-def _pairs(moved: Integers, slopes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _pairs(field_pattern: Integers, slopes: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the symmetric pattern of coordinate pairs in the products of the two linear factors of a bracket."""
     n = len(slopes)
     linear = np.zeros((n, n), dtype=np.float32)
-    linear[np.divmod(moved, n)] = 1.0
-    found = (linear.T @ slopes.astype(np.float32)) > 0.0
-    return np.asarray(found | found.T)
+    linear[np.divmod(field_pattern, n)] = 1.0
+    pattern = (linear.T @ slopes.astype(np.float32)) > 0.0
+    return np.asarray(pattern | pattern.T)
 
 
 def _monomials_per_coordinate(second: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Count for each coordinate the monomials that contain it, in a cubic polynomial given by pairs."""
     n = len(second)
-    found = np.empty(n)
+    counts = np.empty(n)
     for i in range(n):
         pairs = second[i] | second[:, i] | second[:, :, i]
-        found[i] = (np.count_nonzero(pairs | pairs.T) + np.count_nonzero(np.diagonal(pairs))) / 2
-    return found
+        counts[i] = (np.count_nonzero(pairs | pairs.T) + np.count_nonzero(np.diagonal(pairs))) / 2
+    return counts

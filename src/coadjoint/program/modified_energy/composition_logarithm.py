@@ -17,13 +17,13 @@ import numpy as np
 from coadjoint.algebra.exact.free_algebra import (
     Series,
     Word,
+    add_series,
     exponential,
     lie_coordinates,
     logarithm,
     lyndon_words,
-    one,
-    plus,
     product,
+    unit_series,
 )
 from coadjoint.algebra.exact.numbers import rational as rational_number
 from coadjoint.program.sweeps import Sweep, Swept
@@ -41,7 +41,7 @@ class Letter(NamedTuple):
     """A letter h^weight Y: of a sweep, or of the first or last part where two sweeps meet."""
 
     weight: int
-    place: str = "sweep"
+    origin: str = "sweep"
 
 
 class Coordinates(NamedTuple):
@@ -59,7 +59,7 @@ class Coordinates(NamedTuple):
     @property
     def leading(self) -> int | None:
         """The smallest weight above 1 with a nonzero coefficient; None if there is none."""
-        return next((w for w, found in enumerate(self.of_weight) if w > 1 and found), None)
+        return next((w for w, terms in enumerate(self.of_weight) if w > 1 and terms), None)
 
 
 def composition_logarithm(
@@ -84,38 +84,33 @@ def composition_logarithm(
     >>> {tuple(letter.weight for letter in word): str(value) for word, value in found.of_weight[3].items()}
     {(1, 2): '-1/8', (3,): '1/4'}
     """
-    return _logarithm(tuple(sweeps), tuple(after), highest, order, parts == 1, rational)
-
-
-def _logarithm(
-    sweeps: tuple[Sweep, ...], after: tuple[Sweep, ...], highest: int, order: int, alone: bool, rational: bool
-) -> Coordinates:
     from flint import ctx, fmpq
 
+    single_part = parts == 1
     with ctx.workprec(BALL_BITS):
-        series = _product_of(sweeps, highest, alone, rational)
+        series = _sweep_product(sweeps, highest, single_part, rational)
         if after:
-            processor = _product_of(after, highest, alone, rational)
+            processor = _sweep_product(after, highest, single_part, rational)
             series = product(product(_inverse(processor), series), processor)
         element = logarithm(series)
-        letters = {letter: letter.weight for some in element for word in some for letter in word}
+        letters = {letter: letter.weight for term in element for word in term for letter in word}
         count, scale = len(sweeps) + len(after), max([1.0, *(abs(float(s.coefficient)) for s in (*sweeps, *after))])
-        kept: list[Mapping[Word, Any]] = [{}, {(Letter(1),): 1}]
+        of_weight: list[Mapping[Word, Any]] = [{}, {(Letter(1),): 1}]
         neglected, exact = 0.0, True
         for weight in range(2, highest + 1):
             # Rounding of the coefficients changes a condition by u times the sum of its terms.
             least = UNIT_ROUNDOFF * 8 * count * scale**weight if weight <= order else 0.0
-            found, rest = lie_coordinates(element[weight], lyndon_words(letters, weight))
+            coefficients, rest = lie_coordinates(element[weight], lyndon_words(letters, weight))
             assert all(_size_if_zero(value, 0.0) is not None for value in rest.values()), "the series is no Lie series"
-            own = {}
-            for word, value in found.items():
+            nonzero = {}
+            for word, value in coefficients.items():
                 size = _size_if_zero(value, least)
                 if size is None:
-                    own[word], exact = value, exact and isinstance(value, fmpq)
+                    nonzero[word], exact = value, exact and isinstance(value, fmpq)
                 else:
                     neglected = max(neglected, size)
-            kept.append(own)
-    return Coordinates(tuple(kept), neglected, exact)
+            of_weight.append(nonzero)
+    return Coordinates(tuple(of_weight), neglected, exact)
 
 
 def _size_if_zero(value: Any, least: float) -> float | None:
@@ -129,59 +124,57 @@ def _size_if_zero(value: Any, least: float) -> float | None:
     return size if zero else None
 
 
-def _product_of(sweeps: Sequence[Sweep], highest: int, alone: bool, rational: bool) -> Series:
-    result = one(highest)
-    met: Any = 0  # total time of the flow of the part at which the previous sweep ended
-    before: Sweep | None = None
+def _sweep_product(sweeps: Sequence[Sweep], highest: int, single_part: bool, rational: bool) -> Series:
+    result = unit_series(highest)
+    flow_time: Any = 0  # total time of the flow of the part at which the previous sweep ended
+    previous: Sweep | None = None
     for sweep in sweeps:
         c = sweep.coefficient
-        meets = before is not None and sweep.turn and (alone or before.forward != sweep.forward)
-        if rational and meets and before is not None:
-            place = "last" if alone or before.forward else "first"
-            own = {k: (met + c) ** k - met**k - c**k for k in range(3, highest + 1, 2)}
-            result = product(result, exponential(_letters(own, place, highest)))
+        merges = previous is not None and sweep.turn and (single_part or previous.forward != sweep.forward)
+        if rational and merges and previous is not None:
+            origin = "last" if single_part or previous.forward else "first"
+            difference = {k: (flow_time + c) ** k - flow_time**k - c**k for k in range(3, highest + 1, 2)}
+            result = product(result, exponential(_letters(difference, origin, highest)))
         sign = 1 if sweep.forward else -1
         result = product(
             result, exponential(_letters({k: sign * (sign * c) ** k for k in range(1, highest + 1)}, "sweep", highest))
         )
-        met, before = (met + c if meets and alone else c), sweep
+        flow_time, previous = (flow_time + c if merges and single_part else c), sweep
     return result
 
 
-def _letters(coefficients: Mapping[int, Any], place: str, highest: int) -> Series:
-    return [{(Letter(k, place),): coefficients[k]} if k in coefficients else {} for k in range(highest + 1)]
+def _letters(coefficients: Mapping[int, Any], origin: str, highest: int) -> Series:
+    return [{(Letter(k, origin),): coefficients[k]} if k in coefficients else {} for k in range(highest + 1)]
 
 
 def _inverse(series: Series) -> Series:
     """Invert a series: 1/(1 + r) = 1 - r + r^2 - ..."""
-    rest: Series = [{}, *({word: -value for word, value in some.items()} for some in series[1:])]
-    result = power = one(len(series) - 1)
+    remainder: Series = [{}, *({word: -value for word, value in term.items()} for term in series[1:])]
+    result = power = unit_series(len(series) - 1)
     for _ in series[1:]:
-        power = product(power, rest)
-        result = plus(result, power)
+        power = product(power, remainder)
+        result = add_series(result, power)
     return result
 
 
 def exact_sweeps(method: Swept) -> tuple[list[Sweep], list[Sweep]]:
-    """Return the sweeps and the processor of a scheme, with rational coefficients, or balls if irrational (a cube
-    root).
-    """
+    """Return the sweeps and the processor of a scheme, with rational coefficients, or balls if irrational."""
     from flint import ctx
 
     with ctx.workprec(BALL_BITS):
         try:
-            return _read(method, exact_or_ball)
+            return _sweeps_in(method, exact_or_ball)
         except (TypeError, ValueError, ZeroDivisionError):
             from flint import arb
 
-            return _read(method, lambda value: arb(exact_or_ball(value)))
+            return _sweeps_in(method, lambda value: arb(exact_or_ball(value)))
 
 
-def _read(method: Swept, number: Callable[[Any], Any]) -> tuple[list[Sweep], list[Sweep]]:
-    both = []
-    for given in (method.sweeps(number), method.processor(number)):
-        both.append([sweep._replace(coefficient=exact_or_ball(sweep.coefficient), moment=0) for sweep in given])
-    return both[0], both[1]
+def _sweeps_in(method: Swept, number: Callable[[Any], Any]) -> tuple[list[Sweep], list[Sweep]]:
+    result = []
+    for sweeps in (method.sweeps(number), method.processor(number)):
+        result.append([sweep._replace(coefficient=exact_or_ball(sweep.coefficient), moment=0) for sweep in sweeps])
+    return result[0], result[1]
 
 
 def exact_or_ball(value: Any) -> Any:
@@ -197,12 +190,12 @@ def exact_or_ball(value: Any) -> Any:
     if isinstance(value, fmpq | arb):
         return value
     if isinstance(value, str):
-        found = re.fullmatch(r"\s*[+-]?(\d*)\.?(\d*)\s*", value)
-        if found and len((found[1] + found[2]).lstrip("0")) >= MAX_EXACT_DIGITS:
-            middle = Fraction(value)
-            half_a_unit = Fraction(1, 2 * 10 ** len(found[2]))
+        match = re.fullmatch(r"\s*[+-]?(\d*)\.?(\d*)\s*", value)
+        if match and len((match[1] + match[2]).lstrip("0")) >= MAX_EXACT_DIGITS:
+            midpoint = Fraction(value)
+            half_ulp = Fraction(1, 2 * 10 ** len(match[2]))
             with ctx.workprec(BALL_BITS):
-                return arb(rational_number(middle)) + arb(0, arb(rational_number(half_a_unit)).upper())
+                return arb(rational_number(midpoint)) + arb(0, arb(rational_number(half_ulp)).upper())
         return rational_number(Fraction(value))
     if isinstance(value, np.generic):
         value = value.item()

@@ -1,15 +1,36 @@
-"""Modified Hamiltonian of a splitting: polynomials of the parts, inserted into the universal Lie series."""
+"""Terms of the modified Hamiltonian H + h^p H_p + ... of a splitting: polynomials of the parts, in a Lie series."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from coadjoint.algebra.exact.free_algebra import Word, factors
-from coadjoint.algebra.polynomials.exact_polynomials import Exact
-from coadjoint.program.modified_energy.composition_logarithm import BALL_BITS, Coordinates, Letter
-from coadjoint.program.modified_energy.sweep_logarithm import Commutators, Flow, sweep_logarithm
+import numpy as np
+
+from coadjoint.algebra.exact.free_algebra import Word, standard_factorization
+from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.long_operations import warn_if_long
+from coadjoint.program.modified_energy.bracket_cost import estimated_products
+from coadjoint.program.modified_energy.composition_logarithm import (
+    BALL_BITS,
+    Coordinates,
+    Letter,
+    composition_logarithm,
+    exact_sweeps,
+)
+from coadjoint.program.modified_energy.sweep_logarithm import (
+    SECONDS_PER_PRODUCT,
+    Commutators,
+    Flow,
+    check_products,
+    sweep_logarithm,
+)
+from coadjoint.program.parts.part_polynomials import part_polynomials, rational_pieces
+from coadjoint.program.sweeps import Sweep, Swept
+from coadjoint.program.table import Program, build_program
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MIN_BITS = 60
 
@@ -35,7 +56,7 @@ class ModifiedSeries:
 
     def __init__(self, commutators: Commutators, flows: Sequence[Flow], highest: int) -> None:
         self._commutators, self._flows, self._highest = commutators, flows, highest
-        self._known: dict[Word, Exact] = {}
+        self._cache: dict[Word, Exact] = {}
 
     @cached_property
     def _sweep(self) -> list[Exact]:
@@ -43,43 +64,43 @@ class ModifiedSeries:
 
     def of(self, word: Word) -> Exact:
         """Return the nested bracket of a Lyndon word of letters, as a polynomial."""
-        if word not in self._known:
+        if word not in self._cache:
             if len(word) > 1:
-                left, right = factors(word)
-                self._known[word] = self._commutators(self.of(left), self.of(right))
+                left, right = standard_factorization(word)
+                self._cache[word] = self._commutators(self.of(left), self.of(right))
             else:
-                self._known[word] = self._letter(word[0])
-        return self._known[word]
+                self._cache[word] = self._letter(word[0])
+        return self._cache[word]
 
     def _letter(self, letter: Letter) -> Exact:
-        if letter.place == "sweep":
+        if letter.origin == "sweep":
             return self._sweep[letter.weight - 1]
-        flow = self._flows[0 if letter.place == "first" else -1]
+        flow = self._flows[0 if letter.origin == "first" else -1]
         return flow.get(letter.weight, self._commutators.ring.zero)
 
     def term(self, coordinates: Coordinates, weight: int) -> Exact | Balls:
         """Return the term of one weight (power of h, >= 2): exact for rational coefficients, else balls."""
         from flint import arb, ctx
 
-        own = coordinates.of_weight[weight]
+        coefficients = coordinates.of_weight[weight]
         ring = self._commutators.ring
-        if not any(isinstance(value, arb) for value in own.values()):
+        if not any(isinstance(value, arb) for value in coefficients.values()):
             total = ring.zero
-            for word, value in own.items():
+            for word, value in coefficients.items():
                 total += self.of(word) * value
             return total
         sums: dict[tuple[int, ...], Any] = {}
         largest = 0.0
         with ctx.workprec(BALL_BITS):
-            for word, value in own.items():
+            for word, value in coefficients.items():
                 for exponents, factor in self.of(word).to_dict().items():
-                    sums[exponents] = sums.get(exponents, 0) + (added := value * factor)
-                    largest = max(largest, float(abs(added).upper()))
+                    sums[exponents] = sums.get(exponents, 0) + (product := value * factor)
+                    largest = max(largest, float(abs(product).upper()))
             return _rounded({tuple(map(int, exponents)): value for exponents, value in sums.items()}, largest)
 
 
 def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
-    found, radius, neglected = {}, 0.0, 0.0
+    coefficients, radius, neglected = {}, 0.0, 0.0
     for exponents, ball in balls.items():
         size = float(ball.rad())
         if size > largest * 2.0**-MIN_BITS:
@@ -90,6 +111,75 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
         if ball.contains(0):
             neglected = max(neglected, float(abs(ball).upper()))
         else:
-            found[exponents] = float(ball.mid())
+            coefficients[exponents] = float(ball.mid())
             radius = max(radius, float((ball.rad() / abs(ball).lower()).upper()))
-    return Balls(found, radius, neglected)
+    return Balls(coefficients, radius, neglected)
+
+
+class ModifiedTerms(NamedTuple):
+    """Terms of a modified Hamiltonian, {power of h: polynomial}, nonzero ones only.
+
+    The polynomials are in the coordinates, then the symbols of a ring. `radius` is the largest relative error of a
+    coefficient before rounding to float64 (0 if exact), `neglected` a bound of the coefficients set to zero.
+    """
+
+    of_power: dict[int, Polynomial]
+    radius: float
+    neglected: float
+
+
+def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
+    """Return the Lie series of a step by a program; for the arguments see `composition_logarithm`."""
+    rational = bool(np.any(program.frequency != 0))
+    return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)
+
+
+def modified_terms(
+    ring: ExactPolynomials,
+    system: LiePoissonSystem,
+    program: Program,
+    coordinates: Coordinates,
+    weights: Iterable[int],
+    pieces: Sequence[Exact] | None = None,
+) -> ModifiedTerms:
+    """Return the terms of the given weights (>= 2); the power of h is the weight minus one.
+
+    `pieces` are the polynomials of the parts, by default those of the program.
+    """
+    wanted = [weight for weight in weights if coordinates.of_weight[weight]]
+    highest = max(wanted, default=1)
+    if highest == 1:
+        return ModifiedTerms({}, 0.0, coordinates.neglected)
+    if pieces is None:
+        check_cost(system, program, highest)
+    polynomials = part_polynomials(ring, program.parts) if pieces is None else pieces
+    rotation_terms = rational_pieces(ring, program.parts, program.frequency, highest)
+    flows = [{1: piece, **more} for piece, more in zip(polynomials, rotation_terms, strict=True)]
+    series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
+    of_power: dict[int, Polynomial] = {}
+    radius, neglected = 0.0, coordinates.neglected
+    for weight in wanted:
+        term = series.term(coordinates, weight)
+        if isinstance(term, Balls):
+            radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
+            polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
+        else:
+            polynomial = ring.with_symbols(term)
+        if polynomial.monomials:
+            of_power[weight - 1] = polynomial
+    return ModifiedTerms(of_power, radius, neglected)
+
+
+def check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
+    """Estimate the cost of the terms up to a weight: raise ValueError if it is too large, warn if slow."""
+    count = estimated_products(system.algebra, program.parts, highest)
+    check_products(count)
+    warn_if_long("the modified Hamiltonian", SECONDS_PER_PRODUCT * count, "a lower order takes less")
+
+
+def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynomial:
+    """Return H_p of a scheme of order p, whose step is the flow of H + h^p H_p + ..."""
+    program = build_program(system, method)
+    coordinates = coordinates_of(program, *exact_sweeps(method), order + 1, order)
+    terms = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])
+    return terms.of_power.get(order, Polynomial({}, dim=system.dim))

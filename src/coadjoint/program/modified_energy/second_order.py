@@ -1,8 +1,9 @@
-"""The h^2 term of the modified Hamiltonian of a splitting, at given points."""
+"""The h^2 term of the modified Hamiltonian of a splitting at given points, and the brackets {A, {B, C}} in it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,9 @@ from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts, Polyno
 from coadjoint.program.term_table import derivative_of
 
 Floats = NDArray[np.float64]
+
+# Relative step of the central differences; brackets are smooth, so the relative error is about (2^-14)^2.
+DIFFERENCE_STEP = 2.0**-14
 
 
 class Jet(NamedTuple):
@@ -30,38 +34,43 @@ def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
     are constant.
     """
     count, n = points.shape
-    constant, bent = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
+    constant, quadratic = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
     forms, weights, part = parts.forms, parts.weights, parts.part_of_angle
     angle, value = forms.owner, forms.value.astype(np.float64)
-    place: Any = (part[angle], 0, forms.coordinate)
-    np.add.at(constant, place, value * parts.offset[angle].astype(np.float64))
-    entry, at = expand(weights.start[angle], weights.start[angle + 1])
-    place = (part[angle[entry]], 0, forms.coordinate[entry], weights.coordinate[at])
-    np.add.at(bent, place, value[entry] * weights.value[at].astype(np.float64))
-    gradient = constant + _applied(bent, points)
-    hessian = np.repeat(bent, count, axis=1) if parts.nonlinear_shares else bent
+    index: Any = (part[angle], 0, forms.coordinate)
+    np.add.at(constant, index, value * parts.offset[angle].astype(np.float64))
+    entry, weight_entry = expand(weights.start[angle], weights.start[angle + 1])
+    index = (part[angle[entry]], 0, forms.coordinate[entry], weights.coordinate[weight_entry])
+    np.add.at(quadratic, index, value[entry] * weights.value[weight_entry].astype(np.float64))
+    gradient = constant + _matrix_vector(quadratic, points)
+    hessian = np.repeat(quadratic, count, axis=1) if parts.nonlinear_shares else quadratic
     for s, share in parts.nonlinear_shares.items():
         if isinstance(share, BodyShare):
             continue
-        own = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
+        coordinates = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
         p = part[parts.row[s]]
         for k, x in enumerate(points):
-            slope, curvature = _share_jet(share, own, x, t)
-            gradient[p, k, own] += slope
-            hessian[p, k][np.ix_(own, own)] += curvature
+            share_gradient, share_hessian = _share_jet(share, coordinates, x, t)
+            gradient[p, k, coordinates] += share_gradient
+            hessian[p, k][np.ix_(coordinates, coordinates)] += share_hessian
     return Jet(gradient, hessian)
 
 
-def _share_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Floats, t: float) -> tuple[Floats, Floats]:
+def _share_jet(
+    share: PolynomialShare | FunctionShare, coordinates: NDArray[Any], x: Floats, t: float
+) -> tuple[Floats, Floats]:
     """Return gradient and Hessian of a share with respect to its own coordinates."""
     if isinstance(share, FunctionShare):
-        slope, curvature = (derivative_of(share.term, order, x[own], t) for order in (1, 2))
+        gradient, hessian = (derivative_of(share.term, order, x[coordinates], t) for order in (1, 2))
     else:
-        slope, curvature = share.polynomial.gradient(x)[own], share.polynomial.hessian(x)[np.ix_(own, own)]
-    return np.asarray(slope, dtype=np.float64), np.asarray(curvature, dtype=np.float64)
+        gradient, hessian = (
+            share.polynomial.gradient(x)[coordinates],
+            share.polynomial.hessian(x)[np.ix_(coordinates, coordinates)],
+        )
+    return np.asarray(gradient, dtype=np.float64), np.asarray(hessian, dtype=np.float64)
 
 
-def _applied(matrices: Floats, vectors: Floats) -> Floats:
+def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
     """Multiply matrices (..., n, n) by vectors (..., n), summed in order.
 
     The bits of einsum may depend on the batch size, and the choice of the smallest term must not.
@@ -80,9 +89,9 @@ class Samples:
     """
 
     def __init__(self, algebras: Sequence[LieAlgebra], sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
-        every = part_jets(Parts.concatenate(sets), points, t)
+        jets = part_jets(Parts.concatenate(sets), points, t)
         shape = (len(sets), len(sets[0]))
-        self._gradients, self._hessians = (jet.reshape(*shape, *jet.shape[1:]) for jet in every)
+        self._gradients, self._hessians = (jet.reshape(*shape, *jet.shape[1:]) for jet in jets)
         count, n = points.shape
         self._i, self._j, self._k, _ = algebras[0].triples
         self._c = np.array([algebra.triples.c for algebra in algebras]).reshape(len(sets), 1, 1, -1)
@@ -98,16 +107,19 @@ class Samples:
         ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4). For a pair, A outside and D inside,
         H2 = -{A, {A, D}}/24 + {D, {D, A}}/12; several parts are nested pairs.
         """
-        places = np.array(orders)
-        inside, curved = self._gradients[:, places[:, -1]], self._hessians[:, places[:, -1]]
+        order_array = np.array(orders)
+        inside, inside_hessian = self._gradients[:, order_array[:, -1]], self._hessians[:, order_array[:, -1]]
         total = np.zeros(inside.shape[:3])
-        for place in range(places.shape[1] - 2, -1, -1):
-            outside, bent = self._gradients[:, places[:, place]], self._hessians[:, places[:, place]]
-            turned = self._turned(self._bracket_gradient(outside, bent, inside, curved))
+        for position in range(order_array.shape[1] - 2, -1, -1):
+            outside, outside_hessian = (
+                self._gradients[:, order_array[:, position]],
+                self._hessians[:, order_array[:, position]],
+            )
+            rotated = self._apply_structure(self._bracket_gradient(outside, outside_hessian, inside, inside_hessian))
             weights = outside / 24.0 + inside / 12.0
             for i in range(inside.shape[-1]):
-                total -= weights[..., i] * turned[..., i]
-            inside, curved = outside + inside, bent + curved
+                total -= weights[..., i] * rotated[..., i]
+            inside, inside_hessian = outside + inside, outside_hessian + inside_hessian
         return total
 
     def sizes(self, orders: Sequence[Sequence[int]]) -> Floats:
@@ -118,27 +130,29 @@ class Samples:
             squares = np.zeros(terms.shape[:2])
             for k in range(terms.shape[2]):
                 squares += terms[..., k] ** 2
-            found = np.sqrt(squares / terms.shape[2])
-        return np.where(np.isnan(found), np.inf, found)
+            root_mean_squares = np.sqrt(squares / terms.shape[2])
+        return np.where(np.isnan(root_mean_squares), np.inf, root_mean_squares)
 
     def nested_brackets(self, j: NDArray[np.int64], k: NDArray[np.int64]) -> Floats:
         """Return {H_i, {H_j, H_k}} of the first set, all parts i and pairs (j, k), shape (parts, pairs, k)."""
         inner = self._bracket_gradient(
             self._gradients[:1, j], self._hessians[:1, j], self._gradients[:1, k], self._hessians[:1, k]
         )
-        turned = self._turned(inner)[0]
-        found = np.zeros((len(self._gradients[0]), *turned.shape[:2]))
+        rotated = self._apply_structure(inner)[0]
+        brackets = np.zeros((len(self._gradients[0]), *rotated.shape[:2]))
         for i, gradient in enumerate(self._gradients[0]):
             for a in range(gradient.shape[-1]):
-                found[i] += gradient[:, a] * turned[..., a]
-        return found
+                brackets[i] += gradient[:, a] * rotated[..., a]
+        return brackets
 
-    def _turned(self, u: Floats) -> Floats:
-        return _applied(self._structure, u)
+    def _apply_structure(self, u: Floats) -> Floats:
+        return _matrix_vector(self._structure, u)
 
-    def _bracket_gradient(self, a: Floats, a_bent: Floats, d: Floats, d_bent: Floats) -> Floats:
+    def _bracket_gradient(self, a: Floats, a_hessian: Floats, d: Floats, d_hessian: Floats) -> Floats:
         """Return the gradient of {A, D}: A'' J grad D - D'' J grad A + [grad A, grad D], J being linear in x."""
-        result = _applied(a_bent, self._turned(d)) - _applied(d_bent, self._turned(a))
+        result = _matrix_vector(a_hessian, self._apply_structure(d)) - _matrix_vector(
+            d_hessian, self._apply_structure(a)
+        )
         products = self._c * (a[..., self._i] * d[..., self._j] - a[..., self._j] * d[..., self._i])
         np.add.at(np.moveaxis(result, -1, 0), self._k, np.moveaxis(products, -1, 0))
         return result
@@ -147,3 +161,48 @@ class Samples:
 def second_order_term(algebra: LieAlgebra, parts: Parts, points: Floats, t: float = 0.0) -> Floats:
     """Return H2 of parts in the order of a forward sweep at points (k, n), shape (k,); see `Samples`."""
     return Samples([algebra], [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
+
+
+class NestedBrackets:
+    """Brackets {H_i, {H_j, H_k}}, j < k, of the pieces of at least two parts; {F, G} = (grad F)^T J(x) grad G."""
+
+    def __init__(self, algebra: LieAlgebra, parts: Parts) -> None:
+        self.algebra, self.parts = algebra, parts
+        self.pairs = list(combinations(range(len(parts)), 2))
+
+    def values(self, points: Floats, t: float = 0.0) -> Floats:
+        """Return the brackets at points (k, n), shape (parts, pairs, k)."""
+        samples = Samples([self.algebra], [self.parts], points, t)
+        j, k = np.array(self.pairs).T
+        return samples.nested_brackets(j, k)
+
+    def gradients(self, points: Floats, t: float = 0.0) -> Floats:
+        """Return the gradients at points (k, n), shape (parts, pairs, k, n), by central differences."""
+        size = np.max(np.abs(points), axis=1, keepdims=True)
+        offset = DIFFERENCE_STEP * np.where(size > 0.0, size, 1.0)
+        columns = []
+        for i in range(points.shape[1]):
+            ahead, behind = points.copy(), points.copy()
+            ahead[:, i : i + 1] += offset
+            behind[:, i : i + 1] -= offset
+            columns.append((self.values(ahead, t) - self.values(behind, t)) / (ahead - behind)[:, i])
+        return np.stack(columns, axis=-1)
+
+    def weights(self, order: Sequence[int]) -> Floats:
+        """Return the coefficients of the brackets in H2, shape (parts, pairs), for an order of a forward sweep.
+
+        A part A followed by the sum D of all later ones contributes -{A, {A, D}}/24 + {D, {D, A}}/12.
+        """
+        column = {pair: number for number, pair in enumerate(self.pairs)}
+        weights = np.zeros((len(self.parts), len(self.pairs)))
+
+        def add(i: int, j: int, k: int, factor: float) -> None:
+            weights[i, column[min(j, k), max(j, k)]] += factor if j < k else -factor
+
+        for first, a in enumerate(order):
+            later = order[first + 1 :]
+            for d in later:
+                add(a, a, d, -1.0 / 24.0)
+                for e in later:
+                    add(e, d, a, 1.0 / 12.0)
+        return weights

@@ -15,7 +15,7 @@ from operator import mul
 
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
 from coadjoint.memory import check_available_memory
 
 MAX_PRODUCTS = 10**8
@@ -51,7 +51,7 @@ class Commutators:
         """Count the products of monomials of a bracket; raise ValueError if the total or the memory is too large."""
         self.spent += count
         check_products(self.spent)
-        at("the brackets of a modified Hamiltonian")
+        note_progress("the brackets of a modified Hamiltonian")
         size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
         check_available_memory(count * size, "a bracket in a modified Hamiltonian")
 
@@ -61,8 +61,8 @@ class Commutators:
         `lengths` has the number of monomials in the components of each field.
         """
         slopes = [[len(term.derivative(i)) for i in range(self.ring.dim)] for term in series if term != 0]
-        ahead = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
-        check_products(self.spent + ahead)
+        expected = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
+        check_products(self.spent + expected)
 
 
 def check_products(count: float) -> None:
@@ -70,8 +70,8 @@ def check_products(count: float) -> None:
     if count > MAX_PRODUCTS:
         raise ValueError(
             f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, about "
-            f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MAX_PRODUCTS:.0e} are made; take a lower order, "
-            "a system of fewer coordinates, or a run, whose energy shows their sum"
+            f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MAX_PRODUCTS:.0e} are allowed; take a lower order or "
+            "a system of fewer coordinates, or measure the energy error of a run"
         )
 
 
@@ -106,31 +106,33 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     lengths: list[list[list[int]]] | None = None
     for number, flow in enumerate(reversed(flows)):
         if lengths is None and commutators.spent > WARN_PRODUCTS:
-            lengths = [[commutators.adjoint_operator(W).lengths for W in one.values()] for one in reversed(flows)]
+            lengths = [
+                [commutators.adjoint_operator(W).lengths for W in remaining.values()] for remaining in reversed(flows)
+            ]
         if lengths is not None:
-            commutators.check_cost([one for later in lengths[number:] for one in later], R[:-1])
+            commutators.check_cost([counts for remaining in lengths[number:] for counts in remaining], R[:-1])
         for j, W in flow.items():
             R = _transported(commutators.adjoint_operator(W), j, R)
         for j, W in flow.items():
             if j <= highest:
                 R[j - 1] += j * W
-    found: list[Exact] = []
-    turned: list[list[Exact]] = []  # turned[k][q]: the h^q of ad_Y^k R
+    terms: list[Exact] = []
+    adjoint_powers: list[list[Exact]] = []  # turned[k][q]: the h^q of ad_Y^k R
     for n in range(1, highest + 1):
         total = R[n - 1]
         for k in range(1, n):
-            if len(turned) < k:
-                turned.append([ring.zero] * k)
-            before = R if k == 1 else turned[k - 2]
+            if len(adjoint_powers) < k:
+                adjoint_powers.append([ring.zero] * k)
+            previous = R if k == 1 else adjoint_powers[k - 2]
             sum_of_brackets = ring.zero
             for m in range(1, n - k + 1):
-                other = before[n - 1 - m]
-                if other != 0 and found[m - 1] != 0:
-                    sum_of_brackets += commutators(found[m - 1], other)
-            turned[k - 1].append(sum_of_brackets)
+                factor = previous[n - 1 - m]
+                if factor != 0 and terms[m - 1] != 0:
+                    sum_of_brackets += commutators(terms[m - 1], factor)
+            adjoint_powers[k - 1].append(sum_of_brackets)
             total += sum_of_brackets * rational(_bernoulli(k) / _factorial(k))
-        found.append(total / n)
-    return found
+        terms.append(total / n)
+    return terms
 
 
 def _transported(ad: AdjointOperator, j: int, series: list[Exact]) -> list[Exact]:

@@ -35,7 +35,7 @@ class Bond(NamedTuple):
 
 
 class Bonds(NamedTuple):
-    """Parts that add up to H - sum c C, and the Casimirs C subtracted; None if too long to write."""
+    """Parts that add up to H - sum c C, and the Casimirs C subtracted; None if these have too many terms."""
 
     parts: Parts
     shift: tuple[tuple[Polynomial, float], ...] | None
@@ -47,72 +47,76 @@ def bonds(system: LiePoissonSystem) -> Bonds:
     A bond c z.w couples the momenta z, w of two copies of so(3). Up to Casimirs it equals c |z + w|^2/2, so both
     momenta rotate about the constant z + w by the angle c tau |z + w|. Bonds without a common momentum commute: edge
     colouring by first fit makes each colour one part. A field with several components is a rotation about its axis. The
-    remainder is split as with ``"auto"``. Raises NotSplit if there are no bonds, too many, or the remainder does not
-    split.
+    remainder is split as with ``"auto"``. Raises NotSplittable if there are no bonds, too many, or the remainder
+    does not split.
     """
     commutation = Commutation(system.algebra)
     terms = terms_by_degree(system)
-    place = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-    form = None if place is None else terms[place].form
+    position = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+    form = None if position is None else terms[position].form
     spins = [] if form is None else _ideals(system.algebra)
-    found = _isotropic(form, spins) if form is not None and spins else []
-    if form is None or place is None or not found:
+    couplings = _isotropic_couplings(form, spins) if form is not None and spins else []
+    if form is None or position is None or not couplings:
         raise NotSplittable(
             "it has no isotropic coupling c z.w between the momenta z, w of two copies of so(3) that are ideals; take "
             'parts="auto"'
         )
-    if len(found) > MAX_BONDS:
+    if len(couplings) > MAX_BONDS:
         raise NotSplittable(
-            f'it has {len(found)} bonds, and {MAX_BONDS} are the most for parts="bonds"; take parts="auto"'
+            f'it has {len(couplings)} bonds; parts="bonds" allows at most {MAX_BONDS}; take parts="auto"'
         )
     check_available_memory(
-        BYTES_PER_BOND * len(found), f"a splitting of {system.name} into {len(found)} bonds", 'take parts="auto"'
+        BYTES_PER_BOND * len(couplings),
+        f"a splitting of {system.name} into {len(couplings)} bonds",
+        'take parts="auto"',
     )
-    colour = colours([(bond.first, bond.second) for bond in found], len(spins))
-    coloured = _shares(found, spins, colour)
+    colour = colours([(bond.first, bond.second) for bond in couplings], len(spins))
+    coloured = _shares(couplings, spins, colour)
     axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
-    left = _remainder(form, found, spins, axes)
-    others = [*terms[:place], *([left] if left is not None else []), *terms[place + 1 :]]
-    rest = Parts.concatenate([*(fixed_axis(form, triple) for triple in axes), atoms_of(system, others, commutation)])
+    remainder = _remainder(form, couplings, spins, axes)
+    other_terms = [*terms[:position], *([remainder] if remainder is not None else []), *terms[position + 1 :]]
+    rest = Parts.concatenate(
+        [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, other_terms, commutation)]
+    )
     parts = Parts.concatenate([coloured, few_parts(rest, commutation)]) if len(rest) else coloured
     if not casimirs_fit(3 * len(spins), system.dim):
         return Bonds(parts, None)
-    taken = _squares(found, spins, system.dim)
-    return Bonds(parts, ((taken, 1.0),) if taken.monomials else ())
+    casimir = _subtracted_casimir(couplings, spins, system.dim)
+    return Bonds(parts, ((casimir, 1.0),) if casimir.monomials else ())
 
 
 def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:
     """Colour edges by first fit in the order given; needs fewer than twice the largest degree of a node."""
     used = [0] * count  # bit mask of the colours used at each node
-    found = []
+    assigned = []
     for i, j in edges:
         free = ~(used[i] | used[j])
         bit = free & -free
         used[i], used[j] = used[i] | bit, used[j] | bit
-        found.append(bit.bit_length() - 1)
-    return found
+        assigned.append(bit.bit_length() - 1)
+    return assigned
 
 
 def _ideals(algebra: LieAlgebra) -> list[Triple]:
     """Return the triples that span so(3) and commute with all other coordinates."""
-    start, every = algebra.actions
+    start, entries = algebra.actions
     return [
         triple
         for triple in triples_of(algebra)
-        if all(np.isin(every.j[start[i] : start[i + 1]], triple.coordinates).all() for i in triple.coordinates)
+        if all(np.isin(entries.j[start[i] : start[i + 1]], triple.coordinates).all() for i in triple.coordinates)
     ]
 
 
-def _isotropic(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
-    """Return the couplings between two triples of equal scale that are multiples of the identity."""
-    home, axis = _places(spins, len(form.linear))
-    one, two = home[form.rows], home[form.indices]
-    between = np.flatnonzero((one >= 0) & (one < two))
-    order = between[np.lexsort((axis[form.rows[between]], two[between], one[between]))]
-    pair = np.stack([one[order], two[order]], axis=1)
+def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
+    """Return the isotropic couplings, multiples of the identity, between two triples of equal scale."""
+    triple_of, axis = _triple_of_coordinates(spins, len(form.linear))
+    first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
+    between = np.flatnonzero((first_triple >= 0) & (first_triple < second_triple))
+    order = between[np.lexsort((axis[form.rows[between]], second_triple[between], first_triple[between]))]
+    pair = np.stack([first_triple[order], second_triple[order]], axis=1)
     begins = np.flatnonzero(np.any(np.diff(pair, axis=0, prepend=-1) != 0, axis=1))
     counts = np.diff(np.append(begins, len(order)))
-    found = []
+    couplings = []
     for begin in begins[counts == 3].tolist():
         entries = order[begin : begin + 3]
         rows, columns = axis[form.rows[entries]], axis[form.indices[entries]]
@@ -120,29 +124,29 @@ def _isotropic(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
         scale = spins[first].scale
         rounding = 0.0 if scale == (1.0, 1.0, 1.0) else 8 * UNIT_ROUNDOFF  # scales are square roots, hence rounded
         strengths = form.values[entries] / np.array(scale) ** 2
-        alike = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
-        if alike and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
-            found.append(Bond(first, second, float(strengths[0])))
-    return found
+        diagonal = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
+        if diagonal and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
+            couplings.append(Bond(first, second, float(strengths[0])))
+    return couplings
 
 
-def _places(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _triple_of_coordinates(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the triple of each coordinate (-1 if none), and its index in the triple."""
-    home, axis = np.full(dim, -1), np.full(dim, -1)
+    triple_of, axis = np.full(dim, -1), np.full(dim, -1)
     inside = np.array([triple.coordinates for triple in spins])
-    home[inside], axis[inside] = np.arange(len(spins))[:, None], np.arange(3)
-    return home, axis
+    triple_of[inside], axis[inside] = np.arange(len(spins))[:, None], np.arange(3)
+    return triple_of, axis
 
 
-def _shares(found: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int]) -> Parts:
+def _shares(couplings: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int]) -> Parts:
     """Build one share per bond, and one part per colour."""
     order = np.argsort(colour, kind="stable").tolist()
-    own = [found[k] for k in order]
-    ends = np.array([(spins[b.first].coordinates, spins[b.second].coordinates) for b in own])  # (bonds, 2, 3)
+    ordered = [couplings[k] for k in order]
+    ends = np.array([(spins[b.first].coordinates, spins[b.second].coordinates) for b in ordered])  # (bonds, 2, 3)
     pairs = np.sort(ends, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a free body: axes 3, 1, 2, 3
-    count = len(own)
-    squares = np.array([np.square(spins[b.first].scale) for b in own])
-    strengths = np.array([b.strength for b in own])[:, None] * squares
+    count = len(ordered)
+    squares = np.array([np.square(spins[b.first].scale) for b in ordered])
+    strengths = np.array([b.strength for b in ordered])[:, None] * squares
     values = np.repeat(strengths[:, [0, 1, 2]], 2, axis=1)
     weights = SparseRows(
         np.append(0, np.cumsum(np.tile([0, 2, 2, 2], count))),
@@ -156,7 +160,7 @@ def _shares(found: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int
             spins[b.first].scale,
             spins[b.second].coordinates,
         )
-        for s, b in enumerate(own)
+        for s, b in enumerate(ordered)
     }
     begins = np.searchsorted(np.sort(colour), np.arange(max(colour) + 2))
     return Parts(
@@ -171,26 +175,26 @@ def _shares(found: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int
 
 
 def _remainder(
-    form: QuadraticTerm, found: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
+    form: QuadraticTerm, couplings: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
 ) -> QuadraticTerm | None:
-    """Return a quadratic term without the bonds and the fixed axes; None if nothing is left."""
-    home, _ = _places(spins, len(form.linear))
+    """Return the quadratic term without the bonds and the fixed axes; None if it vanishes."""
+    triple_of, _ = _triple_of_coordinates(spins, len(form.linear))
     count = len(spins)
-    bonded = np.array([k for b in found for k in (b.first * count + b.second, b.second * count + b.first)])
-    one, two = home[form.rows], home[form.indices]
-    kept = ~((one >= 0) & (two >= 0) & np.isin(one * count + two, bonded))
+    bonded = np.array([k for b in couplings for k in (b.first * count + b.second, b.second * count + b.first)])
+    first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
+    remaining = ~((first_triple >= 0) & (second_triple >= 0) & np.isin(first_triple * count + second_triple, bonded))
     linear = form.linear.copy()
     linear[[i for triple in axes for i in triple.coordinates]] = 0.0
-    if not np.any(kept) and not np.any(linear):
+    if not np.any(remaining) and not np.any(linear):
         return None
-    indptr = np.searchsorted(form.rows[kept], np.arange(len(linear) + 1))
-    return QuadraticTerm(indptr, form.indices[kept], form.values[kept], linear, form.constant)
+    indptr = np.searchsorted(form.rows[remaining], np.arange(len(linear) + 1))
+    return QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)
 
 
-def _squares(found: Sequence[Bond], spins: Sequence[Triple], dim: int) -> Polynomial:
+def _subtracted_casimir(couplings: Sequence[Bond], spins: Sequence[Triple], dim: int) -> Polynomial:
     """Return the Casimir subtracted by the bonds: the sum of -c (|z|^2 + |w|^2)/2."""
     total = np.zeros(len(spins))
-    for bond in found:
+    for bond in couplings:
         total[[bond.first, bond.second]] -= 0.5 * bond.strength
     return quadratic(
         (

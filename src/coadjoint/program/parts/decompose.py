@@ -12,17 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.long_operations import at
+from coadjoint.long_operations import note_progress
+from coadjoint.program.generators import SplittingTooExpensive
 from coadjoint.program.parts.bonds import bonds
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.free_bodies import free_bodies
-from coadjoint.program.parts.generator_cost import SplittingTooExpensive
 from coadjoint.program.parts.offsets_of_squares import with_linear_offsets
 from coadjoint.program.parts.order_of_parts import IMPROVEMENT_FACTOR, best_orders
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.split import NotSplittable, check_splits, split
-from coadjoint.program.shifts.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
-from coadjoint.program.shifts.shift_counts import count_parts
+from coadjoint.program.shifts.shift import (
+    QuadraticCasimir,
+    Shift,
+    candidate_shifts,
+    count_parts,
+    quadratic_casimirs,
+    shifted_terms,
+)
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -44,7 +50,7 @@ BODY_FLOW_CHOICES = ("free_body", "bonds")
 class Decomposition:
     """Parts in the order of a forward sweep, and the Casimirs subtracted from H, which leave the motion unchanged.
 
-    `shift` has quadratic Casimirs C and factors c with parts that add up to H - sum c C; None if too long to write.
+    The parts add up to H - sum c C over the pairs (C, c) of `shift`, which is None if these have too many terms.
     Passing `choice` as `parts` reproduces the decomposition.
     """
 
@@ -64,11 +70,11 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     if isinstance(choice, ChosenParts):
         return _explicit_decomposition(system, choice)
     if isinstance(choice, str) and choice in BODY_FLOW_CHOICES:
-        known = _BODY_FLOW_CACHE[choice]
-        if system not in known:
+        cache = _BODY_FLOW_CACHE[choice]
+        if system not in cache:
             parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
-            known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
-        return known[system]
+            cache[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
+        return cache[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
@@ -81,9 +87,9 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
     """Cache the automatic decompositions of many systems of one dimension at once, which is faster."""
     missing = [system for system in systems if system not in _AUTOMATIC_CACHE]
     for k in range(0, len(missing), COMPARISON_BATCH):
-        some = missing[k : k + COMPARISON_BATCH]
-        for system, found in zip(some, best_decompositions(some, _sample_points(some[0].dim)), strict=True):
-            _AUTOMATIC_CACHE[system] = found
+        batch = missing[k : k + COMPARISON_BATCH]
+        for system, decomposition in zip(batch, best_decompositions(batch, _sample_points(batch[0].dim)), strict=True):
+            _AUTOMATIC_CACHE[system] = decomposition
 
 
 # Systems are immutable, so decompositions are cached for the lifetime of the system.
@@ -110,16 +116,20 @@ def best_decompositions(
     systems: Sequence[LiePoissonSystem], points: NDArray[np.float64], t: float = 0.0
 ) -> list[Decomposition]:
     """Return `best_decomposition` of several systems of one dimension, with all comparisons batched."""
-    found = [candidates(system, len(points) > 0) for system in systems]
-    pairs = [(system, one.parts) for system, own in zip(systems, found, strict=True) for one in own]
+    candidate_sets = [candidates(system, len(points) > 0) for system in systems]
+    pairs = [
+        (system, candidate.parts)
+        for system, alternatives in zip(systems, candidate_sets, strict=True)
+        for candidate in alternatives
+    ]
     orders = iter(best_orders(pairs, points, t))
     result = []
-    for system, own in zip(systems, found, strict=True):
-        best, (order, least) = own[0], next(orders)
-        for candidate in own[1:]:
-            other, size = next(orders)
+    for system, alternatives in zip(systems, candidate_sets, strict=True):
+        best, (order, least) = alternatives[0], next(orders)
+        for candidate in alternatives[1:]:
+            other_order, size = next(orders)
             if size < least * IMPROVEMENT_FACTOR:
-                best, order, least = candidate, other, size
+                best, order, least = candidate, other_order, size
         result.append(_decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift)))
     return result
 
@@ -127,28 +137,28 @@ def best_decompositions(
 def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
     """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    found = [Candidate((), split(system, "auto", terms))]
-    fewest = len(found[0].parts)
-    shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
+    best = [Candidate((), split(system, "auto", terms))]
+    fewest = len(best[0].parts)
+    shifts = list(candidate_shifts(system, best[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being built.
     counts = [0] * len(shifts) if comparing else count_parts(system, casimirs, shifts)
-    work, spent = _work(system, found[0].parts), 0
+    work, spent = _shift_work(system, best[0].parts), 0
     for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
         if count >= fewest:
             continue
-        at(f"the parts after shift {number + 1} of {len(shifts)} by Casimirs", number / len(shifts))
+        note_progress(f"the parts after shift {number + 1} of {len(shifts)} by Casimirs", number / len(shifts))
         spent += work
         if spent > max(MAX_WORK, MIN_SHIFTS * work) and not comparing:
             break
         parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
         if len(parts) < fewest:
-            found, fewest = [], len(parts)
-        if not found or (comparing and len(parts) == fewest):
-            found.append(Candidate(shift, parts))
-    return found
+            best, fewest = [], len(parts)
+        if not best or (comparing and len(parts) == fewest):
+            best.append(Candidate(shift, parts))
+    return best
 
 
-def _work(system: LiePoissonSystem, parts: Parts) -> int:
+def _shift_work(system: LiePoissonSystem, parts: Parts) -> int:
     """Estimate the multiplications to build parts: elimination of each square, and commutators of the algebra."""
     return int(np.sum(np.diff(parts.forms.start) ** 2)) + WORK_PER_CONSTANT * len(system.algebra.triples.c)
 
@@ -177,23 +187,23 @@ def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int])
     if isinstance(system, LiePoissonSystem):
         check_parts(system, choice, "Splitting")
         bodies = decompose(system, choice).parts.bodies.values()
-        every = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}
-        inside = sorted(every.intersection(coordinates))
-        if inside:
+        occupied = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}
+        affected = sorted(occupied.intersection(coordinates))
+        if affected:
             raise ValueError(
-                f'parts="{choice}" takes no inputs for {system.algebra.basis[inside[0]]} (coordinate {inside[0]}) of '
-                f'{system.name}, which is turned about an axis that they would move; take parts="auto"'
+                f'parts="{choice}" takes no inputs for {system.algebra.basis[affected[0]]} (coordinate {affected[0]}) '
+                f'of {system.name}, whose axis of rotation they would move; take parts="auto"'
             )
 
 
 def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
-    casimirs, whole = quadratic_casimirs(system), system
+    casimirs, extended = quadratic_casimirs(system), system
     if choice.linear:
         if max(choice.linear) >= system.dim:
             raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
-        whole = with_placeholders(system, choice.linear)
-    parts = split(whole, "auto", shifted_terms(whole.hamiltonian.terms(), casimirs, choice.shift))
-    if whole is not system:
+        extended = with_placeholders(system, choice.linear)
+    parts = split(extended, "auto", shifted_terms(extended.hamiltonian.terms(), casimirs, choice.shift))
+    if extended is not system:
         parts = with_linear_offsets(parts, linear_of(system.hamiltonian, system.dim))
     if len(parts) != len(choice.order):
         raise ValueError(
@@ -204,8 +214,8 @@ def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> De
 
 
 def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choice: ChosenParts) -> Decomposition:
-    taken = tuple((casimirs[name].polynomial, factor) for name, factor in choice.shift)
-    return Decomposition(parts.take(np.array(choice.order, dtype=np.int64)), taken, choice)
+    shift = tuple((casimirs[name].polynomial, factor) for name, factor in choice.shift)
+    return Decomposition(parts.take(np.array(choice.order, dtype=np.int64)), shift, choice)
 
 
 @lru_cache(maxsize=32)

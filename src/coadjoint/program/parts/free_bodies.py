@@ -33,36 +33,36 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
 
     A free body is a triple of basis elements that spans so(3), with the energy quadratic in its coordinates; its flow
     rotates all other momenta by its attitude. Bodies that commute are one part. A linear term on a triple (rotors) is a
-    rotation about a fixed axis, and a part of its own. The remainder is split as with ``"auto"``. Raises NotSplit if no
-    triple has an energy quadratic in two coordinates or more, or the remainder does not split. The bodies come first:
-    for parts A, D the h^2 term is {A, {A, D}}/24 and {D, {D, A}}/12, and D is the weak part. The order is independent
-    of the linear term, which may be an input.
+    rotation about a fixed axis, and a part of its own. The remainder is split as with ``"auto"``. The bodies come
+    first: for parts A, D the h^2 term is {A, {A, D}}/24 and {D, {D, A}}/12, and D is the weak part. The order is
+    independent of the linear term, which may be an input. Raises NotSplittable if no triple has an energy quadratic in
+    two coordinates or more, or the remainder does not split.
     """
     commutation = Commutation(system.algebra)
     terms = terms_by_degree(system)
-    place = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-    form = None if place is None else terms[place].form
+    position = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+    form = None if position is None else terms[position].form
     chosen = [] if form is None else _select_triples(system.algebra, form)
-    if form is None or place is None or not chosen:
+    if form is None or position is None or not chosen:
         raise NotSplittable(
-            "no three of its coordinates that span so(3) have an energy that is quadratic in two of them or more; take "
+            "no three coordinates that span so(3) have an energy that is quadratic in at least two of them; take "
             'parts="auto"'
         )
     bodies = [_body(form, triple) for triple in chosen]
     body = Parts.concatenate(bodies).joined(np.zeros(len(bodies), dtype=np.int64))
-    inside = np.full(system.dim, -1)
+    triple_of = np.full(system.dim, -1)
     for number, triple in enumerate(chosen):
-        inside[list(triple.coordinates)] = number
+        triple_of[list(triple.coordinates)] = number
     axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
-    left = _remainder(form, inside)
-    others = [*terms[:place], *([left] if left is not None else []), *terms[place + 1 :]]
-    rest = Parts.concatenate([*axes, atoms_of(system, others, commutation)])
+    remainder = _remainder(form, triple_of)
+    other_terms = [*terms[:position], *([remainder] if remainder is not None else []), *terms[position + 1 :]]
+    rest = Parts.concatenate([*axes, atoms_of(system, other_terms, commutation)])
     return Parts.concatenate([body, few_parts(rest, commutation)]) if len(rest) else body
 
 
 def terms_by_degree(system: LiePoissonSystem) -> list[Term]:
-    """Return the terms of a Hamiltonian, with each polynomial split into degree two or less, and the rest."""
-    return [apart for term in system.hamiltonian.terms() for apart in _by_degree(term)]
+    """Return the terms of a Hamiltonian, with each polynomial split at degree two."""
+    return [piece for term in system.hamiltonian.terms() for piece in _by_degree(term)]
 
 
 def _by_degree(term: Term) -> Iterable[Term]:
@@ -86,29 +86,29 @@ def triples_of(algebra: LieAlgebra) -> list[Triple]:
         if c != 0:
             bracket.setdefault((i, j), []).append((k, c))
             bracket.setdefault((j, i), []).append((k, -c))
-    single = {pair: sorted(set(own))[0] for pair, own in bracket.items() if len({k for k, _ in own}) == 1}
-    found = []
+    single = {pair: sorted(set(entries))[0] for pair, entries in bracket.items() if len({k for k, _ in entries}) == 1}
+    triples = []
     for (i, j), (k, p) in sorted(single.items()):
         if not i < j < k:
             continue
-        (one, q), (two, r) = single.get((j, k), (-1, 0.0)), single.get((k, i), (-1, 0.0))
-        if (one, two) == (i, j) and min(p * q, q * r) > 0:
+        (target_i, q), (target_j, r) = single.get((j, k), (-1, 0.0)), single.get((k, i), (-1, 0.0))
+        if (target_i, target_j) == (i, j) and min(p * q, q * r) > 0:
             first, second = 1.0 / math.sqrt(p * r), 1.0 / math.sqrt(p * q)
-            found.append(Triple((i, j, k), (first, second, math.copysign(1.0 / math.sqrt(q * r), p))))
-    return found
+            triples.append(Triple((i, j, k), (first, second, math.copysign(1.0 / math.sqrt(q * r), p))))
+    return triples
 
 
 def _select_triples(algebra: LieAlgebra, form: QuadraticTerm) -> list[Triple]:
     """Choose commuting triples with a quadratic energy, those with the most entries of M first."""
-    squares = [(-np.count_nonzero(_block(form, triple)), triple) for triple in triples_of(algebra)]
+    ranked = [(-np.count_nonzero(_block(form, triple)), triple) for triple in triples_of(algebra)]
     chosen: list[Triple] = []
-    start, every = algebra.actions
-    for count, triple in sorted(squares):
+    start, entries = algebra.actions
+    for count, triple in sorted(ranked):
         if count > -2:
             continue
-        own = set(triple.coordinates)
-        with_whom = {int(j) for i in own for j in every.j[start[i] : start[i + 1]]} | own
-        if all(with_whom.isdisjoint(other.coordinates) for other in chosen):
+        coordinates = set(triple.coordinates)
+        coupled = {int(j) for i in coordinates for j in entries.j[start[i] : start[i + 1]]} | coordinates
+        if all(coupled.isdisjoint(other.coordinates) for other in chosen):
             chosen.append(triple)
     return sorted(chosen)
 
@@ -126,8 +126,8 @@ def _body(form: QuadraticTerm, triple: Triple) -> Parts:
     block, (i, j, k) = _block(form, triple), triple.coordinates
     columns = [np.flatnonzero(row) for row in block]
     weights = SparseRows.of_lists(
-        [[], *([triple.coordinates[b] for b in own] for own in columns)],
-        [[], *([float(block[a, b]) for b in own] for a, own in enumerate(columns))],
+        [[], *([triple.coordinates[b] for b in column] for column in columns)],
+        [[], *([float(block[a, b]) for b in column] for a, column in enumerate(columns))],
     )
     matrix = tuple(tuple(row) for row in block.tolist())
     return Parts(
@@ -148,12 +148,12 @@ def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
 
-def _remainder(form: QuadraticTerm, inside: Any) -> QuadraticTerm | None:
-    """Return a quadratic term without the bodies; None if nothing is left."""
-    kept = ~((inside[form.rows] >= 0) & (inside[form.rows] == inside[form.indices]))
-    linear = np.where(inside >= 0, 0.0, form.linear)
-    if not np.any(kept) and not np.any(linear):
+def _remainder(form: QuadraticTerm, triple_of: Any) -> QuadraticTerm | None:
+    """Return the quadratic term without the bodies; None if it vanishes."""
+    remaining = ~((triple_of[form.rows] >= 0) & (triple_of[form.rows] == triple_of[form.indices]))
+    linear = np.where(triple_of >= 0, 0.0, form.linear)
+    if not np.any(remaining) and not np.any(linear):
         return None
-    rows = form.rows[kept]
+    rows = form.rows[remaining]
     indptr = np.searchsorted(rows, np.arange(len(linear) + 1))
-    return QuadraticTerm(indptr, form.indices[kept], form.values[kept], linear, form.constant)
+    return QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)

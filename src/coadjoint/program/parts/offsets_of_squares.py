@@ -1,4 +1,4 @@
-"""Exact dependence of completed squares on the linear term, so that a new linear term needs no new squares.
+"""Exact dependence of completed squares on the linear term; a new linear term needs no new squares.
 
 The forms l_r of the squares of x.M.x/2 do not depend on the linear term b; the beta_r solve sum_r beta_r l_r = b.
 """
@@ -37,11 +37,11 @@ class ExactSums(NamedTuple):
         """
         exact = [value.as_integer_ratio() for value in b.take(self.coordinates).tolist()]
         # Denominators of floats are powers of two, so the largest is a common denominator.
-        common = max([below for _, below in exact])
-        whole = [above * (common // below) for above, below in exact]
+        common = max([denominator for _, denominator in exact])
+        scaled = [numerator * (common // denominator) for numerator, denominator in exact]
         return [
-            sum(map(mul, factors, whole)) / (below * common)
-            for factors, below in zip(self.factors, self.denominators, strict=True)
+            sum(map(mul, factors, scaled)) / (denominator * common)
+            for factors, denominator in zip(self.factors, self.denominators, strict=True)
         ]
 
 
@@ -56,16 +56,16 @@ class ReductionSteps(NamedTuple):
 
     def at(self, b: NDArray[np.float64]) -> list[float]:
         """Evaluate the linear terms bitwise as for newly completed squares; raise OverflowError beyond float64."""
-        rest, found = b.tolist(), []
+        residual, offsets = b.tolist(), []
         for pivots, forms in self.steps:
-            betas = split_linear([rest[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form in forms])
+            betas = split_linear([residual[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form in forms])
             for beta, form in zip(betas, forms, strict=True):
                 for k, value in form.items():
-                    rest[k] -= beta * value
-            found += betas
-        if not all(map(isfinite, found)):
+                    residual[k] -= beta * value
+            offsets += betas
+        if not all(map(isfinite, offsets)):
             raise OverflowError("a completed square is too large for float64")
-        return [found[place] for place in self.order]
+        return [offsets[position] for position in self.order]
 
 
 def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | ReductionSteps]]:
@@ -87,27 +87,27 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduct
     clusters: dict[int, list[int]] = {}
     for angle in angles.tolist():
         clusters.setdefault(int(label[angle]), []).append(angle)
-    found: list[tuple[list[int], ExactSums | ReductionSteps]] = []
-    for own in clusters.values():
-        rows = [_row(parts, angle) for angle in own]
+    result: list[tuple[list[int], ExactSums | ReductionSteps]] = []
+    for cluster in clusters.values():
+        rows = [_row(parts, angle) for angle in cluster]
         coordinates = sorted({k for row in rows for k in row})
         if len(coordinates) > MAX_RATIONAL_SIZE and parts.pivots is not None:
-            found.append((own, _reduced(rows, parts.pivots[own])))
-        elif 1 < len(coordinates) <= MAX_RATIONAL_SIZE and len(own) <= len(coordinates):
-            found.append((own, _inverse(rows, coordinates)))
-    return found
+            result.append((cluster, _reduced(rows, parts.pivots[cluster])))
+        elif 1 < len(coordinates) <= MAX_RATIONAL_SIZE and len(cluster) <= len(coordinates):
+            result.append((cluster, _inverse(rows, coordinates)))
+    return result
 
 
 def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> ReductionSteps:
     """Recover the steps of the reduction from its forms."""
     steps: dict[int, tuple[tuple[int, ...], list[dict[int, float]]]] = {}
     inverse = np.argsort(pivots[:, 0], kind="stable")
-    for place in inverse.tolist():
-        step, first, last = pivots[place].tolist()
-        both = (first,) if first == last else (first, last)
-        steps.setdefault(step, (both, []))[1].append(rows[place])
+    for position in inverse.tolist():
+        step, first, last = pivots[position].tolist()
+        pivot_pair = (first,) if first == last else (first, last)
+        steps.setdefault(step, (pivot_pair, []))[1].append(rows[position])
     order = np.argsort(inverse).tolist()
-    return ReductionSteps(tuple((both, tuple(forms)) for both, forms in steps.values()), tuple(order))
+    return ReductionSteps(tuple((pivot_pair, tuple(forms)) for pivot_pair, forms in steps.values()), tuple(order))
 
 
 def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:

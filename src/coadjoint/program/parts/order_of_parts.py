@@ -36,7 +36,7 @@ def best_orders(
 ) -> list[tuple[tuple[int, ...], float]]:
     """Return `best_order` of several systems of one dimension, each with its parts."""
     result = [(tuple(range(len(parts))), 0.0) for _, parts in pairs]
-    alike: dict[Hashable, list[int]] = {}
+    batches: dict[Hashable, list[int]] = {}
     for m, (system, parts) in enumerate(pairs):
         terms = system.hamiltonian.terms()
         if len(parts) > 1 and len(points) and _has_hessians(terms):
@@ -44,11 +44,11 @@ def best_orders(
             quadratic = all(term.form is not None for term in terms)
             # Many parts are moved one by one, separately for each set.
             key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MAX_PERMUTED else m
-            alike.setdefault(key, []).append(m)
-    for members in alike.values():
+            batches.setdefault(key, []).append(m)
+    for members in batches.values():
         samples = Samples([pairs[m][0].algebra for m in members], [pairs[m][1] for m in members], points, t)
-        for m, found in zip(members, _smallest_orders(samples, result[members[0]][0]), strict=True):
-            result[m] = found
+        for m, best in zip(members, _smallest_orders(samples, result[members[0]][0]), strict=True):
+            result[m] = best
     return result
 
 
@@ -75,10 +75,10 @@ def smallest_order(
     best = natural
     while True:
         orders = [best, *_neighbours(best)]
-        found, size = _first_clearly_smallest(orders, sizes(orders))
-        if found == best:
+        order, size = _first_clearly_smallest(orders, sizes(orders))
+        if order == best:
             return best, size
-        best = found
+        best = order
 
 
 def _first_clearly_smallest(orders: Sequence[tuple[int, ...]], sizes: Sequence[float]) -> tuple[tuple[int, ...], float]:
@@ -90,11 +90,11 @@ def _first_clearly_smallest(orders: Sequence[tuple[int, ...]], sizes: Sequence[f
 
 
 def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:
-    moved = []
+    neighbours = []
     for source in range(len(order)):
         rest = order[:source] + order[source + 1 :]
-        moved += [rest[:k] + order[source : source + 1] + rest[k:] for k in range(len(order)) if k != source]
-    return moved
+        neighbours += [rest[:k] + order[source : source + 1] + rest[k:] for k in range(len(order)) if k != source]
+    return neighbours
 
 
 def _has_hessians(terms: Iterable[Term]) -> bool:

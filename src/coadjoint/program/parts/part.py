@@ -104,7 +104,7 @@ class Parts(Sequence[Part]):
         if not pieces:
             return cls.linear(SparseRows.empty(0), np.zeros(0), SparseRows.empty(0), np.zeros(1, dtype=np.int64))
         shares = np.cumsum([0] + [len(piece.row) - 1 for piece in pieces]).tolist()
-        whole = cls(
+        joined = cls(
             SparseRows.concatenate([piece.forms for piece in pieces]),
             np.concatenate([piece.offset for piece in pieces]),
             SparseRows.concatenate([piece.weights for piece in pieces]),
@@ -118,10 +118,13 @@ class Parts(Sequence[Part]):
             np.concatenate([piece.timed for piece in pieces]),
         )
         if any(piece.pivots is not None for piece in pieces):
-            none = [np.full((len(piece.offset), 3), -1) for piece in pieces]
-            own = [one if piece.pivots is None else piece.pivots for one, piece in zip(none, pieces, strict=True)]
-            whole.pivots = np.concatenate(own)
-        return whole
+            placeholders = [np.full((len(piece.offset), 3), -1) for piece in pieces]
+            pivots = [
+                placeholder if piece.pivots is None else piece.pivots
+                for placeholder, piece in zip(placeholders, pieces, strict=True)
+            ]
+            joined.pivots = np.concatenate(pivots)
+        return joined
 
     @property
     def bodies(self) -> dict[int, BodyShare]:
@@ -158,30 +161,32 @@ class Parts(Sequence[Part]):
         _, shares = expand(first, last)
         begin, end = self.row[shares], self.row[shares + 1]
         _, angles = expand(begin, end)
-        place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
-        taken = Parts(
+        new_index = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
+        selected = Parts(
             self.forms.take(angles),
             self.offset[angles],
             self.weights.take(angles),
             starts_of(end - begin),
-            {place[s]: share for s, share in self.nonlinear_shares.items() if s in place},
+            {new_index[s]: share for s, share in self.nonlinear_shares.items() if s in new_index},
             starts_of(last - first),
             self.timed[chosen],
         )
-        taken.pivots = None if self.pivots is None else self.pivots[angles]
-        return taken
+        selected.pivots = None if self.pivots is None else self.pivots[angles]
+        return selected
 
     def joined(self, label: NDArray[Any]) -> Parts:
         """Join (commuting) parts with equal labels into one part each, in the order of their first members."""
         first = np.full(int(label.max(initial=-1)) + 1, len(self))
         np.minimum.at(first, label, np.arange(len(self)))
         order = np.argsort(first[label], kind="stable")
-        moved, group = self.take(order), first[label][order]
+        ordered, group = self.take(order), first[label][order]
         begins = np.flatnonzero(run_starts(group))
-        timed = np.logical_or.reduceat(moved.timed, begins) if len(begins) else moved.timed
-        share = np.append(moved.share[begins], moved.share[-1])
-        joined = Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.nonlinear_shares, share, timed)
-        joined.pivots = moved.pivots
+        timed = np.logical_or.reduceat(ordered.timed, begins) if len(begins) else ordered.timed
+        share = np.append(ordered.share[begins], ordered.share[-1])
+        joined = Parts(
+            ordered.forms, ordered.offset, ordered.weights, ordered.row, ordered.nonlinear_shares, share, timed
+        )
+        joined.pivots = ordered.pivots
         return joined
 
     @overload

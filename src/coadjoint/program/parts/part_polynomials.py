@@ -1,4 +1,4 @@
-"""Pieces of the Hamiltonian that belong to parts, as polynomials."""
+"""Pieces of the Hamiltonian of each part as polynomials, and the terms that rational rotations add to them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number, fraction, rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
@@ -23,15 +24,15 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
 
     Raises TypeError if a part is a Python function.
     """
-    found = [ring.zero for _ in range(len(parts))]
+    pieces = [ring.zero for _ in range(len(parts))]
     for angle, p in enumerate(parts.part_of_angle.tolist()):
-        found[p] += _linear_angle(ring, parts, angle)
+        pieces[p] += _linear_angle(ring, parts, angle)
     for s, share in parts.nonlinear_shares.items():
         if isinstance(share, FunctionShare):
             raise TypeError("a part of the Hamiltonian is a function of Python, not a polynomial")
         if isinstance(share, PolynomialShare):
-            found[int(parts.part_of_angle[parts.row[s]])] += ring.of(share.polynomial)
-    return found
+            pieces[int(parts.part_of_angle[parts.row[s]])] += ring.of(share.polynomial)
+    return pieces
 
 
 def _linear_angle(ring: ExactPolynomials, parts: Parts, angle: int) -> Exact:
@@ -72,23 +73,82 @@ def with_hamiltonian_coefficients(
     returned unchanged; with symbols they raise ValueError.
     """
     lengths, values = np.diff(parts.forms.start), parts.forms.value
-    whole = bool(np.all(lengths == 1) and np.all(np.asarray(values == 1, dtype=bool)))
+    unit_forms = bool(np.all(lengths == 1) and np.all(np.asarray(values == 1, dtype=bool)))
     n = ring.dim
-    found = []
+    replaced = []
     for piece in pieces:
         total = ring.zero
         for exponents, value in piece.to_dict().items():
-            own = tuple(map(int, exponents[:n]))
-            given = H.monomials.get(own)
-            same = whole and given is not None and float(given) == float(fraction(value))
-            if own in factors and not same:
+            powers = tuple(map(int, exponents[:n]))
+            coefficient = H.monomials.get(powers)
+            matches = unit_forms and coefficient is not None and float(coefficient) == float(fraction(value))
+            if powers in factors and not matches:
                 raise ValueError(
                     "symbols stand for the coefficients of H, but a part is made of completed squares or shares a "
                     "monomial with another part; give M a diagonal, or parts of commuting coordinates"
                 )
-            if same and given is not None:
-                total += ring.monomial(own) * (factors[own] if own in factors else rational(given))
+            if matches and coefficient is not None:
+                total += ring.monomial(powers) * (factors[powers] if powers in factors else rational(coefficient))
             else:
-                total += ring.monomial(own) * value
-        found.append(total)
-    return found
+                total += ring.monomial(powers) * value
+        replaced.append(total)
+    return replaced
+
+
+def rational_pieces(
+    ring: ExactPolynomials, parts: Parts, frequency: NDArray[Any], highest: int
+) -> list[dict[int, Exact]]:
+    """Return for each part {j: coefficient of h^j}, j = 3, 5, ..., added to its piece by rational rotations.
+
+    The rational rotation of frequency w over the time h rotates by 2/w atan(h w theta/2) in place of h theta. If theta
+    is a function of s = l.x alone, it is the exact flow over h of a function K(s; h) with the derivative theta - (h
+    w/2)^2 theta^3/3 + (h w/2)^4 theta^5/5 - ... `frequency`, shape (angles,), is 0 for exact rotations; `highest` is
+    the largest power of h in h K.
+    """
+    terms: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
+    share_of_angle = {
+        int(parts.row[s]) + k: (share, i)
+        for s, share in parts.nonlinear_shares.items()
+        if isinstance(share, PolynomialShare)
+        for k, i in enumerate(share.coordinates)
+    }
+    for angle, p in enumerate(parts.part_of_angle.tolist()):
+        w = rational(frequency[angle])
+        if w == 0:
+            continue
+        s = linear_form(ring, *sparse_row(parts.forms, angle))
+        theta = _angle(ring, parts, angle, *share_of_angle.get(angle, (None, 0)))
+        power = theta
+        for j in range(3, highest + 1, 2):
+            power = _times(_times(power, theta), theta)
+            factor = (-1) ** (j // 2) * (w / 2) ** (j - 1) / j
+            K = ring.zero
+            for k, c in enumerate(power):
+                if c != 0:
+                    K += s ** (k + 1) * (c * factor / (k + 1))
+            terms[p][j] = terms[p].get(j, ring.zero) + K
+    return terms
+
+
+def _angle(
+    ring: ExactPolynomials, parts: Parts, angle: int, share: PolynomialShare | None, coordinate: int
+) -> list[Any]:
+    """Return the coefficients of an angle as a polynomial in its own form."""
+    if share is not None:
+        coefficients = [rational(0)] * share.polynomial.degree
+        for exponents, value in share.polynomial.monomials.items():
+            if exponents[coordinate]:
+                coefficients[exponents[coordinate] - 1] += rational(value) * exponents[coordinate]
+        return coefficients
+    _, form = sparse_row(parts.forms, angle)
+    _, weights = sparse_row(parts.weights, angle)
+    slope = to_rational(weights[0]) / to_rational(form[0]) if weights else rational(0)
+    return [to_rational(parts.offset[angle]), slope]
+
+
+def _times(left: list[Any], right: list[Any]) -> list[Any]:
+    result = [rational(0)] * (len(left) + len(right) - 1)
+    for i, x in enumerate(left):
+        for j, y in enumerate(right):
+            result[i + j] += x * y
+    return result

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.commutation import Commutation
-from coadjoint.program.parts.generator_cost import check_products
+from coadjoint.program.generators import check_products
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
@@ -30,12 +30,12 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: boo
     """
     label, members, squared = _sets(term, commutation, separate)
     plain = members[~squared[label[members]]]
-    found = [_coupled(term, plain, label[plain])]
+    atoms = [_coupled(term, plain, label[plain])]
     owner = [label[plain][run_starts(label[plain])]]
     if np.any(squared):
         squares, cluster = _square_atoms(term, members[squared[label[members]]], label)
-        found, owner = [*found, squares], [*owner, cluster]
-    return Parts.concatenate(found).take(np.argsort(np.concatenate(owner), kind="stable"))
+        atoms, owner = [*atoms, squares], [*owner, cluster]
+    return Parts.concatenate(atoms).take(np.argsort(np.concatenate(owner), kind="stable"))
 
 
 def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
@@ -48,7 +48,7 @@ def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None
 
 
 def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
-    """Raise TooWide, with an estimate, if completed squares of many coupled coordinates have too many entries.
+    """Raise SplittingTooExpensive if completed squares of many coupled coordinates have too many entries.
 
     Each of m squares eliminates one coordinate from the later forms, which have m/2 entries on average. Sparse
     couplings are not checked, since their forms may stay short.
@@ -96,33 +96,35 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
     """Build one part per completed square; also return the label of its set."""
     ends = np.append(np.flatnonzero(run_starts(label[members])), len(members))
-    place = np.zeros(len(term.linear), dtype=np.int64)
-    place[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
+    local_index = np.zeros(len(term.linear), dtype=np.int64)
+    local_index[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
     matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(members)
-    local, linear = place[matrix.coordinate], term.linear[members]
-    known: dict[Any, SparseSquares] = {}
+    local, linear = local_index[matrix.coordinate], term.linear[members]
+    cache: dict[Any, SparseSquares] = {}
     squares: list[SparseSquares] = []
     for first, last in pairwise(ends.tolist()):
         start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
-        own = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
+        block = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
         # Sets that repeat, as in a lattice, have equal squares, which are computed once.
-        key = tuple(column.tobytes() for column in (*own, linear[first:last]))
-        if key not in known:
-            known[key] = _without_rounding(sparse_squares(own, linear[first:last]), own.value)
-        squares.append(known[key])
-    counts = np.array([len(found.weights) for found in squares])
-    forms = SparseRows.concatenate([found.forms for found in squares])
-    shift = np.repeat(ends[:-1], [len(found.forms.value) for found in squares])
+        key = tuple(column.tobytes() for column in (*block, linear[first:last]))
+        if key not in cache:
+            cache[key] = _without_rounding(sparse_squares(block, linear[first:last]), block.value)
+        squares.append(cache[key])
+    counts = np.array([len(square.weights) for square in squares])
+    forms = SparseRows.concatenate([square.forms for square in squares])
+    shift = np.repeat(ends[:-1], [len(square.forms.value) for square in squares])
     forms = forms._replace(coordinate=members[forms.coordinate + shift].astype(np.uint32))
-    factor = np.concatenate([found.weights for found in squares])
+    factor = np.concatenate([square.weights for square in squares])
     used = factor != 0
-    rule = forms.take(np.flatnonzero(used))
+    used_forms = forms.take(np.flatnonzero(used))
     lengths = np.where(used, np.diff(forms.start), 0)
-    weights = SparseRows(starts_of(lengths), rule.coordinate, np.repeat(factor[used], np.diff(rule.start)) * rule.value)
-    offset = np.concatenate([found.linear for found in squares])
+    weights = SparseRows(
+        starts_of(lengths), used_forms.coordinate, np.repeat(factor[used], np.diff(used_forms.start)) * used_forms.value
+    )
+    offset = np.concatenate([square.linear for square in squares])
     parts = Parts.linear(forms, offset, weights, np.arange(len(factor) + 1))
     if np.diff(ends).max() > MAX_RATIONAL_SIZE:
-        parts.pivots = np.concatenate([found.pivots for found in squares])
+        parts.pivots = np.concatenate([square.pivots for square in squares])
         parts.pivots[:, 1:] = members[parts.pivots[:, 1:] + np.repeat(ends[:-1], counts)[:, None]]
     return parts, np.repeat(label[members[ends[:-1]]], counts)
 
@@ -131,5 +133,10 @@ def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> S
     """Drop squares below the rounding of the entries, which vanish after a Casimir shift."""
     floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
     largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
-    kept = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
-    return SparseSquares(squares.forms.take(kept), squares.weights[kept], squares.linear[kept], squares.pivots[kept])
+    significant = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
+    return SparseSquares(
+        squares.forms.take(significant),
+        squares.weights[significant],
+        squares.linear[significant],
+        squares.pivots[significant],
+    )

@@ -36,9 +36,9 @@ def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSqu
     dense = np.zeros((size, size))
     dense[matrix.owner, matrix.coordinate] = matrix.value
     forms, weights, betas, pivots = complete_squares(dense, linear)
-    row, place = np.nonzero(forms != 0)
+    row, column = np.nonzero(forms != 0)
     start = np.searchsorted(row, np.arange(len(forms) + 1)).astype(np.int64)
-    return SparseSquares(SparseRows(start, place.astype(np.uint32), forms[row, place]), weights, betas, pivots)
+    return SparseSquares(SparseRows(start, column.astype(np.uint32), forms[row, column]), weights, betas, pivots)
 
 
 class _Reduction:
@@ -65,18 +65,18 @@ class _Reduction:
         betas: list[float] = []
         steps: list[tuple[int, int, int]] = []
         while (pivots := self._pivots()) is not None:
-            new = self._square(*pivots) if len(pivots) == 1 else self._pair(*pivots)
-            self._eliminate(pivots, new)
-            found = split_linear(
-                [self.linear[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form, _ in new]
+            completed = self._square(*pivots) if len(pivots) == 1 else self._pair(*pivots)
+            self._eliminate(pivots, completed)
+            new_betas = split_linear(
+                [self.linear[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form, _ in completed]
             )
-            for (form, weight), beta in zip(new, found, strict=True):
+            for (form, weight), beta in zip(completed, new_betas, strict=True):
                 for k, value in form.items() if beta != 0 else ():
                     self.linear[k] -= beta * value
                 forms.append(form)
                 weights.append(weight)
                 betas.append(beta)
-            steps += [(len(steps), pivots[0], pivots[-1])] * len(new)
+            steps += [(len(steps), pivots[0], pivots[-1])] * len(completed)
             for p in pivots:
                 self.linear[p] = 0.0
         for k, b in enumerate(self.linear):
@@ -92,7 +92,7 @@ class _Reduction:
         return SparseSquares(sparse, np.array(weights), np.array(betas), pivoted)
 
     def _pivots(self) -> tuple[int, ...] | None:
-        """Return the coordinate of the next square, or two coupled ones; None if nothing is left."""
+        """Return the coordinate of the next square, or two coupled ones; None if the residual vanishes."""
         while self.entries and not self._current(*self.entries[0]):
             heappop(self.entries)
         if not self.entries or -self.entries[0][0] <= self.floor:
@@ -114,19 +114,19 @@ class _Reduction:
         return [({k: value / row[i] for k, value in row.items() if value != 0}, row[i])]
 
     def _pair(self, i: int, j: int) -> list[tuple[Form, float]]:
-        one, two = self.rows[i], self.rows[j]
-        sign = 1 if (one.get(i, 0.0) + two.get(j, 0.0)) * one[j] >= 0 else -1
-        along = {k: one.get(k, 0.0) + sign * two.get(k, 0.0) for k in one.keys() | two.keys()}
+        row_i, row_j = self.rows[i], self.rows[j]
+        sign = 1 if (row_i.get(i, 0.0) + row_j.get(j, 0.0)) * row_i[j] >= 0 else -1
+        along = {k: row_i.get(k, 0.0) + sign * row_j.get(k, 0.0) for k in row_i.keys() | row_j.keys()}
         size = (along[i] + sign * along[j]) / 4
         first = {k: value / (2 * size) for k, value in along.items()}
-        rest = {k: two.get(k, 0.0) - size * first[j] * first[k] for k in along}
+        rest = {k: row_j.get(k, 0.0) - size * first[j] * first[k] for k in along}
         second = {k: value / rest[j] for k, value in rest.items()}
         forms = [(first, size), (second, rest[j])]
         return [({k: value for k, value in form.items() if value != 0}, weight) for form, weight in forms]
 
-    def _eliminate(self, pivots: tuple[int, ...], new: list[tuple[Form, float]]) -> None:
-        touched = {k for form, _ in new for k in form}.difference(pivots)
-        for form, weight in new:
+    def _eliminate(self, pivots: tuple[int, ...], completed: list[tuple[Form, float]]) -> None:
+        touched = {k for form, _ in completed for k in form}.difference(pivots)
+        for form, weight in completed:
             inner = [(k, value) for k, value in form.items() if k in touched]
             for a, u in inner:
                 row = self.rows[a]

@@ -35,23 +35,23 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     commutation = Commutation(system.algebra)
     terms = terms or system.hamiltonian.terms()
     if isinstance(choice, str) and choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
-        known = _parts_by_pattern(terms, commutation)
-        if known is not None:
-            return known
-    atoms = _sorted(_atoms(system, terms, commutation, separate=choice == "coordinates"))
+        cached = _parts_by_pattern(terms, commutation)
+        if cached is not None:
+            return cached
+    atoms = _by_first_coordinate(_atoms(system, terms, commutation, separate=choice == "coordinates"))
     if choice == "coordinates":
         return atoms
     if isinstance(choice, str):
         return few_parts(atoms, commutation)
-    return _as_given(system, choice, atoms, commutation)
+    return _join_as_chosen(system, choice, atoms, commutation)
 
 
 def atoms_of(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation) -> Parts:
-    """Return the smallest parts of some terms, before any are joined."""
-    return _sorted(_atoms(system, terms, commutation, separate=False))
+    """Return the smallest parts of terms, before any are joined."""
+    return _by_first_coordinate(_atoms(system, terms, commutation, separate=False))
 
 
-def _sorted(atoms: Parts) -> Parts:
+def _by_first_coordinate(atoms: Parts) -> Parts:
     return atoms.take(np.argsort(atoms.first_coordinate, kind="stable")) if len(atoms) else atoms
 
 
@@ -60,56 +60,56 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
     term = terms[0].form
     if len(terms) > 1 or term is None or term.piece is not None:
         return None
-    where = (term.indptr, term.indices, term.linear != 0)
-    model = _parts_of_pattern(Pattern((term, commutation), *where, *commutation.pattern))
+    columns = (term.indptr, term.indices, term.linear != 0)
+    model = _parts_of_pattern(Pattern((term, commutation), *columns, *commutation.pattern))
     if model is None:
         return None
-    places = model.weights
-    return model.with_angles(term.linear[model.forms.coordinate], places._replace(value=term.values[places.value]))
+    weights = model.weights
+    return model.with_angles(term.linear[model.forms.coordinate], weights._replace(value=term.values[weights.value]))
 
 
 @lru_cache(maxsize=1024)
 def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
     """Return the parts, and the index of each weight among the values of the term."""
     term, commutation = pattern.source
-    places: Any = np.arange(len(term.values))
-    atoms = coupled_atoms(replace(term, values=places), commutation)
-    return None if atoms is None else few_parts(_sorted(atoms), commutation)
+    indices: Any = np.arange(len(term.values))
+    atoms = coupled_atoms(replace(term, values=indices), commutation)
+    return None if atoms is None else few_parts(_by_first_coordinate(atoms), commutation)
 
 
 class _Atoms:
     """Visitor that collects the parts of terms, before they are joined."""
 
     def __init__(self, system: LiePoissonSystem, commutation: Commutation, separate: bool) -> None:
-        self.found: list[Parts] = []
+        self.collected: list[Parts] = []
         self._system, self._commutation, self._separate = system, commutation, separate
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        self.found.append(quadratic_atoms(term, self._commutation, self._separate))
+        self.collected.append(quadratic_atoms(term, self._commutation, self._separate))
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        self.found.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._separate))
+        self.collected.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._separate))
 
     def function(self, term: FunctionTerm) -> None:
-        self.found.append(_function_atom(self._system, term, self._commutation))
+        self.collected.append(_function_atom(self._system, term, self._commutation))
 
 
 def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, separate: bool) -> Parts:
-    found: list[Parts] = []
+    result: list[Parts] = []
     pieces: dict[int, list[Parts]] = {}
     for term in terms:
-        keep = term.piece
-        atoms = _Atoms(system, commutation, separate and keep is None)
+        number = term.piece
+        atoms = _Atoms(system, commutation, separate and number is None)
         term.given_to(atoms)
-        parts = atoms.found[0] if len(atoms.found) == 1 else Parts.concatenate(atoms.found)
-        if keep is None:
-            found.append(parts)
+        parts = atoms.collected[0] if len(atoms.collected) == 1 else Parts.concatenate(atoms.collected)
+        if number is None:
+            result.append(parts)
         else:
-            pieces.setdefault(keep, []).append(parts)
-    for own in pieces.values():
-        piece = Parts.concatenate(own)
-        found.append(piece.joined(np.zeros(len(piece), dtype=np.int64)))
-    return Parts.concatenate(found)
+            pieces.setdefault(number, []).append(parts)
+    for members in pieces.values():
+        joined = Parts.concatenate(members)
+        result.append(joined.joined(np.zeros(len(joined), dtype=np.int64)))
+    return Parts.concatenate(result)
 
 
 def _polynomial_atoms(
@@ -118,38 +118,38 @@ def _polynomial_atoms(
     size = polynomial.dim
     variables = {e: [k for k, power in enumerate(e) if power] for e in polynomial.monomials if sum(e)}
     used = np.zeros(size, dtype=bool)
-    used[[k for present in variables.values() for k in present]] = True
-    links = [(present[0], other) for present in variables.values() for other in present[1:]]
+    used[[k for names in variables.values() for k in names]] = True
+    links = [(names[0], variable) for names in variables.values() for variable in names[1:]]
     label = connected(size, *np.array(links, dtype=np.int64).reshape(-1, 2).T)
     monomials: dict[int, dict[tuple[int, ...], Any]] = {int(k): {} for k in distinct(label[used])}
-    for e, present in variables.items():
-        monomials[int(label[present[0]])][e] = polynomial.monomials[e]
+    for e, names in variables.items():
+        monomials[int(label[names[0]])][e] = polynomial.monomials[e]
     members = {k: np.flatnonzero(used & (label == k)).tolist() for k in monomials}
-    found = []
+    atoms = []
     for k, cluster in members.items():
-        own = monomials[k]
+        terms = monomials[k]
         if commutation.first_noncommuting(cluster) is None and not (separate and len(cluster) > 1):
-            found.append(Parts.single(PolynomialShare(tuple(cluster), Polynomial(own)), cluster))
+            atoms.append(Parts.single(PolynomialShare(tuple(cluster), Polynomial(terms)), cluster))
             continue
-        low = {e: c for e, c in own.items() if sum(e) <= 2}
+        low = {e: c for e, c in terms.items() if sum(e) <= 2}
         if low:
             (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
             assert form is not None
-            found.append(quadratic_atoms(form, commutation, separate))
-        for exponents in (e for e in own if sum(e) > 2):
-            monomial, coordinates = Polynomial({exponents: own[exponents]}), variables[exponents]
+            atoms.append(quadratic_atoms(form, commutation, separate))
+        for exponents in (e for e in terms if sum(e) > 2):
+            monomial, coordinates = Polynomial({exponents: terms[exponents]}), variables[exponents]
             noncommuting = commutation.first_noncommuting(coordinates)
             if noncommuting is not None:
-                raise _not_split(system, f"its monomial {short(monomial)}", noncommuting)
-            found.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
-    return Parts.concatenate(found)
+                raise _not_splittable(system, f"its monomial {short(monomial)}", noncommuting)
+            atoms.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
+    return Parts.concatenate(atoms)
 
 
 def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> Parts:
     coordinates = term.coordinates.tolist()
     noncommuting = commutation.first_noncommuting(coordinates)
     if noncommuting is not None:
-        raise _not_split(system, "a function in it", noncommuting)
+        raise _not_splittable(system, "a function in it", noncommuting)
     return Parts.single(FunctionShare(term), coordinates, term.timed)
 
 
@@ -167,7 +167,7 @@ class _CommutationCheck:
             if sum(exponents) > 2:
                 noncommuting = self._commutation.first_noncommuting([k for k, power in enumerate(exponents) if power])
                 if noncommuting is not None:
-                    raise _not_split(
+                    raise _not_splittable(
                         self._system, f"its monomial {short(Polynomial({exponents: coefficient}))}", noncommuting
                     )
 
@@ -176,9 +176,9 @@ class _CommutationCheck:
 
 
 def check_splits(system: LiePoissonSystem) -> None:
-    """Raise NotSplit if the Hamiltonian is not a sum of functions of commuting forms, without splitting it.
+    """Raise NotSplittable if the Hamiltonian is not a sum of functions of commuting forms, without splitting it.
 
-    Raises TooWide if there are too many long squares.
+    Raises SplittingTooExpensive if there are too many long squares.
     """
     terms = system.hamiltonian.terms()
     clashes = _CommutationCheck(system, Commutation(system.algebra))
@@ -190,7 +190,7 @@ class NotSplittable(ValueError):
     """The Hamiltonian is not a sum of functions with known flows; the message names the piece and the reason."""
 
 
-def _not_split(system: LiePoissonSystem, what: str, noncommuting: tuple[int, int]) -> NotSplittable:
+def _not_splittable(system: LiePoissonSystem, what: str, noncommuting: tuple[int, int]) -> NotSplittable:
     first, second = (system.algebra.basis[k] for k in noncommuting)
     return NotSplittable(
         f"{what} couples {first} and {second}, which do not commute; "
@@ -198,10 +198,10 @@ def _not_split(system: LiePoissonSystem, what: str, noncommuting: tuple[int, int
     )
 
 
-def _as_given(
+def _join_as_chosen(
     system: LiePoissonSystem, choice: Sequence[Sequence[int]], atoms: Parts, commutation: Commutation
 ) -> Parts:
-    basis, home = system.algebra.basis, np.full(system.dim, len(choice))
+    basis, set_of_coordinate = system.algebra.basis, np.full(system.dim, len(choice))
     for number, group in enumerate(choice):
         coordinates = np.array(sorted({int(i) for i in group}), dtype=np.int64)
         outside = coordinates[(coordinates < 0) | (coordinates >= system.dim)]
@@ -212,20 +212,20 @@ def _as_given(
             raise ValueError(
                 f"parts put {basis[noncommuting[0]]} and {basis[noncommuting[1]]} together, which do not commute"
             )
-        home[coordinates] = np.minimum(home[coordinates], number)
+        set_of_coordinate[coordinates] = np.minimum(set_of_coordinate[coordinates], number)
     if not len(atoms):
         return atoms
     begins = atoms.forms.start[atoms.angle[:-1]]
-    homes = home[atoms.forms.coordinate]
-    first, last = np.minimum.reduceat(homes, begins), np.maximum.reduceat(homes, begins)
+    sets = set_of_coordinate[atoms.forms.coordinate]
+    first, last = np.minimum.reduceat(sets, begins), np.maximum.reduceat(sets, begins)
     wrong = np.flatnonzero((first < last) | (last == len(choice)))
     if len(wrong):
         entries = slice(*atoms.forms.start[atoms.angle[[wrong[0], wrong[0] + 1]]])
         coordinates = distinct(atoms.forms.coordinate[entries])
-        left = coordinates[home[coordinates] == len(choice)]
-        if len(left):
+        missing = coordinates[set_of_coordinate[coordinates] == len(choice)]
+        if len(missing):
             raise ValueError(
-                f"parts leave out {basis[left[0]]} (coordinate {left[0]}), which the Hamiltonian depends on"
+                f"parts leave out {basis[missing[0]]} (coordinate {missing[0]}), which the Hamiltonian depends on"
             )
         names = ", ".join(basis[i] for i in coordinates)
         raise ValueError(f"parts must hold {names} in one set, since the Hamiltonian couples them")

@@ -46,33 +46,33 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     betas: list[Any] = []
     steps: list[tuple[int, int, int]] = []
     # The rows and columns of pivots are zero; they are removed once they are many.
-    places, left = np.arange(size), size
-    while left:
-        if 4 * left <= 3 * len(places):
-            kept = np.flatnonzero(~np.isin(places, [p for _, *pair in steps for p in pair]))
-            places, residual = places[kept], residual[np.ix_(kept, kept)]
+    active, remaining = np.arange(size), size
+    while remaining:
+        if 4 * remaining <= 3 * len(active):
+            rest = np.flatnonzero(~np.isin(active, [p for _, *pair in steps for p in pair]))
+            active, residual = active[rest], residual[np.ix_(rest, rest)]
         best = int(np.argmax(np.abs(np.diagonal(residual))))
-        row, column = divmod(int(np.argmax(np.abs(residual))), len(places))
+        row, column = divmod(int(np.argmax(np.abs(residual))), len(active))
         largest = abs(residual[row, column])
         if largest <= floor:
             break
-        alone = abs(residual[best, best]) * MIN_PIVOT_RATIO.denominator >= largest * MIN_PIVOT_RATIO.numerator
-        own = [best] if alone else [row, column]
-        new = _square(residual, best) if alone else _pair(residual, row, column)
-        found = split_linear(b[places[own]], [form[own] for form, _ in new])
-        for (form, weight), beta in zip(new, found, strict=True):
+        is_single = abs(residual[best, best]) * MIN_PIVOT_RATIO.denominator >= largest * MIN_PIVOT_RATIO.numerator
+        local_pivots = [best] if is_single else [row, column]
+        completed = _square(residual, best) if is_single else _pair(residual, row, column)
+        new_betas = split_linear(b[active[local_pivots]], [form[local_pivots] for form, _ in completed])
+        for (form, weight), beta in zip(completed, new_betas, strict=True):
             residual = residual - weight * np.multiply.outer(form, form)
-            b[places] = b[places] - beta * form
-            whole = np.zeros(size, dtype=b.dtype)
-            whole[places] = form
-            forms.append(whole)
+            b[active] = b[active] - beta * form
+            full_form = np.zeros(size, dtype=b.dtype)
+            full_form[active] = form
+            forms.append(full_form)
             weights.append(weight)
-        betas.extend(found)
-        pivots = places[own].tolist()
-        steps += [(len(steps), pivots[0], pivots[-1])] * len(new)
-        residual[own, :] = residual[:, own] = 0 * residual[0, 0]
+        betas.extend(new_betas)
+        pivots = active[local_pivots].tolist()
+        steps += [(len(steps), pivots[0], pivots[-1])] * len(completed)
+        residual[local_pivots, :] = residual[:, local_pivots] = 0 * residual[0, 0]
         b[pivots] = 0 * b[0]
-        left -= len(own)
+        remaining -= len(local_pivots)
     for k in np.flatnonzero(b != 0):
         form = 0 * b
         form[k] = form[k] + 1

@@ -35,17 +35,17 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     nonlinear_shares: dict[int, NonlinearShare] = {}
     for s, share in parts.nonlinear_shares.items():
         if isinstance(share, FunctionShare):
-            where = share.term.coordinates
-            local = taylor_polynomial(share.term, x[where], degree)
-            share = PolynomialShare(tuple(where.tolist()), _placed(local, x, where.tolist()))
+            coordinates = share.term.coordinates
+            local = taylor_polynomial(share.term, x[coordinates], degree)
+            share = PolynomialShare(tuple(coordinates.tolist()), _expanded(local, x, coordinates.tolist()))
         nonlinear_shares[s] = share
     return Parts(parts.forms, parts.offset, parts.weights, parts.row, nonlinear_shares, parts.share, parts.timed)
 
 
-def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: Sequence[int]) -> Polynomial:
+def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coordinates: Sequence[int]) -> Polynomial:
     """Return sum c (x - x0)^e as an exact polynomial in all coordinates."""
     n = len(x)
-    distance = [Polynomial.variable(i, n) - Fraction(float(x[i])) for i in where]
+    distance = [Polynomial.variable(i, n) - Fraction(float(x[i])) for i in coordinates]
     total = Polynomial({}, dim=n)
     for exponents, value in local.items():
         term = Polynomial({(0,) * n: Fraction(value)})
@@ -62,27 +62,27 @@ def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -
     around the point, with radii about the size of the point; the derivatives are its Fourier coefficients, to about
     1e-10 of the largest if the function is analytic on the circles.
     """
-    slope = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
+    gradient = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
     m = len(y)
-    found = {_exponents(m, i): float(slope[i]) for i in range(m)}
+    coefficients = {_exponents(m, i): float(gradient[i]) for i in range(m)}
     if degree < 2:
-        return found
-    bent = np.asarray(derivative_of(term, 2, y, 0.0), dtype=np.float64) if term.hessian is not None else None
-    if degree > 2 or bent is None:
-        found |= _by_circles(term, y, degree, slope, bent)
+        return coefficients
+    hessian = np.asarray(derivative_of(term, 2, y, 0.0), dtype=np.float64) if term.hessian is not None else None
+    if degree > 2 or hessian is None:
+        coefficients |= _circle_coefficients(term, y, degree, gradient, hessian)
     else:
         for i, j in product(range(m), repeat=2):
             if i <= j:
-                found[_exponents(m, i, j)] = float(bent[i, j]) / (1 + (i == j))
-    return found
+                coefficients[_exponents(m, i, j)] = float(hessian[i, j]) / (1 + (i == j))
+    return coefficients
 
 
 def _exponents(m: int, *factors: int) -> tuple[int, ...]:
     return tuple(factors.count(i) for i in range(m))
 
 
-def _by_circles(
-    term: FunctionTerm, y: NDArray[np.float64], degree: int, slope: NDArray[np.float64], bent: Any
+def _circle_coefficients(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, gradient: NDArray[np.float64], hessian: Any
 ) -> dict[tuple[int, ...], float]:
     m = len(y)
     nodes = 2 ** int(np.ceil(np.log2(2 * degree + 2)))
@@ -92,26 +92,26 @@ def _by_circles(
             "take a lower order, or give the Hamiltonian as a Polynomial"
         )
     size = max(1.0, float(np.max(np.abs(y))))
-    tries = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
-    keys = [e for e in tries[0] if sum(e) > 1]
+    trials = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
+    keys = [e for e in trials[0] if sum(e) > 1]
     # Coefficients of degree d are weighted by size^d.
-    weighted = np.array([[own[e] * size ** sum(e) for e in keys] for own in tries])
-    scale = float(np.max(np.abs(slope), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
-    apart = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
-    best = int(np.argmin(np.where(np.isfinite(apart), apart, np.inf)))
-    found = tries[best + 1]
-    wrong = [apart[best], *(abs(found[_exponents(m, i)] - slope[i]) * size for i in range(m))]
-    if bent is not None:
-        wrong += [
-            abs(found[_exponents(m, i, j)] * (1 + (i == j)) - bent[i, j]) * size**2
+    weighted = np.array([[coefficients[e] * size ** sum(e) for e in keys] for coefficients in trials])
+    scale = float(np.max(np.abs(gradient), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
+    differences = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
+    best = int(np.argmin(np.where(np.isfinite(differences), differences, np.inf)))
+    best_coefficients = trials[best + 1]
+    errors = [differences[best], *(abs(best_coefficients[_exponents(m, i)] - gradient[i]) * size for i in range(m))]
+    if hessian is not None:
+        errors += [
+            abs(best_coefficients[_exponents(m, i, j)] * (1 + (i == j)) - hessian[i, j]) * size**2
             for i, j in product(range(m), repeat=2)
         ]
-    if not max(wrong) <= MAX_RELATIVE_ERROR * scale:
+    if not max(errors) <= MAX_RELATIVE_ERROR * scale:
         raise ValueError(
             f"derivatives of order {degree} of a function of the Hamiltonian cannot be computed near "
             f"{y.tolist()}: it is not analytic on circles in the complex plane; take a lower order"
         )
-    return {e: found[e] for e in keys}
+    return {e: best_coefficients[e] for e in keys}
 
 
 def _coefficients(
@@ -121,30 +121,30 @@ def _coefficients(
     m = len(y)
     circle = radius * np.exp(2j * np.pi * np.arange(nodes) / nodes)
     values = np.empty((m,) + (nodes,) * m, dtype=np.complex128)
-    for place in np.ndindex(*values.shape[1:]):
-        values[:, *place] = _complex_slope(term, y + circle[list(place)])
+    for node in np.ndindex(*values.shape[1:]):
+        values[:, *node] = _complex_gradient(term, y + circle[list(node)])
     spectrum = np.fft.fftn(values, axes=tuple(range(1, m + 1))) / nodes**m
-    found = {}
+    coefficients = {}
     for exponents in product(range(degree + 1), repeat=m):
         if 0 < sum(exponents) <= degree:
             # Component i of the gradient has e_i times the coefficient at one power less of x_i; averaged over i.
-            own = []
+            estimates = []
             for i, e in enumerate(exponents):
                 if e:
-                    less = (*exponents[:i], e - 1, *exponents[i + 1 :])
-                    own.append(spectrum[(i, *less)].real / radius ** sum(less) / e)
-            found[exponents] = float(np.mean(own))
-    return found
+                    lower = (*exponents[:i], e - 1, *exponents[i + 1 :])
+                    estimates.append(spectrum[(i, *lower)].real / radius ** sum(lower) / e)
+            coefficients[exponents] = float(np.mean(estimates))
+    return coefficients
 
 
-def _complex_slope(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
+def _complex_gradient(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error")
             return derivative_of(term, 1, y, 0.0)
     except Exception as reason:
         raise TypeError(
-            "higher derivatives of a function of the Hamiltonian are needed than were given, and its "
+            "a function of the Hamiltonian was given without the higher derivatives needed here, and its "
             f"gradient rejects complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
             "or take a lower order"
         ) from reason

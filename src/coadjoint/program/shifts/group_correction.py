@@ -19,9 +19,8 @@ from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.generators import BasisMatrices, Generators
-from coadjoint.program.graph_layers import layers
 from coadjoint.program.shifts.shift import quadratic_entries
-from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, starts_of
+from coadjoint.program.sparse_rows import SparseRows, layers, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 SubtractedCasimir = tuple[Polynomial, float]
@@ -128,12 +127,12 @@ def unshift_tables(
 
     `representation` rho is (n, d, d); None: the coadjoint one. Results for small representations are cached.
     """
-    taken = tuple(shift)
+    casimirs = tuple(shift)
     if (algebra.dim**2 if representation is None else representation.size) > MAX_CACHED_SIZE:
-        return _tables(algebra, representation, sign, taken)
+        return _tables(algebra, representation, sign, casimirs)
     if representation is None:
-        return _cached_tables(algebra, None, (), sign, taken)
-    return _cached_tables(algebra, representation.tobytes(), representation.shape, sign, taken)
+        return _cached_tables(algebra, None, (), sign, casimirs)
+    return _cached_tables(algebra, representation.tobytes(), representation.shape, sign, casimirs)
 
 
 @lru_cache(maxsize=64)
@@ -157,7 +156,7 @@ def _tables(
     kinds = [_kind_of(component, samples, entries if representation is None else []) for component in components]
     cells = [run_starts(component.cell) for component in components]
     metrics = [kind.metric.ravel() for kind in kinds if kind.metric is not None]
-    place = starts_of([0 if kind.metric is None else kind.metric.size for kind in kinds])
+    metric_start = starts_of([0 if kind.metric is None else kind.metric.size for kind in kinds])
 
     def joined(pieces: Sequence[NDArray[Any]], kind: type = np.uint32) -> NDArray[Any]:
         return np.concatenate([np.zeros(0, dtype=kind), *pieces]).astype(kind)
@@ -172,20 +171,22 @@ def _tables(
         order=np.array([kind.order for kind in kinds], dtype=np.uint32),
         begin=starts_of([component.width for component in components]).astype(np.uint32),
         coordinate=joined([component.coordinates for component in components]),
-        form=starts_of([int(np.count_nonzero(own)) for own in cells]).astype(np.uint32),
+        form=starts_of([int(np.count_nonzero(begins)) for begins in cells]).astype(np.uint32),
         cell=joined([component.cell for component in components])[first],
         entry=np.append(np.flatnonzero(first), len(first)).astype(np.uint32),
         column=joined([component.momentum for component in components]),
         weight=joined([component.weight for component in components], np.float64),
-        metric=np.array([-1 if kind.metric is None else int(place[b]) for b, kind in enumerate(kinds)], dtype=np.int64),
+        metric=np.array(
+            [-1 if kind.metric is None else int(metric_start[b]) for b, kind in enumerate(kinds)], dtype=np.int64
+        ),
         metrics=joined(metrics, np.float64),
     )
 
 
 def _scaled(casimir: Polynomial, factor: float) -> Entries:
-    found = quadratic_entries(casimir)
-    assert found is not None
-    return found[0], found[1], factor * found[2]
+    entries = quadratic_entries(casimir)
+    assert entries is not None
+    return entries[0], entries[1], factor * entries[2]
 
 
 def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[Entries]) -> Generators:
@@ -194,8 +195,8 @@ def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[
     order = order_by(j, i)
     j, i, value = j[order], i[order], value[order]
     forms = SparseRows(np.searchsorted(j, np.arange(dim + 1)), i.astype(np.uint32), value)
-    found = list(matrices.combinations(forms, float))
-    momentum, column, row, weight = (np.concatenate([own[side] for own in found]) for side in range(4))
+    pieces = list(matrices.combinations(forms, float))
+    momentum, column, row, weight = (np.concatenate([piece[side] for piece in pieces]) for side in range(4))
     # rho acts on the rows of a group element as -rho^T.
     return Generators(momentum, row, column, sign * weight)
 
@@ -211,9 +212,9 @@ def _components(size: int, generators: Generators) -> Any:
         first, last = np.searchsorted(owner, [members[0], members[0] + 1])
         if first == last:
             continue
-        own = np.arange(len(row))[order][first:last]
+        selected = np.arange(len(row))[order][first:last]
         local[members] = np.arange(len(members))
-        yield _Component(members, local[row[own]], local[column[own]], momentum[own], weight[own])
+        yield _Component(members, local[row[selected]], local[column[selected]], momentum[selected], weight[selected])
 
 
 def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
@@ -226,9 +227,9 @@ def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequ
         return _Kind(Turn.PLANE)
     if component.skew and m > 4:
         return _Kind(Turn.SKEW)
-    found = [component.at(x) for x in samples]
-    powers = [(D, D @ D, D @ D @ D) for D in found]
-    bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in found]
+    matrices = [component.at(x) for x in samples]
+    powers = [(D, D @ D, D @ D @ D) for D in matrices]
+    bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in matrices]
     for order in (1, 2):
         if all(_vanishes(p[order], 8 * m * (order + 1) * b[order]) for p, b in zip(powers, bounds, strict=True)):
             return _Kind(Turn.NILPOTENT, order)
@@ -238,7 +239,7 @@ def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequ
     if component.skew:
         return _Kind(Turn.PAIR if m == 4 else Turn.SKEW)
     metrics = (_metric(component, entry) for entry in casimirs)
-    metric = next((one for one in metrics if one is not None), None)
+    metric = next((form for form in metrics if form is not None), None)
     return _Kind(Turn.GENERAL) if metric is None else _Kind(Turn.SKEW, 0, metric)
 
 
@@ -259,11 +260,11 @@ def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArr
 def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | None:
     """Return L^T and its inverse, column-major, for the form L L^T of a definite Casimir, which X preserves."""
     rows, columns, values = casimir
-    m, place = component.width, np.full(max(int(rows.max()), int(component.coordinates[-1])) + 1, -1)
-    place[component.coordinates] = np.arange(m)
-    own = (place[rows] >= 0) & (place[columns] >= 0)
+    m, local = component.width, np.full(max(int(rows.max()), int(component.coordinates[-1])) + 1, -1)
+    local[component.coordinates] = np.arange(m)
+    inside = (local[rows] >= 0) & (local[columns] >= 0)
     form = np.zeros((m, m))
-    form[place[rows[own]], place[columns[own]]] = values[own]
+    form[local[rows[inside]], local[columns[inside]]] = values[inside]
     lower = _cholesky(form if form[0, 0] > 0.0 else -form)
     return None if lower is None else np.stack([lower, _inverse(lower)])
 
@@ -271,19 +272,19 @@ def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | No
 def _cholesky(form: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return L with L L^T = form, or None if it is not definite."""
     m, lower = len(form), np.zeros(form.shape)
-    rest = form.copy()
+    residual = form.copy()
     for k in range(m):
-        if not rest[k, k] > MIN_CHOLESKY_PIVOT * form.max():
+        if not residual[k, k] > MIN_CHOLESKY_PIVOT * form.max():
             return None
-        lower[k:, k] = rest[k:, k] / np.sqrt(rest[k, k])
-        rest -= np.outer(lower[:, k], lower[:, k])
+        lower[k:, k] = residual[k:, k] / np.sqrt(residual[k, k])
+        residual -= np.outer(lower[:, k], lower[:, k])
     return lower
 
 
 def _inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     """Invert a lower triangular matrix, with sums in order."""
-    m, found = len(lower), np.eye(len(lower))
+    m, inverse = len(lower), np.eye(len(lower))
     for k in range(m):
-        found[k] /= lower[k, k]
-        found[k + 1 :] -= np.outer(lower[k + 1 :, k], found[k])
-    return found
+        inverse[k] /= lower[k, k]
+        inverse[k + 1 :] -= np.outer(lower[k + 1 :, k], inverse[k])
+    return inverse

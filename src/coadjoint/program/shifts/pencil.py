@@ -29,17 +29,17 @@ def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) 
         return ()
     bound = 2.0 * size**2 * float(np.max(np.abs(matrix))) / smallest
     polynomial = _determinant(matrix, sign * casimir)
-    found = []
+    factors = []
     for count in range(1, size + 1):
         low, high = -bound, bound
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            before = low, high
+            previous = low, high
             low, high = (low, middle) if _zeros_below(polynomial, middle) >= count else (middle, high)
-            if (low, high) == before:
+            if (low, high) == previous:
                 break
-        found.append(sign * high)
-    return tuple(sorted(found))
+        factors.append(sign * high)
+    return tuple(sorted(factors))
 
 
 @lru_cache(maxsize=64)
@@ -59,8 +59,8 @@ def _determinant(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> l
     size = len(matrix)
     pairs = [Fraction(value) for value in [*matrix.ravel().tolist(), *casimir.ravel().tolist()]]
     scale = math.lcm(*(value.denominator for value in pairs))
-    whole = [int(value * scale) for value in pairs]
-    M, C = (np.array(part, dtype=object).reshape(size, size) for part in (whole[: size**2], whole[size**2 :]))
+    integers = [int(value * scale) for value in pairs]
+    M, C = (np.array(part, dtype=object).reshape(size, size) for part in (integers[: size**2], integers[size**2 :]))
     values = [_bareiss((M - c * C).tolist()) for c in range(size + 1)]
     # Newton's forward differences, times n!: sum_k d_k c (c - 1) ... (c - k + 1) n!/k!
     coefficients, falling = [0] * (size + 1), [1]
@@ -75,7 +75,7 @@ def _determinant(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> l
 
 def _bareiss(rows: list[list[int]]) -> int:
     """Return the determinant of an integer matrix by fraction-free elimination (Bareiss 1968)."""
-    sign, before = 1, 1
+    sign, previous_pivot = 1, 1
     for k in range(len(rows) - 1):
         pivot = next((r for r in range(k, len(rows)) if rows[r][k]), None)
         if pivot is None:
@@ -83,8 +83,10 @@ def _bareiss(rows: list[list[int]]) -> int:
         if pivot != k:
             rows[k], rows[pivot], sign = rows[pivot], rows[k], -sign
         for r in range(k + 1, len(rows)):
-            rows[r] = [(a * rows[k][k] - rows[r][k] * b) // before for a, b in zip(rows[r], rows[k], strict=True)]
-        before = rows[k][k]
+            rows[r] = [
+                (a * rows[k][k] - rows[r][k] * b) // previous_pivot for a, b in zip(rows[r], rows[k], strict=True)
+            ]
+        previous_pivot = rows[k][k]
     return sign * rows[-1][-1]
 
 

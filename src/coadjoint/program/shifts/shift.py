@@ -1,4 +1,4 @@
-"""Casimir shifts: H - c C generates the same motion as H, and may have fewer parts."""
+"""Casimir shifts: H - c C generates the same motion as H, and may have fewer parts; these can be counted."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.parts.few_parts import MAX_REORDERED, count_groups
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE
 from coadjoint.program.shifts.pencil import singular_factors
+from coadjoint.program.sparse_rows import run_starts
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.quadratic import factors_of
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Shift = tuple[tuple[str, float], ...]
+Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
 MAX_SINGULAR_DIMENSION = 8
 MAX_DENSE_DIMENSION = 32  # coordinates; up to this size adding all n^2 entries is faster than sorting the nonzero ones
@@ -44,16 +47,13 @@ class QuadraticCasimir(NamedTuple):
 
 def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
     """Return the known Casimirs that are polynomials homogeneous of degree two, by name."""
-    found = {}
+    casimirs = {}
     for name, casimir in system.casimirs.items():
         if isinstance(casimir, Polynomial):
             entries = quadratic_entries(casimir)
             if entries is not None:
-                found[name] = QuadraticCasimir(casimir, *entries)
-    return found
-
-
-Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+                casimirs[name] = QuadraticCasimir(casimir, *entries)
+    return casimirs
 
 
 def quadratic_entries(casimir: Polynomial) -> Entries | None:
@@ -64,23 +64,23 @@ def quadratic_entries(casimir: Polynomial) -> Entries | None:
     >>> quadratic_entries(Polynomial({(2, 0): 3, (1, 1): 1}))
     (array([0, 0, 1]), array([0, 1, 0]), array([6., 1., 1.]))
     """
-    return (_cached_entries if casimir.dim <= MAX_PATTERN_SIZE else _entries)(casimir)
+    return (_cached_entries if casimir.dim <= MAX_PATTERN_SIZE else _compute_entries)(casimir)
 
 
-def _entries(casimir: Polynomial) -> Entries | None:
+def _compute_entries(casimir: Polynomial) -> Entries | None:
     monomials = casimir.monomials
     pairs = [factors_of(exponents) for exponents in monomials]
     if not pairs or any(len(pair) != 2 for pair in pairs):
         return None
     i, j = np.array(pairs, dtype=np.int64).T
     values = np.array([float(c) for c in monomials.values()])
-    apart = i != j
-    rows, columns = np.concatenate([i, j[apart]]), np.concatenate([j, i[apart]])
-    return rows, columns, np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
+    off_diagonal = i != j
+    rows, columns = np.concatenate([i, j[off_diagonal]]), np.concatenate([j, i[off_diagonal]])
+    return rows, columns, np.concatenate([np.where(off_diagonal, values, 2.0 * values), values[off_diagonal]])
 
 
 # Cached, since scans over constants subtract the same Casimir repeatedly.
-_cached_entries = lru_cache(maxsize=256)(_entries)
+_cached_entries = lru_cache(maxsize=256)(_compute_entries)
 
 
 def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
@@ -94,10 +94,10 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     unknown = [name for name, _ in shift if name not in casimirs]
     if unknown:
         raise ValueError(f"the shift names {unknown[0]!r}; the quadratic Casimirs are {', '.join(map(repr, casimirs))}")
-    own = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-    if own is None:
+    index = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+    if index is None:
         raise ValueError("a shift needs a quadratic term in the Hamiltonian, outside the pieces of a SplitHamiltonian")
-    term = terms[own].form
+    term = terms[index].form
     assert term is not None
     entries = [(term.rows, term.indices, term.values)]
     for name, factor in shift:
@@ -110,11 +110,11 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     if cells is None:
         cells, flat = np.unique(flat, return_inverse=True)
     total: NDArray[Any] = np.bincount(flat, weights=values, minlength=len(cells))
-    kept = np.abs(total) > ROUNDING * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
-    rows, columns = np.divmod(cells[kept], n)
+    nonzero = np.abs(total) > ROUNDING * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
+    rows, columns = np.divmod(cells[nonzero], n)
     indptr = np.searchsorted(rows, np.arange(n + 1))
-    changed = QuadraticTerm(indptr, columns, total[kept], term.linear, term.constant)
-    return (*terms[:own], changed, *terms[own + 1 :])
+    changed = QuadraticTerm(indptr, columns, total[nonzero], term.linear, term.constant)
+    return (*terms[:index], changed, *terms[index + 1 :])
 
 
 def candidate_shifts(
@@ -128,9 +128,11 @@ def candidate_shifts(
     quadratic = [form for form in forms if form is not None]
     if not quadratic or not casimirs:
         return
-    own = quadratic[0].rows == quadratic[0].indices
-    diagonal = dict(zip(quadratic[0].indices[own].tolist(), quadratic[0].values[own].tolist(), strict=True))
-    holders = _holders(casimirs)
+    on_diagonal = quadratic[0].rows == quadratic[0].indices
+    diagonal = dict(
+        zip(quadratic[0].indices[on_diagonal].tolist(), quadratic[0].values[on_diagonal].tolist(), strict=True)
+    )
+    holders = _casimirs_by_square(casimirs)
     seen: set[Shift] = {()}
     edges = parts.forms.start[parts.angle]
     for first, last in pairwise(edges.tolist()):
@@ -140,36 +142,72 @@ def candidate_shifts(
         for coordinate in coordinates:
             for name, entry in holders.get(coordinate, [])[:1]:
                 factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
-        together = tuple((name, factor) for name, factor in sorted(factors.items()) if factor)
-        if together not in seen:
-            seen.add(together)
-            yield together
+        joint = tuple((name, factor) for name, factor in sorted(factors.items()) if factor)
+        if joint not in seen:
+            seen.add(joint)
+            yield joint
         for coordinate in coordinates if len(casimirs) <= 4 else []:
             for name, entry in holders.get(coordinate, []):
-                alone: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
-                if alone[0][1] and alone not in seen:
-                    seen.add(alone)
-                    yield alone
+                single: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
+                if single[0][1] and single not in seen:
+                    seen.add(single)
+                    yield single
     if len(casimirs) == 1 and system.dim <= MAX_SINGULAR_DIMENSION:
         ((name, casimir),) = casimirs.items()
         term = quadratic[0]
         matrices = (term.rows, term.indices, term.values), casimir[1:]
-        for factor in singular_factors(*(_dense(system.dim, *entries) for entries in matrices)):
+        for factor in singular_factors(*(_dense_matrix(system.dim, *entries) for entries in matrices)):
             if ((name, factor),) not in seen:
                 yield ((name, factor),)
 
 
-def _holders(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:
+def _casimirs_by_square(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:
     """Return for each coordinate the Casimirs with its square, and their diagonal entries."""
-    found: dict[int, list[tuple[str, float]]] = {}
+    holders: dict[int, list[tuple[str, float]]] = {}
     for name, casimir in casimirs.items():
-        own = casimir.rows == casimir.columns
-        for coordinate, value in zip(casimir.rows[own].tolist(), casimir.values[own].tolist(), strict=True):
-            found.setdefault(coordinate, []).append((name, value))
-    return found
+        on_diagonal = casimir.rows == casimir.columns
+        for coordinate, value in zip(
+            casimir.rows[on_diagonal].tolist(), casimir.values[on_diagonal].tolist(), strict=True
+        ):
+            holders.setdefault(coordinate, []).append((name, value))
+    return holders
 
 
-def _dense(n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _dense_matrix(
+    n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
     matrix = np.zeros((n, n))
     matrix[rows, columns] = values
     return matrix
+
+
+def count_parts(
+    system: LiePoissonSystem, casimirs: Mapping[str, QuadraticCasimir], shifts: Sequence[Shift]
+) -> NDArray[np.int64]:
+    """Count the parts of ``"auto"`` after each shift; 0 if they must be built to be counted.
+
+    Available if M and the Casimirs are diagonal, and the parts too many to be joined in more than one order.
+    """
+    counts = np.zeros(len(shifts), dtype=np.int64)
+    terms = system.hamiltonian.terms()
+    term = terms[0].form
+    if not shifts or len(terms) > 1 or term is None or term.piece is not None:
+        return counts
+    used = {name for shift in shifts for name, _ in shift}
+    if np.any(term.rows != term.indices) or not all(casimirs[name].diagonal for name in used):
+        return counts
+    diagonal = np.zeros(system.dim)
+    diagonal[term.indices] = term.values
+    present = np.empty((system.dim, len(shifts)), dtype=bool)
+    for number, shift in enumerate(shifts):
+        total, size = diagonal.copy(), np.abs(diagonal)
+        for name, factor in shift:
+            casimir = casimirs[name]
+            total[casimir.rows] -= factor * casimir.values
+            size[casimir.rows] += np.abs(factor * casimir.values)
+        present[:, number] = (np.abs(total) > ROUNDING * size) | (term.linear != 0)
+    i, j, _, _ = system.algebra.triples
+    pairs = run_starts(i, j)
+    countable = np.flatnonzero(np.count_nonzero(present, axis=0) > MAX_REORDERED)
+    counts[countable] = count_groups(system.dim, i[pairs], j[pairs], present[:, countable])
+    return counts

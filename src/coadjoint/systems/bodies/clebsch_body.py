@@ -76,10 +76,10 @@ def clebsch_body(
     Traceback (most recent call last):
     ValueError: inverse_mass is not a Clebsch case: ... the nearest valid values are 0.833333, 1.33333, 1.83333; ...
     """
-    M, kept = inverse_inertia(read_vector(inertia, "inertia"))
+    M, moments = inverse_inertia(read_vector(inertia, "inertia"))
     c = read_vector(inverse_mass, "inverse_mass")
     try:
-        integral = _integral([Fraction(v) for v in kept], [Fraction(v) for v in c.tolist()])
+        integral = _integral([Fraction(v) for v in moments], [Fraction(v) for v in c.tolist()])
     except OverflowError:
         raise ValueError("products of inertia and inverse_mass leave the range of float64; take other units") from None
     return LiePoissonSystem(
@@ -87,29 +87,29 @@ def clebsch_body(
         Quadratic(np.concatenate([M, c])),
         sign=-1,
         name="clebsch_body",
-        parameters={"inertia": kept, "inverse_mass": tuple(c.tolist())},
+        parameters={"inertia": moments, "inverse_mass": tuple(c.tolist())},
         integrals={"F": integral},
     )
 
 
 def _integral(I: list[Fraction], c: list[Fraction]) -> Quadratic:
     """Return the additional integral; raise ValueError if the moments and coefficients are not a Clebsch case."""
-    others = ((1, 2), (2, 0), (0, 1))
+    pairs = ((1, 2), (2, 0), (0, 1))
     if I[0] == I[1] == I[2]:
-        return _diagonal([2 * v for v in c], [-2 * I[0] * c[j] * c[k] for j, k in others])
-    terms = [(c[j] - c[k]) * I[i] for i, (j, k) in enumerate(others)]
+        return _diagonal([2 * v for v in c], [-2 * I[0] * c[j] * c[k] for j, k in pairs])
+    terms = [(c[j] - c[k]) * I[i] for i, (j, k) in enumerate(pairs)]
     mean = sum(I, Fraction(0)) / 3
     beta = sum((v * (w - mean) for v, w in zip(c, I, strict=True)), Fraction(0)) / sum((w - mean) ** 2 for w in I)
     alpha = sum(c, Fraction(0)) / 3 - beta * mean
-    size = sum(abs(v * (abs(I[j]) + abs(I[k]))) for v, (j, k) in zip(c, others, strict=True))
-    missed = sum(terms, Fraction(0))
-    if abs(missed) > 8 * UNIT_ROUNDOFF * size:
+    size = sum(abs(v * (abs(I[j]) + abs(I[k]))) for v, (j, k) in zip(c, pairs, strict=True))
+    defect = sum(terms, Fraction(0))
+    if abs(defect) > 8 * UNIT_ROUNDOFF * size:
         nearest = ", ".join(f"{float(alpha + beta * w):.6g}" for w in I)
         raise ValueError(
-            f"inverse_mass is not a Clebsch case: (c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 is {float(missed):.3g} "
+            f"inverse_mass is not a Clebsch case: (c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 is {float(defect):.3g} "
             f"and must vanish; the nearest valid values are {nearest}; otherwise use kirchhoff_body"
         )
-    return _diagonal([Fraction(2)] * 3, [-2 * beta * I[j] * I[k] for j, k in others])
+    return _diagonal([Fraction(2)] * 3, [-2 * beta * I[j] * I[k] for j, k in pairs])
 
 
 def _diagonal(of_m: list[Fraction], of_p: list[Fraction]) -> Quadratic:

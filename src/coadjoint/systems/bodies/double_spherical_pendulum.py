@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.heisenberg import heisenberg
+from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.double_pendulum_energy import pendulum_energy
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.unit_range import read_in_range
 from coadjoint.validation import read_finite
 
 
@@ -107,8 +107,8 @@ def _pair(argument: Any, what: str) -> tuple[float, float]:
     numbers = read_finite(argument, what)
     if numbers.shape != (2,):
         raise ValueError(f"{what} has shape {numbers.shape}; give two numbers, the first of the rod at the pivot")
-    one, two = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers.tolist()))
-    return one, two
+    first, second = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers.tolist()))
+    return first, second
 
 
 @cache
@@ -126,13 +126,13 @@ def _integrals(gravity: float) -> dict[str, Quadratic]:
             M[j, i] += value
         return Quadratic(M)
 
-    found = {}
+    integrals = {}
     for k in (0, 1):
         q, p = 3 * k, 6 + 3 * k
-        found[f"|q{k + 1}|^2"] = form(*((q + i, q + i, 1.0) for i in range(3)))
-        found[f"q{k + 1}.p{k + 1}"] = form(*((q + i, p + i, 1.0) for i in range(3)))
+        integrals[f"|q{k + 1}|^2"] = form(*((q + i, q + i, 1.0) for i in range(3)))
+        integrals[f"q{k + 1}.p{k + 1}"] = form(*((q + i, p + i, 1.0) for i in range(3)))
     for axis in range(3) if gravity == 0.0 else (2,):
         i, j = (axis + 1) % 3, (axis + 2) % 3
         pairs = [(3 * k + i, 6 + 3 * k + j, 1.0) for k in (0, 1)] + [(3 * k + j, 6 + 3 * k + i, -1.0) for k in (0, 1)]
-        found[f"total L{axis + 1}"] = form(*pairs)
-    return found
+        integrals[f"total L{axis + 1}"] = form(*pairs)
+    return integrals

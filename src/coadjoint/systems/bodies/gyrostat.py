@@ -10,8 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
-from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
+from coadjoint.systems.bodies.inertia import (
+    axis_of_symmetry,
+    inverse_inertia,
+    momentum_along,
+    principal,
+    read_vector,
+    warn_unphysical_inertia,
+)
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import (
     check_finite_states,
@@ -20,8 +26,7 @@ from coadjoint.systems.closed_forms.closed_form import (
     with_group_element,
 )
 from coadjoint.systems.closed_forms.free_rigid_body import fixed_axis
-from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -96,8 +101,8 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     >>> s.energy([0.0, 0.0, 2.5])
     0.0
     """
-    M, kept = inverse_inertia(inertia)
-    warn_unphysical_inertia(kept)
+    M, moments = inverse_inertia(inertia)
+    warn_unphysical_inertia(moments)
     k = read_vector(rotors, "rotors")
     with np.errstate(over="ignore", invalid="ignore"):
         rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
@@ -113,7 +118,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
         H,
         sign=-1,
         name="gyrostat",
-        parameters={"inertia": kept, "rotors": tuple(k.tolist())},
+        parameters={"inertia": moments, "rotors": tuple(k.tolist())},
         exact=None if axis is None or m is None else partial(_symmetric, m, k, axis),
         integrals=momentum_along(axis, "x", 3),
     )
@@ -130,9 +135,9 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
     n = float(m[np.argmin(np.abs(axis))])
     with np.errstate(over="ignore", invalid="ignore"):
         spin = float((axis * ((m - n) * start - m * k)).sum()) * axis
-        several = np.atleast_1d(times)
-        turned = fixed_axis(spin, several)
-        x, A = start @ turned, first @ fixed_axis(n * start, several) @ turned
+        time_array = np.atleast_1d(times)
+        rotation = fixed_axis(spin, time_array)
+        x, A = start @ rotation, first @ fixed_axis(n * start, time_array) @ rotation
     check_finite_states(np.concatenate([x.ravel(), A.ravel()]), start, times)
     if times.ndim == 0:
         x, A = x[0], A[0]

@@ -10,9 +10,15 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import axis_of_symmetry, inverse_inertia, momentum_along, read_vector
-from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
-from coadjoint.systems.closed_forms.kovalevskaya_integral import kovalevskaya_integral
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.inertia import (
+    axis_of_symmetry,
+    inverse_inertia,
+    momentum_along,
+    principal,
+    read_vector,
+    warn_unphysical_inertia,
+)
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -90,10 +96,10 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     >>> heavy_top(inertia=(2.0, 1.0, 1.0), lever=(3.0, 0.0, 0.0)).integrals
     {'m1': x1}
     """
-    M, kept = inverse_inertia(inertia)
-    warn_unphysical_inertia(kept, "e(3)")
+    M, moments = inverse_inertia(inertia)
+    warn_unphysical_inertia(moments, "e(3)")
     w = read_vector(lever, "lever")
-    return top_under_gravity(M, w, "heavy_top", {"inertia": kept, "lever": tuple(w.tolist())})
+    return top_under_gravity(M, w, "heavy_top", {"inertia": moments, "lever": tuple(w.tolist())})
 
 
 def top_under_gravity(M: Floats, lever: Floats, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
@@ -104,14 +110,39 @@ def top_under_gravity(M: Floats, lever: Floats, name: str, parameters: dict[str,
     >>> top_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]), "top", {}).integrals.keys()
     dict_keys(['K'])
     """
-    whole = np.zeros((6, 6))
-    whole[:3, :3] = M if M.ndim == 2 else np.diag(M)
-    H = Quadratic(whole, linear=np.concatenate([np.zeros(3), lever]))
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = M if M.ndim == 2 else np.diag(M)
+    H = Quadratic(matrix, linear=np.concatenate([np.zeros(3), lever]))
     integrals = momentum_along(axis_of_symmetry(M, lever), "m", 6)
     K = kovalevskaya_integral(M, lever)
     if K is not None:
         integrals["K"] = K
     return LiePoissonSystem(rigid_motions(), H, sign=-1, name=name, parameters=parameters, integrals=integrals)
+
+
+def kovalevskaya_integral(M: npt.NDArray[np.float64], lever: npt.NDArray[np.float64]) -> Polynomial | None:
+    """Return ``|(m_a + i m_b)^2 / (2 A) - (l_a + i l_b)(gamma_a + i gamma_b)|^2`` in six coordinates, or None.
+
+    The top has it if the inverse inertia M, (3,) or (3, 3), is 1/A, 1/A and 2/A along coordinates a, b, c, and `lever`,
+    weight times position of the center of mass, is orthogonal to c.
+
+    Examples
+    --------
+    >>> kovalevskaya_integral(np.array([1.0, 1.0, 2.0]), np.zeros(3))
+    0.25*x1^4 + 0.5*x1^2*x2^2 + 0.25*x2^4
+    """
+    m = principal(M)
+    if m is None:
+        return None
+    for c in range(3):
+        a, b = (c + 1) % 3, (c + 2) % 3
+        if m[a] == m[b] and m[c] == 2.0 * m[a] and lever[c] == 0.0:
+            half, u, v = 0.5 * float(m[a]), float(lever[a]), float(lever[b])
+            ma, mb, ga, gb = (Polynomial.variable(i, 6) for i in (a, b, a + 3, b + 3))
+            real = half * (ma**2 - mb**2) - (u * ga - v * gb)
+            imaginary = 2.0 * half * ma * mb - (u * gb + v * ga)
+            return real**2 + imaginary**2
+    return None
 
 
 @cache

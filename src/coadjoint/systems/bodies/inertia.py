@@ -1,7 +1,9 @@
-"""Moments of inertia: validation of principal moments or a tensor, and their correctly rounded inverse."""
+"""Moments of inertia and other parameters of bodies: validation, correctly rounded inverses, and warnings."""
 
 from __future__ import annotations
 
+import sys
+import warnings
 from fractions import Fraction
 from typing import Any
 
@@ -11,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.validation import check_finite, read_finite, read_number, read_numbers
+from coadjoint.validation import check_finite, read_finite, read_number, read_numbers, read_positive
 
 MIN_MOMENT = 2.0**-1022
 
@@ -26,12 +28,12 @@ def inverse_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> tuple[npt.
     >>> inverse_inertia((1, 2, 4))
     (array([1.  , 0.5 , 0.25]), (1.0, 2.0, 4.0))
     """
-    given = read_numbers(inertia, what)
-    if given.shape not in ((3,), (3, 3)):
-        raise ValueError(f"{what} has shape {given.shape}; give three principal moments, or a symmetric (3, 3)")
-    check_finite(given, what)
-    M = 1.0 / positive_moments(given, what) if given.ndim == 1 else inverse_of(given, what)
-    return M, plain(given)
+    array = read_numbers(inertia, what)
+    if array.shape not in ((3,), (3, 3)):
+        raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
+    check_finite(array, what)
+    M = 1.0 / positive_moments(array, what) if array.ndim == 1 else inverse_of(array, what)
+    return M, plain(array)
 
 
 def plain(array: npt.NDArray[np.float64]) -> Any:
@@ -47,10 +49,10 @@ def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.
     >>> read_vector((1, 2, 3), "lever")
     array([1., 2., 3.])
     """
-    given = read_finite(values, what)
-    if given.shape != (n,):
-        raise ValueError(f"{what} has shape {given.shape}; give {n} finite numbers")
-    return given
+    vector = read_finite(values, what)
+    if vector.shape != (n,):
+        raise ValueError(f"{what} has shape {vector.shape}; give {n} finite numbers")
+    return vector
 
 
 def principal(M: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
@@ -99,28 +101,30 @@ def momentum_along(axis: npt.NDArray[np.float64] | None, letter: str, n: int) ->
     """
     if axis is None:
         return {}
-    along = axis.tolist()
-    name = f"{letter}{along.index(1.0) + 1}" if 1.0 in along else f"{letter} along the axis"
-    return {name: sum((v * Polynomial.variable(i, n) for i, v in enumerate(along) if v), 0 * Polynomial.variable(0, n))}
+    components = axis.tolist()
+    name = f"{letter}{components.index(1.0) + 1}" if 1.0 in components else f"{letter} along the axis"
+    return {
+        name: sum((v * Polynomial.variable(i, n) for i, v in enumerate(components) if v), 0 * Polynomial.variable(0, n))
+    }
 
 
 def positive_moments(moments: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
     """Return moments that are positive and have finite inverses; raise ValueError for the first that does not."""
     for i, moment in enumerate(moments.tolist()):
-        place = f"[{i}]" if len(moments) > 1 else ""
+        index = f"[{i}]" if len(moments) > 1 else ""
         if moment <= 0.0:
-            raise ValueError(f"{what}{place} is {moment:g}; every principal moment must be positive")
+            raise ValueError(f"{what}{index} is {moment:g}; every principal moment must be positive")
         if moment < MIN_MOMENT:
-            raise ValueError(f"{what}{place} is {moment:g}, and its inverse overflows; take larger units")
+            raise ValueError(f"{what}{index} is {moment:g}, and its inverse overflows; take larger units")
     return moments
 
 
 def moments_of(size: float, what: str, ratios: tuple[float, ...] = (1.0,)) -> tuple[npt.NDArray[np.float64], float]:
     """Return inverse moments with the given ratios (powers of two) to that of `size`, and the validated size."""
-    given = read_number(size, what)
-    for moment in (given, given * min(ratios)):
+    value = read_number(size, what)
+    for moment in (value, value * min(ratios)):
         positive_moments(np.array([moment]), what)
-    return 1.0 / given / np.array(ratios), given
+    return 1.0 / value / np.array(ratios), value
 
 
 def check_symmetric_matrix(matrix: npt.NDArray[np.float64], what: str) -> None:
@@ -151,8 +155,74 @@ def inverse_of(matrix: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.flo
         q[c] = [entry / q[c][c] for entry in q[c]]
         for i in range(n):
             if i != c and q[i][c]:
-                q[i] = [entry - q[i][c] * above for entry, above in zip(q[i], q[c], strict=True)]
+                q[i] = [entry - q[i][c] * pivot for entry, pivot in zip(q[i], q[c], strict=True)]
     try:
         return np.array([[float(entry) for entry in row[n:]] for row in q])
     except OverflowError:
         raise ValueError(f"{what} {short(matrix.tolist())} has an inverse that overflows; take larger units") from None
+
+
+MAX_MAGNITUDE = 1e30
+
+
+def read_in_range(value: Any, what: str, zero: bool = False) -> float:
+    """Return a positive number between 1e-30 and 1e30, or zero if that is allowed; `what` is its name in messages."""
+    if zero and read_number(value, what) == 0.0:
+        return 0.0
+    number = read_positive(value, what)
+    if not 1 / MAX_MAGNITUDE <= number <= MAX_MAGNITUDE:
+        raise ValueError(
+            f"{what} is {number:g}; take units in which it is between {1 / MAX_MAGNITUDE:g} and {MAX_MAGNITUDE:g}"
+        )
+    return number
+
+
+ROUNDING_TOLERANCE = 64 * UNIT_ROUNDOFF  # relative tolerance for rounded input
+_QUADRATIC_FORM_HINT = "for another quadratic form use co.LiePoissonSystem(co.algebras.{}, co.Quadratic(...), sign=-1)"
+
+
+def warn_unphysical_inertia(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what: str = "inertia") -> None:
+    """Warn if a principal moment exceeds the sum of the other two by more than round-off (equal in a flat body).
+
+    `inertia` is (3,) or (3, 3), validated; `algebra` is the one suggested for a quadratic form, None for bodies only.
+
+    Examples
+    --------
+    >>> warn_unphysical_inertia((1.0, 2.0, 3.0))
+    >>> with warnings.catch_warnings(record=True) as noticed:
+    ...     warnings.simplefilter("always")
+    ...     warn_unphysical_inertia((1.0, 1.0, 5.0))
+    >>> len(noticed)
+    1
+    """
+    array = np.asarray(inertia, dtype=np.float64)
+    tensor = np.diag(array) if array.ndim == 1 else array
+    # Scaling keeps the ratios of the moments, and their sum does not overflow.
+    scaled = tensor / np.abs(tensor).max()
+    moments = np.diag(scaled) if array.ndim == 1 else np.linalg.eigvalsh(scaled)
+    if 2.0 * moments.max() - moments.sum() > ROUNDING_TOLERANCE * moments.sum():
+        text = f"{what}: a principal moment exceeds the sum of the other two, which no body has"
+        _warn(text if algebra is None else f"{text}; {_QUADRATIC_FORM_HINT.format(algebra)}")
+
+
+def warn_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
+    """Warn if a second moment of the mass, (n,) principal or (n, n), is negative by more than round-off.
+
+    Examples
+    --------
+    >>> warn_negative_mass(np.array([0.0, 1.0, 2.0]))
+    """
+    principal = second_moments if second_moments.ndim == 1 else np.linalg.eigvalsh(second_moments)
+    if principal.min() < -ROUNDING_TOLERANCE * np.abs(principal).max():
+        _warn(
+            "inertia: a second moment of the mass is negative, which no body has; "
+            f"{_QUADRATIC_FORM_HINT.format(f'so({len(principal)})')}"
+        )
+
+
+def _warn(text: str) -> None:
+    """Warn at the innermost calling line outside the package, so that Python's filter shows it once per line."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] == "coadjoint":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, UserWarning, stacklevel=level + 1)

@@ -86,25 +86,25 @@ def kirchhoff_body(
     >>> kirchhoff_body(inertia=(1, 1, 2), mass=(2, 2, 1)).integrals
     {'m3': x3}
     """
-    A, kept = inverse_inertia(inertia)
+    A, moments = inverse_inertia(inertia)
     C, masses = inverse_inertia(mass, "mass")
     B = read_finite(coupling, "coupling")
     if B.shape != (3, 3):
         raise ValueError(f"coupling has shape {B.shape}; give a finite (3, 3)")
-    whole = np.zeros((6, 6))
+    matrix = np.zeros((6, 6))
     if B.any():
-        for block, given in ((slice(0, 3), kept), (slice(3, 6), masses)):
-            whole[block, block] = np.diag(given) if np.ndim(given) == 1 else given
-        whole[:3, 3:], whole[3:, :3] = B, B.T
-        whole = inverse_of(whole, "the matrix of inertia, coupling and mass")
+        for block, values in ((slice(0, 3), moments), (slice(3, 6), masses)):
+            matrix[block, block] = np.diag(values) if np.ndim(values) == 1 else values
+        matrix[:3, 3:], matrix[3:, :3] = B, B.T
+        matrix = inverse_of(matrix, "the matrix of inertia, coupling and mass")
     else:
-        whole[:3, :3], whole[3:, 3:] = (np.diag(M) if M.ndim == 1 else M for M in (A, C))
+        matrix[:3, :3], matrix[3:, 3:] = (np.diag(M) if M.ndim == 1 else M for M in (A, C))
     return LiePoissonSystem(
         rigid_motions(),
-        Quadratic(whole),
+        Quadratic(matrix),
         sign=-1,
         name="kirchhoff_body",
-        parameters={"inertia": kept, "mass": masses, "coupling": plain(B)},
+        parameters={"inertia": moments, "mass": masses, "coupling": plain(B)},
         integrals={} if B.any() else _of_revolution(A, C),
     )
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.systems.bodies.heavy_top import top_under_gravity
-from coadjoint.systems.bodies.inertia import moments_of
-from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
+from coadjoint.systems.bodies.inertia import moments_of, warn_unphysical_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -72,8 +71,11 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     >>> top.integrals
     {'m3': x3}
     """
-    (across, one), (about, other) = moments_of(equatorial, "equatorial"), moments_of(axial, "axial")
-    M, height = np.concatenate([across, across, about]), read_number(lever, "lever")
-    warn_unphysical_inertia((one, one, other), "e(3)", "axial")
-    parameters = {"equatorial": one, "axial": other, "lever": height}
+    (m_equatorial, equatorial_moment), (m_axial, axial_moment) = (
+        moments_of(equatorial, "equatorial"),
+        moments_of(axial, "axial"),
+    )
+    M, height = np.concatenate([m_equatorial, m_equatorial, m_axial]), read_number(lever, "lever")
+    warn_unphysical_inertia((equatorial_moment, equatorial_moment, axial_moment), "e(3)", "axial")
+    parameters = {"equatorial": equatorial_moment, "axial": axial_moment, "lever": height}
     return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)

@@ -74,18 +74,18 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     >>> top.integrals["X^2 a"].value([1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     14.0
     """
-    left = read_finite(a, "a")
-    if left.ndim != 1 or left.size < 3:
-        raise ValueError(f"a has shape {left.shape}; give n numbers, n from 3")
-    right = read_vector(b, "b", left.size)
-    algebra = rotations(left.size)
-    first, second = planes(left.size)
+    a_values = read_finite(a, "a")
+    if a_values.ndim != 1 or a_values.size < 3:
+        raise ValueError(f"a has shape {a_values.shape}; give n numbers, n from 3")
+    b_values = read_vector(b, "b", a_values.size)
+    algebra = rotations(a_values.size)
+    first, second = planes(a_values.size)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        below, above = left[first] - left[second], right[first] - right[second]
-        M = above / below
-    if not below.all():
-        i, j = sorted((int(first[below == 0][0]), int(second[below == 0][0])))
-        raise ValueError(f"a[{i}] and a[{j}] are both {left[i]:g}; give different numbers")
+        denominators, numerators = a_values[first] - a_values[second], b_values[first] - b_values[second]
+        M = numerators / denominators
+    if not denominators.all():
+        i, j = sorted((int(first[denominators == 0][0]), int(second[denominators == 0][0])))
+        raise ValueError(f"a[{i}] and a[{j}] are both {a_values[i]:g}; give different numbers")
     if not np.isfinite(M).all():
         raise ValueError("a quotient (b_i - b_j)/(a_i - a_j) overflows; take smaller b, or a farther apart")
     return LiePoissonSystem(
@@ -93,6 +93,6 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
         Quadratic(M),
         sign=-1,
         name="manakov_top",
-        parameters={"a": tuple(left.tolist()), "b": tuple(right.tolist())},
-        integrals=manakov_integrals(left),
+        parameters={"a": tuple(a_values.tolist()), "b": tuple(b_values.tolist())},
+        integrals=manakov_integrals(a_values),
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, MatrixAlgebra
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
+from coadjoint.systems.bodies.inertia import warn_negative_mass
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Weights

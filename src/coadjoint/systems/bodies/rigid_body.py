@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import inverse_inertia
-from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
+from coadjoint.systems.bodies.inertia import inverse_inertia, warn_unphysical_inertia
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -73,9 +72,9 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     >>> s.exact([1.0, 2.0, 4.0], 0.0)
     array([1., 2., 4.])
     """
-    M, kept = inverse_inertia(inertia)
-    warn_unphysical_inertia(kept)
-    return so3_body(M, sign=-1, name="rigid_body", parameters={"inertia": kept})
+    M, moments = inverse_inertia(inertia)
+    warn_unphysical_inertia(moments)
+    return so3_body(M, sign=-1, name="rigid_body", parameters={"inertia": moments})
 
 
 def so3_body(M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:

@@ -8,22 +8,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.heisenberg import heisenberg
 from coadjoint.algebra.families.orthogonal import so
+from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.bodies.inertia_warnings import warn_unphysical_inertia
+from coadjoint.systems.bodies.inertia import read_in_range, warn_unphysical_inertia
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.kepler import kepler
-from coadjoint.systems.closed_forms.spin_precession import turned
+from coadjoint.systems.closed_forms.spins import rotate_about
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.unit_range import read_in_range
 from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
@@ -31,9 +30,9 @@ Floats = npt.NDArray[np.float64]
 
 def _librating() -> npt.NDArray[np.float64]:
     """Return a circular orbit of radius 5, the body rotated from the radius by 40 degrees and slightly out of plane."""
-    radius, mass, turned = 5.0, 100.0, np.radians(40.0)
+    radius, mass, angle = 5.0, 100.0, np.radians(40.0)
     rate = radius**-1.5
-    c, s = np.cos(turned), np.sin(turned)
+    c, s = np.cos(angle), np.sin(angle)
     return np.array(
         [0.005, 0.0, 2.5 * rate, *(mass * radius * rate * np.array([s, c, 0.0])), c * radius, -s * radius, 0.0, 1.0]
     )
@@ -56,7 +55,7 @@ def _pitch(x: Any) -> Any:
             Picture(
                 "directions",
                 vectors={"radius": (6, 7, 8), "momentum": (3, 4, 5)},
-                title="as the body sees them",
+                title="in the body frame",
                 view=(55.0, 25.0),
             ),
         ),
@@ -115,26 +114,26 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     moments = read_finite(inertia, "inertia")
     if moments.shape != (3,):
         raise ValueError(f"inertia has shape {moments.shape}; give three principal moments")
-    read = (
+    arguments = (
         *((f"inertia[{i}]", value) for i, value in enumerate(moments.tolist())),
         ("mass", mass),
         ("gravity", gravity),
     )
-    first, second, third, mass, gravity = (read_in_range(value, what) for what, value in read)
+    first, second, third, mass, gravity = (read_in_range(value, what) for what, value in arguments)
     principal = (first, second, third)
     warn_unphysical_inertia(principal, None)
-    turning = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
+    rotations = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
     H = SplitHamiltonian(
-        [*turning, ((3, 4, 5), Quadratic(1 / mass)), ((6, 7, 8), _potential(principal, mass, gravity))]
+        [*rotations, ((3, 4, 5), Quadratic(1 / mass)), ((6, 7, 8), _potential(principal, mass, gravity))]
     )
     return LiePoissonSystem(
         _algebra(),
         H,
         sign=-1,
-        casimirs={"z": Polynomial.variable(9, 10), "|total L|^2": _total()},
+        casimirs={"z": Polynomial.variable(9, 10), "|total L|^2": _total_momentum_squared()},
         name="satellite",
         parameters={"inertia": principal, "mass": mass, "gravity": gravity},
-        exact=partial(_ball, first, mass, gravity) if first == second == third else None,
+        exact=partial(_spherical_motion, first, mass, gravity) if first == second == third else None,
         integrals={
             f"L{k + 1}": Polynomial.variable(k, 10) for k in range(3) if principal[k - 1] == principal[(k + 1) % 3]
         },
@@ -144,21 +143,21 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
 @cache
 def _algebra() -> LieAlgebra:
     """Return so(3) acting on (p, r, z); with the body sign, z = [p, r] makes r' = dH/dp."""
-    turns = so(3).representation
-    flat = heisenberg(3).representation
-    assert turns is not None and flat is not None
-    acting = np.zeros((3, 7, 7))
-    acting[:, :3, :3] = acting[:, 3:6, 3:6] = turns
-    g = semidirect(so(3), acting, heisenberg(3))
+    rotation_matrices = so(3).representation
+    heisenberg_matrices = heisenberg(3).representation
+    assert rotation_matrices is not None and heisenberg_matrices is not None
+    action = np.zeros((3, 7, 7))
+    action[:, :3, :3] = action[:, 3:6, 3:6] = rotation_matrices
+    g = semidirect(so(3), action, heisenberg(3))
     matrices = np.zeros((10, 5, 5))
-    matrices[:3, 1:4, 1:4], matrices[3:] = turns, flat
+    matrices[:3, 1:4, 1:4], matrices[3:] = rotation_matrices, heisenberg_matrices
     basis = ("L1", "L2", "L3", "p1", "p2", "p3", "r1", "r2", "r3", "z")
     return LieAlgebra(
         np.column_stack([*g.triples]), dim=10, basis=basis, name="so(3) ⋉ heisenberg(3)", representation=matrices
     )
 
 
-def _total() -> Polynomial:
+def _total_momentum_squared() -> Polynomial:
     """Return |z L + r cross p|^2."""
     L1, L2, L3, p1, p2, p3, r1, r2, r3, z = (Polynomial.variable(k, 10) for k in range(10))
     total = z * L1 + r2 * p3 - r3 * p2, z * L2 + r3 * p1 - r1 * p3, z * L3 + r1 * p2 - r2 * p1
@@ -179,32 +178,32 @@ def _potential(moments: tuple[float, float, float], mass: float, gravity: float)
     def gradient(r: Any) -> Any:
         square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
         along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
-        common = mass + (3 * trace - 15 * along) / (2 * square)
+        factor = mass + (3 * trace - 15 * along) / (2 * square)
         strength = gravity / (square * np.sqrt(square))
         slope = 0 * r
-        slope[0] = strength * (common + 3 * a / square) * r[0]
-        slope[1] = strength * (common + 3 * b / square) * r[1]
-        slope[2] = strength * (common + 3 * c / square) * r[2]
+        slope[0] = strength * (factor + 3 * a / square) * r[0]
+        slope[1] = strength * (factor + 3 * b / square) * r[1]
+        slope[2] = strength * (factor + 3 * c / square) * r[2]
         return slope
 
     def hessian(r: Any) -> Any:
-        own = np.array([a, b, c])
+        moment = np.array([a, b, c])
         square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
         along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
-        common = mass + (3 * trace - 15 * along) / (2 * square)
+        factor = mass + (3 * trace - 15 * along) / (2 * square)
         strength = gravity / (square * np.sqrt(square))
-        bent = -3 * mass + (105 * along - 15 * trace) / (2 * square)
+        curvature = -3 * mass + (105 * along - 15 * trace) / (2 * square)
         result = np.outer(r, r)
         for i in range(3):
             for j in range(3):
-                result[i, j] *= strength / square * (bent - 15 * (own[i] + own[j]) / square)
-            result[i, i] += strength * (common + 3 * own[i] / square)
+                result[i, j] *= strength / square * (curvature - 15 * (moment[i] + moment[j]) / square)
+            result[i, i] += strength * (factor + 3 * moment[i] / square)
         return result
 
     return Hamiltonian(value, gradient, hessian)
 
 
-def _ball(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
+def _spherical_motion(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
     """Return the torque-free motion for equal moments: a Kepler orbit in a uniformly rotating body frame.
 
     At a value z of the central coordinate the orbit evolves in the time z t.
@@ -213,7 +212,7 @@ def _ball(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude
     start, times = start_and_times(x0, t, 10)
     L, p, r, z = start[:3], start[3:6], start[6:9], start[9]
     with np.errstate(over="ignore", invalid="ignore"):
-        place, velocity = kepler(r, p / mass, gravity, np.atleast_1d(z * times))
-        seen = [turned(v.reshape(*times.shape, 3), L / inertia, times) for v in (mass * velocity, place)]
-    spin, one = np.broadcast_to(L, (*times.shape, 3)), np.broadcast_to(z, (*times.shape, 1))
-    return check_finite_states(np.concatenate([spin, *seen, one], axis=-1), start, times)
+        position, velocity = kepler(r, p / mass, gravity, np.atleast_1d(z * times))
+        in_body = [rotate_about(v.reshape(*times.shape, 3), L / inertia, times) for v in (mass * velocity, position)]
+    spin, central = np.broadcast_to(L, (*times.shape, 3)), np.broadcast_to(z, (*times.shape, 1))
+    return check_finite_states(np.concatenate([spin, *in_body, central], axis=-1), start, times)

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia import check_symmetric_matrix, plain
-from coadjoint.systems.bodies.inertia_warnings import warn_negative_mass
+from coadjoint.systems.bodies.inertia import check_symmetric_matrix, plain, warn_negative_mass
 from coadjoint.systems.closed_forms.manakov_integrals import (
     halves_of_so4,
     inverse_of_form,
@@ -94,28 +93,26 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
     >>> list(body.integrals)
     ['X^2 a', 'X^2 a^2']
     """
-    given = read_numbers(inertia, "inertia")
-    if given.ndim not in (1, 2) or given.shape[0] < 3 or given.shape != given.shape[:1] * given.ndim:
-        raise ValueError(f"inertia has shape {given.shape}; give n principal values, or a symmetric (n, n), n from 3")
-    check_finite(given, "inertia")
-    n = len(given)
-    if given.ndim == 2:
-        check_symmetric_matrix(given, "inertia")
-        given = np.triu(given) + np.triu(given, 1).T
-    least = np.sort(given if given.ndim == 1 else np.linalg.eigvalsh(given))[:2]
+    values = read_numbers(inertia, "inertia")
+    if values.ndim not in (1, 2) or values.shape[0] < 3 or values.shape != values.shape[:1] * values.ndim:
+        raise ValueError(f"inertia has shape {values.shape}; give n principal values, or a symmetric (n, n), n from 3")
+    check_finite(values, "inertia")
+    n = len(values)
+    if values.ndim == 2:
+        check_symmetric_matrix(values, "inertia")
+        values = np.triu(values) + np.triu(values, 1).T
+    smallest = np.sort(values if values.ndim == 1 else np.linalg.eigvalsh(values))[:2]
     with np.errstate(over="ignore"):
-        lightest = least.sum()
-    if lightest <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max()):
-        raise ValueError(
-            f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; give a positive sum"
-        )
-    warn_negative_mass(given)
+        least_sum = smallest.sum()
+    if least_sum <= (0.0 if values.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(values).max()):
+        raise ValueError(f"inertia has the principal values {short(smallest.tolist())}; their sum must be positive")
+    warn_negative_mass(values)
     algebra = rotations(n)
-    if given.ndim == 1:
+    if values.ndim == 1:
         first, second = planes(n)
         with np.errstate(over="ignore", divide="ignore"):
-            sums = given[first] + given[second]
-            M, a = 1.0 / sums, given**2
+            sums = values[first] + values[second]
+            M, a = 1.0 / sums, values**2
         if not (np.isfinite(sums).all() and np.isfinite(M).all()):
             raise ValueError(
                 "sums of two principal values of inertia or their inverses leave the range of float64; change units"
@@ -123,13 +120,13 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
     else:
         need = BYTES_PER_ENTRY * algebra.dim**2
         check_available_memory(need, f"the inverse of an inertia of dimension {n}", "give principal values")
-        exact = np.array([[Fraction(entry) for entry in row] for row in given.tolist()], dtype=object)
+        exact = np.array([[Fraction(entry) for entry in row] for row in values.tolist()], dtype=object)
         M, a = inverse_of_form(trace_form(exact, 1)), exact @ exact
     return LiePoissonSystem(
         algebra,
         Quadratic(M),
         sign=-1,
         name="so_n_body",
-        parameters={"inertia": plain(given)},
+        parameters={"inertia": plain(values)},
         integrals=manakov_integrals(a),
     )

@@ -29,14 +29,14 @@ def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
     rule = 'give a mapping such as {"lattice": "square", "shape": (10, 10)}, or None'
     if not isinstance(layout, Mapping) or not layout.keys() <= {"lattice", "shape"}:
         raise TypeError(f"layout is {short(layout)}; {rule}")
-    found = dict(layout)
-    if not isinstance(found.get("lattice"), str):
-        raise TypeError(f"the lattice of layout is {short(found.get('lattice'))}; {rule}")
-    if found.get("shape") is not None:
-        shape = found["shape"]
+    result = dict(layout)
+    if not isinstance(result.get("lattice"), str):
+        raise TypeError(f"the lattice of layout is {short(result.get('lattice'))}; {rule}")
+    if result.get("shape") is not None:
+        shape = result["shape"]
         cells = (shape,) if isinstance(shape, numbers.Integral) else read_list(shape, "the shape of layout", rule)
-        found["shape"] = tuple(read_integer(count, "the shape of layout") for count in cells)
-    return found
+        result["shape"] = tuple(read_integer(count, "the shape of layout") for count in cells)
+    return result
 
 
 def checked_closed_form(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:

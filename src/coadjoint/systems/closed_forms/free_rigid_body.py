@@ -1,4 +1,4 @@
-"""Closed-form solution of the free rigid body by Jacobi's elliptic functions.
+"""Closed-form solution of the free rigid body by Jacobi's elliptic functions, and systems equivalent to it.
 
 Body convention: ``x' = x cross (m x)``, ``A' = A hat(m x)``, m the inverse moments of inertia along the principal axes.
 For given L = |x| and energy T the axes are named a, b, c: c is the axis that x encircles, b the middle one, and
@@ -12,14 +12,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.closed_forms.closed_form import (
     check_finite_states,
     initial_group_element,
+    reject_attitude,
     start_and_times,
     with_group_element,
 )
@@ -32,6 +36,8 @@ from coadjoint.systems.closed_forms.phase_reduction import (
     remainders,
     working_bits,
 )
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Floats = npt.NDArray[np.float64]
 
@@ -59,10 +65,10 @@ def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
     bits = working_bits(t, _root(square), 6.0)
     with ctx.workprec(2 * bits):
         speed = ball(square).sqrt()
-        along = np.array([float(fraction_of(ball(v) / speed)) for v in exact])
-        _, rests = remainders(speed, 2 * arb.pi(), t, bits)
-    K = _cross_matrix(along)
-    angle = rests[:, None, None]
+        direction = np.array([float(fraction_of(ball(v) / speed)) for v in exact])
+        _, angles = remainders(speed, 2 * arb.pi(), t, bits)
+    K = _cross_matrix(direction)
+    angle = angles[:, None, None]
     return np.eye(3) + np.sin(angle) * K + 2.0 * np.sin(0.5 * angle) ** 2 * (K @ K)
 
 
@@ -148,10 +154,15 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
     # The phases contain the term u/(1 - nu) of the integral of the third kind: near the separatrix phi does not fix u.
     psi = phases.psi + phases.factor * (third[:-1] - third[-1])
     frames = _frames(x, c)
-    turn = np.zeros((t.size, 3, 3))
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = np.cos(psi), -np.sin(psi), np.sin(psi), np.cos(psi)
-    turn[:, 2, 2] = 1.0
-    return x[:-1], frames[-1].T @ turn @ frames[:-1]
+    rotation = np.zeros((t.size, 3, 3))
+    rotation[:, 0, 0], rotation[:, 0, 1], rotation[:, 1, 0], rotation[:, 1, 1] = (
+        np.cos(psi),
+        -np.sin(psi),
+        np.sin(psi),
+        np.cos(psi),
+    )
+    rotation[:, 2, 2] = 1.0
+    return x[:-1], frames[-1].T @ rotation @ frames[:-1]
 
 
 class _Phases:
@@ -181,7 +192,7 @@ class _Phases:
             factor = L * ball(ma - mc) / lam
             self.factor = float(factor)
             linear = L * ball(mc) + L * ball(ma - mc) / ball(1 - nu)
-            gained = arb(0)
+            gain = arb(0)
             counts = [0] * t.size
             if complement == 0:
                 self.u = np.array([float(fraction_of(lam * arb(time))) for time in t.tolist()])
@@ -191,8 +202,8 @@ class _Phases:
                 counts, self.u = remainders(lam, 4 * quarter, t, bits)
                 rest = square / ball(1 - nu)
                 over = rest / 3 * acb.elliptic_rj(acb(0), acb(square), one, acb(rest)).real
-                gained = -4 * factor * ball(nu / (1 - nu)) * over
-            _, self.psi = remainders(linear, 2 * arb.pi(), t, bits, gained, counts)
+                gain = -4 * factor * ball(nu / (1 - nu)) * over
+            _, self.psi = remainders(linear, 2 * arb.pi(), t, bits, gain, counts)
 
 
 def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False) -> Any:
@@ -217,3 +228,46 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     if times.ndim == 0:
         x, A = x[0], A[0]
     return with_group_element(x, A, attitude)
+
+
+Floats = npt.NDArray[np.float64]
+
+
+def rigid_body_equivalent(
+    constants: tuple[float, float, float],
+    masses: tuple[float, float, float],
+    casimirs: dict[str, Polynomial],
+    name: str,
+    parameters: dict[str, Any],
+) -> LiePoissonSystem:
+    """Return the system ``x1' = (c2 M3 - c3 M2) x2 x3`` and cyclic, ``H = x . M x / 2``, sign -1, with its closed form.
+
+    `constants` are those of ``[e2, e3] = c1 e1`` and cyclic, nonzero and of one sign; `masses` are the diagonal of M.
+
+    Examples
+    --------
+    >>> body = rigid_body_equivalent((1.0, 1.0, 2.0), (1.0, 2.0, 3.0), {}, "body", {})
+    >>> body.vector_field([1.0, 1.0, 1.0])
+    array([-1., -1.,  1.])
+    """
+    c1, c2, c3 = constants
+    return LiePoissonSystem(
+        LieAlgebra.from_brackets(3, {(1, 2): {0: c1}, (2, 0): {1: c2}, (0, 1): {2: c3}}, name=f"so(3) of {name}"),
+        Quadratic(masses),
+        sign=-1,
+        casimirs=casimirs,
+        name=name,
+        parameters=parameters,
+        exact=partial(_exact, np.array(constants), np.array(masses), name),
+    )
+
+
+def _exact(constants: Floats, masses: Floats, name: str, x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the closed form: y_i = x_i sqrt(c_i / c_1) is a rigid body with masses M_i c_1 / c_i in scaled time."""
+    reject_attitude(attitude, name)
+    start, times = start_and_times(x0, t, 3)
+    ratios = constants / constants[0]
+    units = np.sqrt(ratios)
+    rate = constants[0] * math.sqrt(ratios[1] * ratios[2])
+    x: Floats = exact_solution(masses / ratios, -1, start * units, rate * times) / units
+    return x

@@ -1,4 +1,4 @@
-"""Kepler's problem: position and velocity on an orbit at given times."""
+"""Closed-form solution of Kepler's problem, by universal variables."""
 
 from __future__ import annotations
 
@@ -25,45 +25,48 @@ def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats,
         raise ValueError("the orbit is radial and has no closed form; integrate it")
     distance, r_dot_v = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
     alpha = 2.0 / distance - float(v @ v) / gravity  # inverse semi-major axis; negative on a hyperbola
-    found = [_moved(r, v, gravity, distance, r_dot_v, alpha, float(t)) for t in times]
-    return np.array([x for x, _ in found]).reshape(-1, 3), np.array([y for _, y in found]).reshape(-1, 3)
+    states = [_propagate(r, v, gravity, distance, r_dot_v, alpha, float(t)) for t in times]
+    return np.array([x for x, _ in states]).reshape(-1, 3), np.array([y for _, y in states]).reshape(-1, 3)
 
 
-def _moved(
+def _propagate(
     r: Floats, v: Floats, gravity: float, distance: float, r_dot_v: float, alpha: float, t: float
 ) -> tuple[Floats, Floats]:
     root = sqrt(gravity)
     if alpha > 0.0:
         t = float(np.remainder(t, 2.0 * pi / (root * alpha * sqrt(alpha))))
     if t < 0.0:
-        back, turned = _moved(r, -v, gravity, distance, -r_dot_v, alpha, -t)
-        return back, -turned
-    s = _universal(distance, r_dot_v, alpha, root * t)
+        position, velocity = _propagate(r, -v, gravity, distance, -r_dot_v, alpha, -t)
+        return position, -velocity
+    s = _universal_anomaly(distance, r_dot_v, alpha, root * t)
     c2, c3 = _stumpff(alpha * s * s)
-    late, early = s * s * c2, s * s * s * c3
-    now = distance + r_dot_v * (s - alpha * early) + (1.0 - alpha * distance) * late
-    f, g = 1.0 - late / distance, t - early / root
-    slope_f, slope_g = root / (distance * now) * s * (alpha * s * s * c3 - 1.0), 1.0 - late / now
+    u2, u3 = s * s * c2, s * s * s * c3
+    radius = distance + r_dot_v * (s - alpha * u3) + (1.0 - alpha * distance) * u2
+    f, g = 1.0 - u2 / distance, t - u3 / root
+    slope_f, slope_g = root / (distance * radius) * s * (alpha * s * s * c3 - 1.0), 1.0 - u2 / radius
     return f * r + g * v, slope_f * r + slope_g * v
 
 
-def _universal(distance: float, r_dot_v: float, alpha: float, target: float) -> float:
-    """Solve ``distance s + along s^2 c2 + (1 - bent distance) s^3 c3 = target`` for s; the left side is increasing."""
+def _universal_anomaly(distance: float, r_dot_v: float, alpha: float, target: float) -> float:
+    """Solve ``distance s + r_dot_v s^2 c2 + (1 - alpha distance) s^3 c3 = target`` for s.
 
-    def beyond(s: float) -> tuple[float, float]:
+    The left side is increasing in s.
+    """
+
+    def residual(s: float) -> tuple[float, float]:
         c2, c3 = _stumpff(alpha * s * s)
-        late, early = s * s * c2, s * s * s * c3
-        slope = distance + r_dot_v * (s - alpha * early) + (1.0 - alpha * distance) * late
-        return distance * s + r_dot_v * late + (1.0 - alpha * distance) * early - target, slope
+        u2, u3 = s * s * c2, s * s * s * c3
+        slope = distance + r_dot_v * (s - alpha * u3) + (1.0 - alpha * distance) * u2
+        return distance * s + r_dot_v * u2 + (1.0 - alpha * distance) * u3 - target, slope
 
     low, high = 0.0, target / distance
     for _ in range(MAX_ITERATIONS):
-        if beyond(high)[0] >= 0.0:
+        if residual(high)[0] >= 0.0:
             break
         low, high = high, 2.0 * high
     s = high
     for _ in range(MAX_ITERATIONS):
-        value, slope = beyond(s)
+        value, slope = residual(s)
         low, high = (low, s) if value >= 0.0 else (s, high)
         newton = s - value / slope if 0.0 < slope < inf else inf
         middle = 0.5 * (low + high)

@@ -91,40 +91,40 @@ def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
     At most ten quadratic ones for every n; those of higher degree for n up to 6. Raises ValueError on overflow.
     """
     try:
-        return _quadratic(a) | (_higher(a) if 5 <= len(a) <= MAX_SO_DIMENSION else {})
+        return _quadratic_integrals(a) | (_higher_integrals(a) if 5 <= len(a) <= MAX_SO_DIMENSION else {})
     except OverflowError:  # fractions beyond the range of floats
         raise ValueError("a power of the entries overflows in an integral; take other units") from None
 
 
-def _quadratic(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
+def _quadratic_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
     """Return the integrals of degree 2."""
     n = len(a)
-    found: dict[str, Quadratic | Polynomial] = {}
+    integrals: dict[str, Quadratic | Polynomial] = {}
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(1, min(n - 2, MAX_TRACE_POWER) + 1):
-            form = 2 * (_complete(a, k) if a.ndim == 1 else trace_form(a, k)).astype(np.float64)
+            form = 2 * (_complete_homogeneous_sums(a, k) if a.ndim == 1 else trace_form(a, k)).astype(np.float64)
             if not np.isfinite(form).all():
                 raise ValueError(f"the power {k} of the entries overflows in an integral; take other units")
-            found[_name(2, k)] = Quadratic(form)
-    return found
+            integrals[_integral_name(2, k)] = Quadratic(form)
+    return integrals
 
 
-def _complete(a: npt.NDArray[Any], k: int) -> npt.NDArray[Any]:
+def _complete_homogeneous_sums(a: npt.NDArray[Any], k: int) -> npt.NDArray[Any]:
     """Return ``sum over p + q = k of a_i^p a_j^q`` for each plane."""
     i, j = planes(len(a))
     return sum((a[i] ** p * a[j] ** (k - p) for p in range(k + 1)), np.zeros(i.size))
 
 
-def _name(degree: int, power: int) -> str:
+def _integral_name(degree: int, power: int) -> str:
     return f"X^{degree} a" if power == 1 else f"X^{degree} a^{power}"
 
 
-def _higher(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
+def _higher_integrals(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
     """Return the integrals of degree 4 and higher, from the powers of X + mu a as a matrix of polynomials."""
     n = len(a)
-    whole = np.diag(a) if a.ndim == 1 else a
+    a_matrix = np.diag(a) if a.ndim == 1 else a
     ring = ExactPolynomials(rotations(n), ("mu",))
-    matrix = [[rational(entry) * ring.symbol["mu"] for entry in row] for row in whole.tolist()]
+    matrix = [[rational(entry) * ring.symbol["mu"] for entry in row] for row in a_matrix.tolist()]
     for x, i, j in zip(ring.coordinates, *(side.tolist() for side in planes(n)), strict=True):
         matrix[i][j] += x
         matrix[j][i] -= x
@@ -133,7 +133,7 @@ def _higher(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
     def dot(row: Sequence[Exact], column: Sequence[Exact]) -> Exact:
         return sum((p * q for p, q in zip(row, column, strict=True)), ring.zero)
 
-    power, found = matrix, {}
+    power, integrals = matrix, {}
     for m in range(2, n + 1):
         if m >= 5:
             trace = sum(map(dot, power, columns), ring.zero).to_dict()
@@ -143,9 +143,9 @@ def _higher(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
                     for e, value in trace.items()
                     if e[-1] == m - 2 * j
                 }
-                found[_name(2 * j, m - 2 * j)] = Polynomial(monomials, dim=ring.dim)
+                integrals[_integral_name(2 * j, m - 2 * j)] = Polynomial(monomials, dim=ring.dim)
         power = [[dot(row, column) for column in columns] for row in power]
-    return found
+    return integrals
 
 
 def halves_of_so4(sign: float) -> list[list[float]]:
@@ -154,6 +154,6 @@ def halves_of_so4(sign: float) -> list[list[float]]:
     The coordinates are x12, x13, x14, x23, x24, x34; sign is 1.0 or -1.0.
     """
     forms = [[0.0] * 6 for _ in range(3)]
-    for row, (turn, factor, other) in enumerate(((3, 1.0, 2), (1, -1.0, 4), (0, 1.0, 5))):
-        forms[row][turn], forms[row][other] = factor, sign
+    for row, (first, factor, second) in enumerate(((3, 1.0, 2), (1, -1.0, 4), (0, 1.0, 5))):
+        forms[row][first], forms[row][second] = factor, sign
     return forms

@@ -37,15 +37,15 @@ def remainders(
     >>> remainders(arb(3), arb(1), np.array([0.75, 1e3]), 128)
     ([2, 3000], array([0.25, 0.  ]))
     """
-    step, whole = (math.floor(fraction_of(value) * 2**bits) for value in (rate, period))
-    leap = 0 if jump is None else math.floor(fraction_of(jump) * 2**bits)
-    counts, rests = [], []
-    for time, leaps in zip(t.tolist(), jumps or [0] * t.size, strict=True):
-        above, below = time.as_integer_ratio()
-        phase = step * above // below + leap * leaps
-        counts.append((2 * phase + whole) // (2 * whole))
-        rests.append((phase - counts[-1] * whole) / 2**bits)
-    return counts, np.array(rests)
+    rate_units, period_units = (math.floor(fraction_of(value) * 2**bits) for value in (rate, period))
+    jump_units = 0 if jump is None else math.floor(fraction_of(jump) * 2**bits)
+    counts, fractions = [], []
+    for time, jump_count in zip(t.tolist(), jumps or [0] * t.size, strict=True):
+        numerator, denominator = time.as_integer_ratio()
+        phase = rate_units * numerator // denominator + jump_units * jump_count
+        counts.append((2 * phase + period_units) // (2 * period_units))
+        fractions.append((phase - counts[-1] * period_units) / 2**bits)
+    return counts, np.array(fractions)
 
 
 def fraction_of(value: Any) -> Fraction:
@@ -95,8 +95,8 @@ def _jacobi_rotation(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> 
     s, r = (t * c).mid(), 3 - p - q
     A[p][p], A[q][q] = (A[p][p] - t * A[p][q]).mid(), (A[q][q] + t * A[p][q]).mid()
     A[p][q] = A[q][p] = A[p][q] * 0
-    one, other = (c * A[p][r] - s * A[q][r]).mid(), (s * A[p][r] + c * A[q][r]).mid()
-    A[p][r], A[q][r], A[r][p], A[r][q] = one, other, one, other
+    new_pr, new_qr = (c * A[p][r] - s * A[q][r]).mid(), (s * A[p][r] + c * A[q][r]).mid()
+    A[p][r], A[q][r], A[r][p], A[r][q] = new_pr, new_qr, new_pr, new_qr
     for row in Q:
         row[p], row[q] = (c * row[p] - s * row[q]).mid(), (s * row[p] + c * row[q]).mid()
 

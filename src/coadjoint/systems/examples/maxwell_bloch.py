@@ -150,11 +150,11 @@ def pendulum(
     u = +-k t + u0, modulus 1/k.
     """
     s, c, v = start
-    turns, complement = regime
+    rotates, complement = regime
     if k == 0.0 or (complement == 0.0 and v == 0.0):
         return np.full(t.size, s), np.full(t.size, c), np.full(t.size, v)
-    u = math.copysign(k, v) * t if turns else t
-    sine, cosine = (s, c) if turns else (s / k, v / k)
+    u = math.copysign(k, v) * t if rotates else t
+    sine, cosine = (s, c) if rotates else (s / k, v / k)
     radius = math.hypot(sine, cosine)
     sine, cosine = sine / radius, cosine / radius
     if complement == 0.0:
@@ -165,4 +165,4 @@ def pendulum(
         phi = amplitude(first_kind(sine, cosine, complement) + u, complement)
         sn, cn = np.sin(phi), np.cos(phi)
         dn = np.sqrt(complement + (1.0 - complement) * cn**2)
-    return (sn, cn, math.copysign(k, v) * dn) if turns else (k * sn, dn, k * cn)
+    return (sn, cn, math.copysign(k, v) * dn) if rotates else (k * sn, dn, k * cn)

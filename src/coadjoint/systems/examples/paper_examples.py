@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.systems.bodies.rigid_body import so3_body
-from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariants.logarithmic import COSH, HOLD, SINH, SINH_SQUARED, Forms
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.separable import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -123,9 +122,9 @@ def _functions(mass: float, kappa: float) -> tuple[Formula, ...]:
 def _formula(function: Callable[[Any], Any], role: int, weight: float, rate: float, divisor: float) -> Formula:
     """Return a function with its table: a multiple of a function of (rate x), over a divisor."""
 
-    def whole(*numbers: int) -> npt.NDArray[np.int64]:
+    def integers(*numbers: int) -> npt.NDArray[np.int64]:
         return np.array(numbers, dtype=np.int64)
 
     weights, coefficients = np.array([0.0, weight]), np.array([divisor, rate])
-    forms = Forms(2, whole(HOLD, role), weights, whole(0, 1, 2), coefficients, whole(0, 0, 1), whole(0))
+    forms = Forms(2, integers(HOLD, role), weights, integers(0, 1, 2), coefficients, integers(0, 0, 1), integers(0))
     return Formula(function, forms)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.moments import moments
+from coadjoint.algebra.families.phase_space import moments
 from coadjoint.algebra.families.products import copies
 from coadjoint.short_repr import short
 from coadjoint.systems.canonical import with_canonical_pairs
@@ -43,12 +43,12 @@ def _position_and_width_coordinates(dim: int) -> list[int]:
 
 def _centres_and_widths(x: Any, system: Any) -> list[tuple[Any, ...]]:
     """Return the centre and the second moments per mass of each particle, for states (k, n)."""
-    found = []
+    particles = []
     for a, w in enumerate(system.parameters["weights"]):
         n = len(system.parameters["weights"])
         second = x[:, 2 * n + 1 + 3 * a : 2 * n + 4 + 3 * a].T / w
-        found.append((x[:, a], x[:, n + a] / w, *second))
-    return found
+        particles.append((x[:, a], x[:, n + a] / w, *second))
+    return particles
 
 
 @ready_made(
@@ -116,20 +116,22 @@ def decorated_particles(
     w = _weights(weights)
     n = len(w)
     algebra = with_canonical_pairs(n, copies(moments(2), n))
-    called = validate_potential(external, "external"), validate_potential(pair, "pair")
-    W, U = (None if f else _coefficients(c, what) for f, c, what in zip(called, (external, pair), _NAMES, strict=True))
+    functions = validate_potential(external, "external"), validate_potential(pair, "pair")
+    W, U = (
+        None if f else _coefficients(c, what) for f, c, what in zip(functions, (external, pair), _NAMES, strict=True)
+    )
     if U is not None and np.any(U[1::2]):
         raise ValueError(f"pair is {short(U.tolist())}; the potential of a pair is even, with no odd powers")
-    if called[1]:
-        check_even(called[1], "pair")
+    if functions[1]:
+        check_even(functions[1], "pair")
     q, p, x20 = np.arange(n), np.arange(n, 2 * n), 2 * n + 1 + 3 * np.arange(n)
     if W is not None and U is not None:
         H: Any = energy_polynomial(algebra.dim, w, W, U)
     else:
-        moving = Quadratic(np.r_[1 / w, np.zeros(n)], linear=np.r_[np.zeros(n), np.full(n, 0.5)])
-        chains = [f or polynomial_derivatives(c) for f, c in zip(called, (W, U), strict=True)]
-        resting = potential_energy(w, chains[0], chains[1])
-        H = SplitHamiltonian([((*p.tolist(), *(x20 + 2).tolist()), moving), ((*q.tolist(), *x20.tolist()), resting)])
+        kinetic = Quadratic(np.r_[1 / w, np.zeros(n)], linear=np.r_[np.zeros(n), np.full(n, 0.5)])
+        chains = [f or polynomial_derivatives(c) for f, c in zip(functions, (W, U), strict=True)]
+        potential = potential_energy(w, chains[0], chains[1])
+        H = SplitHamiltonian([((*p.tolist(), *(x20 + 2).tolist()), kinetic), ((*q.tolist(), *x20.tolist()), potential)])
     return LiePoissonSystem(
         algebra,
         H,
@@ -140,7 +142,7 @@ def decorated_particles(
         else {"weights": tuple(w.tolist()), "external": tuple(W.tolist()), "pair": tuple(U.tolist())},
         exact=None
         if W is None or U is None or np.any(W[3:]) or np.any(U[3:])
-        else partial(_oscillators, w, _at(W, 1), 2 * _at(W, 2), 2 * _at(U, 2)),
+        else partial(_oscillators, w, _coefficient_at(W, 1), 2 * _coefficient_at(W, 2), 2 * _coefficient_at(U, 2)),
         integrals={} if W is None else _integrals(algebra.dim, w, W),
     )
 
@@ -148,7 +150,7 @@ def decorated_particles(
 _NAMES = ("external", "pair")
 
 
-def _at(coefficients: Floats, k: int) -> float:
+def _coefficient_at(coefficients: Floats, k: int) -> float:
     return float(coefficients[k]) if k < len(coefficients) else 0.0
 
 
@@ -178,10 +180,10 @@ def _integrals(dim: int, w: Floats, W: Floats) -> dict[str, Quadratic]:
     n = len(w)
     if not np.any(W[1:]):
         return {"total momentum": Quadratic(0.0, linear=np.r_[np.zeros(n), np.ones(n), np.zeros(dim - 2 * n)])}
-    if np.any(W[3:]) or _at(W, 1) or n > MAX_DENSE_SQUARE:
+    if np.any(W[3:]) or _coefficient_at(W, 1) or n > MAX_DENSE_SQUARE:
         return {}
     M = np.zeros((dim, dim))
-    M[:n, :n] = 2 * _at(W, 2) * np.outer(w, w) / w.sum()
+    M[:n, :n] = 2 * _coefficient_at(W, 2) * np.outer(w, w) / w.sum()
     M[n : 2 * n, n : 2 * n] = 1 / w.sum()
     return {"energy of the centre": Quadratic(M)}
 
@@ -200,11 +202,11 @@ def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, at
     with np.errstate(over="ignore", invalid="ignore"):
         Q, V = (w @ q) / total, p.sum() / total
         T = (z * times)[..., None]
-        c, s, fall = _waves(k, T)
+        c, s, fall = _oscillator_solutions(k, T)
         centre, speed = c * Q + s * V - push * fall, c * V - s * (k * Q + push)
-        c, s, _ = _waves(stiff, T)
-        apart, faster = c * (q - Q) + s * (p / w - V), c * (p / w - V) - stiff * s * (q - Q)
-        c, s, _ = _waves(stiff, times[..., None])
+        c, s, _ = _oscillator_solutions(stiff, T)
+        relative_q, relative_v = c * (q - Q) + s * (p / w - V), c * (p / w - V) - stiff * s * (q - Q)
+        c, s, _ = _oscillator_solutions(stiff, times[..., None])
         x20, x11, x02 = x.T
         widths = np.stack(
             [
@@ -215,11 +217,11 @@ def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, at
             axis=-1,
         ).reshape(*times.shape, 3 * n)
     constant = np.broadcast_to(z, (*times.shape, 1))
-    found = np.concatenate([centre + apart, w * (speed + faster), constant, widths], axis=-1)
-    return check_finite_states(found, start, times)
+    states = np.concatenate([centre + relative_q, w * (speed + relative_v), constant, widths], axis=-1)
+    return check_finite_states(states, start, times)
 
 
-def _waves(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:
+def _oscillator_solutions(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the solutions of y'' = -stiffness y from (1, 0) and (0, 1), and of y'' = 1 - stiffness y from (0, 0)."""
     rate = sqrt(abs(stiffness))
     if not rate:

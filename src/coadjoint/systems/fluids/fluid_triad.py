@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.equivalent_rigid_body import rigid_body_equivalent
+from coadjoint.systems.closed_forms.free_rigid_body import rigid_body_equivalent
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.equivalent_rigid_body import rigid_body_equivalent
-from coadjoint.systems.closed_forms.sphere_points import points_on_sphere
-from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.closed_forms.free_rigid_body import rigid_body_equivalent
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_positive
@@ -75,10 +74,10 @@ def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
     try:
         masses = tuple(float(1 / (2 * square)) for square in (l2, k2, (k2 + l2) / 2))
         c = float(Fraction(k) * Fraction(l))
-        lost = 0.0 in (*masses, c) or 2.0 * c == float("inf")
+        out_of_range = 0.0 in (*masses, c) or 2.0 * c == float("inf")
     except OverflowError:
-        lost = True
-    if lost:
+        out_of_range = True
+    if out_of_range:
         raise ValueError(f"the squares of k = {k:g} and l = {l:g} leave the range of float64; take other units")
     quarter = Fraction(1, 4)
     return rigid_body_equivalent(

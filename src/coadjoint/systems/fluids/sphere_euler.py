@@ -14,10 +14,11 @@ from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import sphere_grid, sphere_states
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.hoppe_yau import generators, laplacian
 from coadjoint.systems.matrices.spherical_modes import (
     as_mapping,
+    generators,
     harmonics_of_matrix,
+    laplacian,
     matrix_of_harmonics,
     read_harmonics,
     scale,
@@ -90,21 +91,21 @@ class SphereEuler(FluidSystem):
         Examples
         --------
         >>> s = sphere_euler(N=5)
-        >>> found = s.modes(s.from_modes({(3, 2): 0.5 - 1j}))
-        >>> list(found), bool(abs(found[3, -2] - (0.5 + 1j)) < 1e-14)
+        >>> modes = s.modes(s.from_modes({(3, 2): 0.5 - 1j}))
+        >>> list(modes), bool(abs(modes[3, -2] - (0.5 + 1j)) < 1e-14)
         ([(3, -2), (3, 2)], True)
         """
         return matrix_of_harmonics(read_harmonics(modes, self.algebra.N))
 
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
         """Return the coefficients of one matrix by (l, m) that are nonzero beyond round-off."""
-        return as_mapping(harmonics_of_matrix(self._one(W)))
+        return as_mapping(harmonics_of_matrix(self._single_matrix(W)))
 
-    def _one(self, W: Any) -> Matrix:
-        given = self.matrices(W)
-        if given.shape != self.shape:
-            raise ValueError(f"W has the shape {given.shape}; give one matrix, {self.shape}, or use mode_array")
-        return given
+    def _single_matrix(self, W: Any) -> Matrix:
+        matrix = self.matrices(W)
+        if matrix.shape != self.shape:
+            raise ValueError(f"W has the shape {matrix.shape}; give one matrix, {self.shape}, or use mode_array")
+        return matrix
 
     def grid(self, shape: Any = None, points: str = "clenshaw-curtis") -> tuple[Floats, Floats]:
         """Return the latitudes of the rows and the longitudes of the columns of a grid, in radians.
@@ -130,7 +131,7 @@ class SphereEuler(FluidSystem):
         return sphere_grid.latitudes(points, rows), sphere_grid.longitudes(columns)
 
     def _shape(self, shape: Any) -> tuple[int, int]:
-        return sphere_grid.read_shape(shape, (2, 1), sphere_grid.usual_shape(self.algebra.N))
+        return sphere_grid.read_shape(shape, (2, 1), sphere_grid.default_shape(self.algebra.N))
 
     def to_grid(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> Floats:
         """Return the values of the field of matrices at the points of a grid of any shape, exactly.
@@ -259,8 +260,8 @@ class SphereEuler(FluidSystem):
         These are all three, or in a rotating frame the one along z; `integrate` records them with
         ``observe=system.integrals``.
         """
-        kept = "z" if self.rotation else "xyz"
-        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in kept}
+        axes = "z" if self.rotation else "xyz"
+        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in axes}
 
 
 def _unstable_jet() -> Matrix:
@@ -320,7 +321,7 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     >>> s.shape, list(s.casimirs)[:2]
     ((16, 16), ['tr W^2', 'tr W^3'])
     """
-    turning = read_number(rotation, "rotation")
-    if abs(turning) > MAX_ROTATION:
-        raise ValueError(f"rotation is {turning:g}; give at most {MAX_ROTATION:g} in magnitude")
-    return SphereEuler(read_integer(N, "N", 2, MAX_N), turning)
+    rate = read_number(rotation, "rotation")
+    if abs(rate) > MAX_ROTATION:
+        raise ValueError(f"rotation is {rate:g}; give at most {MAX_ROTATION:g} in magnitude")
+    return SphereEuler(read_integer(N, "N", 2, MAX_N), rate)

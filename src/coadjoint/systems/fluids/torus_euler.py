@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.matrices import torus_grid, torus_states
+from coadjoint.systems.matrices import torus_grid
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_integer
+from coadjoint.validation import read_integer, read_number, read_positive
 
 MAX_N = 1001
 Floats = npt.NDArray[np.float64]
@@ -34,7 +34,55 @@ class TorusEuler(FluidSystem):
 
     states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
 
-    zonal_jet = torus_states.zonal_jet
+    def zonal_jet(
+        self, speed: float = 1.0, *, width: float = 0.3, perturbation: float = 0.01, waves: int = 2
+    ) -> Matrix:
+        """Return the state of two jets along x, eastward at y = pi/2 and westward at 3 pi/2, slightly perturbed.
+
+        They are Bickley jets, ``speed / cosh(y/width)^2`` with the distance y from the middle, periodic on the torus.
+
+        Parameters
+        ----------
+        speed : float
+            Largest speed.
+        width : float
+            Width in radians, at most 0.5.
+        perturbation : float
+            Largest vorticity of the perturbation of both jets, as a fraction of ``speed/width``; with zero the flow is
+            steady.
+        waves : int
+            Number of waves of the perturbation along x.
+
+        Returns
+        -------
+        (N, N) array
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> s = co.systems.torus_euler(N=65)
+        >>> W = s.zonal_jet(perturbation=0.0)
+        >>> bool(np.abs(s.vector_field(W)).max() < 1e-12 * np.abs(W).max() ** 2)
+        True
+        """
+        max_speed, thickness = read_positive(speed, "speed"), read_positive(width, "width")
+        if thickness > 0.5:
+            raise ValueError(f"width is {thickness:g}; give at most 0.5, so that the jets do not overlap")
+        fraction = read_number(perturbation, "perturbation")
+        along = read_integer(waves, "waves", 1, self.resolved_degree)
+        x, y = self.grid((4 * along, max(256, 4 * self.algebra.N)))
+        field = np.zeros((len(x), len(y)))
+        for sign, middle in ((1, pi / 2), (-1, 3 * pi / 2)):
+            for turn in (-2 * pi, 0.0, 2 * pi):
+                with np.errstate(
+                    over="ignore", invalid="ignore"
+                ):  # values that are not finite are reported by from_grid
+                    distance = (y - middle + turn) / thickness
+                    bell = 1 / np.cosh(distance) ** 2
+                    # the vorticity of the speed u along x is -du/dy
+                    field += sign * max_speed / thickness * 2 * np.tanh(distance) * bell
+                    field += fraction * max_speed / thickness * np.cos(along * x)[:, None] * bell
+        return self.absolute(self.from_grid(field))
 
     def mode_array(self, W: Any) -> Matrix:
         """Return the modes of matrices (..., N, N) as an array, ``[..., n1 mod N, n2 mod N]``."""
@@ -161,7 +209,7 @@ class TorusEuler(FluidSystem):
 
     def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
         n, w = representatives(self.algebra.N), np.zeros(self.shape, dtype=np.complex128)
-        n1, n2 = (found.ravel() for found in np.meshgrid(n, n, indexing="ij"))
+        n1, n2 = (grid.ravel() for grid in np.meshgrid(n, n, indexing="ij"))
         degree = self.degrees.ravel()
         chosen = np.flatnonzero(((n1 > 0) | ((n1 == 0) & (n2 > 0))) & (degree <= last))
         chosen = chosen[np.lexsort((n2[chosen], n1[chosen], degree[chosen]))]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.moments import moments, powers_of
+from coadjoint.algebra.families.phase_space import moments, powers_of
 from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
@@ -88,57 +88,61 @@ def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> Lie
     algebra = moments(degree)
     powers = powers_of(degree)
     of_q = [powers.index((d, 0)) for d in range(2, degree + 1, 2)]
-    V = _read(potential, len(of_q)) if isinstance(potential, str) else potential
-    single: Phase | None = None
+    V = _parse_potential(potential, len(of_q)) if isinstance(potential, str) else potential
+    particle_energy: Phase | None = None
     kinetic = Polynomial.variable(2, algebra.dim) * 0.5
     if isinstance(V, Polynomial):
         if V.dim != len(of_q):
-            raise ValueError(f"potential has {V.dim} coordinates; there are {len(of_q)} moments of q: {_known(of_q)}")
+            raise ValueError(
+                f"potential has {V.dim} coordinates; there are {len(of_q)} moments of q: {_moment_names(of_q)}"
+            )
         placed = {}
         for exponents, c in V.monomials.items():
-            place = [0] * algebra.dim
+            embedded = [0] * algebra.dim
             for k, power in zip(of_q, exponents, strict=True):
-                place[k] = power
-            placed[tuple(place)] = c
+                embedded[k] = power
+            placed[tuple(embedded)] = c
         H: Any = kinetic + Polynomial(placed, dim=algebra.dim)
         if V.degree <= 1:
-            single = _single(V)
+            particle_energy = _particle_energy(V)
     else:
         H = SplitHamiltonian([((2,), Quadratic(0.0, linear=[0.5])), (of_q, V)])
-    harmonic = single is not None and set(single) <= {(0, 2), (2, 0)}
+    harmonic = particle_energy is not None and set(particle_energy) <= {(0, 2), (2, 0)}
     return LiePoissonSystem(
         algebra,
         H,
         sign=+1,
         name="vlasov_moments",
         parameters={"degree": int(degree), "potential": potential} if isinstance(potential, str) else None,
-        exact=partial(_linear_flow, 2 * float(single.get((2, 0), 0)), powers) if harmonic and single else None,
-        integrals={} if single is None else _powers_of_energy(single, degree, powers),
+        exact=partial(_linear_flow, 2 * float(particle_energy.get((2, 0), 0)), powers)
+        if harmonic and particle_energy
+        else None,
+        integrals={} if particle_energy is None else _powers_of_energy(particle_energy, degree, powers),
     )
 
 
-def _known(of_q: list[int]) -> str:
+def _moment_names(of_q: list[int]) -> str:
     names = [f"x{2 * k}0" for k in range(1, len(of_q) + 1)]
     return ", ".join(names if len(names) < 6 else [*names[:2], "...", names[-1]])
 
 
-def _read(text: str, count: int) -> Polynomial:
-    def place(found: re.Match[str]) -> str:
-        name = found[1].replace(",", "")
+def _parse_potential(text: str, count: int) -> Polynomial:
+    def rename(match: re.Match[str]) -> str:
+        name = match[1].replace(",", "")
         power = int(name[:-1] or 0) if name[-1:] == "0" and len(name) <= 4 else 1
         if power % 2 or not 0 < power <= 2 * count:
-            raise ValueError(f"potential has {short(found[0])}; the moments of q are {_known([0] * count)}")
+            raise ValueError(f"potential has {short(match[0])}; the moments of q are {_moment_names([0] * count)}")
         return f"x{power // 2}"
 
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"potential has {len(text)} characters; give at most {MAX_CHARACTERS}")
     try:
-        return parse_polynomial(_MOMENT.sub(place, text), count)
+        return parse_polynomial(_MOMENT.sub(rename, text), count)
     except ValueError as reason:
         raise ValueError(str(reason) if str(reason).startswith("potential") else f"potential: {reason}") from None
 
 
-def _single(V: Polynomial) -> Phase:
+def _particle_energy(V: Polynomial) -> Phase:
     """Return the energy of one particle in an external potential, V = <W>."""
     h: Phase = {(0, 2): 0.5}
     for exponents, c in V.monomials.items():
@@ -149,8 +153,8 @@ def _single(V: Polynomial) -> Phase:
 
 def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> dict[str, Quadratic]:
     """Return the moments of powers of h as linear functions of the state, truncated to the degree."""
-    place = {pair: k for k, pair in enumerate(powers)}
-    found, power = {}, dict(h)
+    index = {pair: k for k, pair in enumerate(powers)}
+    integrals, power = {}, dict(h)
     for m in range(2, degree // 2 + 1):
         product: Phase = {}
         for (i, j), c in power.items():
@@ -160,26 +164,26 @@ def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> d
         power = product
         linear = np.zeros(len(powers))
         for pair, c in power.items():
-            linear[place[pair]] = c
-        found[f"<h^{m}>"] = Quadratic(0.0, linear=linear)
-    return found
+            linear[index[pair]] = c
+        integrals[f"<h^{m}>"] = Quadratic(0.0, linear=linear)
+    return integrals
 
 
 def _linear_flow(stiffness: float, powers: list[tuple[int, int]], x0: Any, t: Any, attitude: Any = False) -> Floats:
     """Return the moments under q'' = -stiffness q, where every particle undergoes the same linear map."""
     reject_attitude(attitude, "vlasov_moments")
     start, times = start_and_times(x0, t, len(powers))
-    place = {pair: k for k, pair in enumerate(powers)}
+    index = {pair: k for k, pair in enumerate(powers)}
     with np.errstate(over="ignore", invalid="ignore"):
         rate = sqrt(abs(stiffness))
         cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
         c = cosine(rate * times)
         s = sine(rate * times) / rate if rate else times
         slope = -stiffness * s
-        found = np.zeros((*times.shape, len(powers)))
-        for (i, j), k in place.items():
+        moments_at = np.zeros((*times.shape, len(powers)))
+        for (i, j), k in index.items():
             for a in range(i + 1):
                 for b in range(j + 1):  # (c q + s p)^i (slope q + c p)^j
                     share = comb(i, a) * comb(j, b) * c ** (a + j - b) * s ** (i - a) * slope**b
-                    found[..., k] += share * start[place[a + b, i + j - a - b]]
-    return check_finite_states(found, start, times)
+                    moments_at[..., k] += share * start[index[a + b, i + j - a - b]]
+    return check_finite_states(moments_at, start, times)

@@ -51,9 +51,9 @@ if not TYPE_CHECKING:  # type checkers resolve the names statically and report u
             from coadjoint.errors import unknown_attribute
 
             raise unknown_attribute("co.forces", name, __all__)
-        found = getattr(importlib.import_module(_HOME[name]), name)
-        globals()[name] = found
-        return found
+        value = getattr(importlib.import_module(_HOME[name]), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

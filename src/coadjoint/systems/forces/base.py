@@ -1,12 +1,14 @@
-"""Base class of forces: the flow, the invariants that it keeps, and the interface to the kernels."""
+"""Base class of forces: the flow, the invariants that it keeps, the interface to the kernels, and the noise."""
 
 from __future__ import annotations
 
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
@@ -24,7 +26,7 @@ class Noise(NamedTuple):
 
 
 class ForceReader(Protocol):
-    """The interface through which a force describes itself to the tables of the kernels."""
+    """Interface that passes a force to the tables of the kernels."""
 
     def damping(self, rate: NDArray[Any], toward: NDArray[Any]) -> Any:
         """Register x' = -rate (x - toward); rate is a number, (n,) or (n, n)."""
@@ -49,7 +51,7 @@ class ForceReader(Protocol):
 
 
 class Force(ABC):
-    """A force, which acts in addition to the Hamiltonian: its flow, and which invariants it changes.
+    """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it keeps.
 
     `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one from a
     function. Derive custom forces from one of these classes or from this one.
@@ -148,3 +150,25 @@ class Force(ABC):
         if not is_dataclass(self):
             return {}
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:
+    """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part.
+
+    By Philox4x64-10 and the inverse distribution function; equal to those of the kernels to round-off. `part` numbers
+    the draws that begin at the same time.
+    """
+    from scipy.special import ndtri
+
+    words = random_words(seed, stream, moment, part, count)
+    size = -ndtri((np.asarray(words >> np.uint64(12), dtype=np.float64) + 0.5) * 2.0**-53)
+    return np.asarray(np.where(words & np.uint64(1), -size, size))
+
+
+def random_words(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.uint64]:
+    """Return the random words of the deviates, 64 bits each."""
+    (time_bits,) = struct.unpack("<Q", struct.pack("<d", moment + 0.0))
+    # NumPy increments the counter before its first block.
+    counter = (((part << 192) | (stream << 128) | (time_bits << 64)) - 1) % (1 << 256)
+    words = np.random.Philox(key=seed, counter=counter).random_raw(-(-count // 4) * 4)
+    return np.asarray(words[:count], dtype=np.uint64)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.short_repr import shown_fields
+from coadjoint.short_repr import dataclass_repr
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.rates import has_matrix_state, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
@@ -68,7 +68,7 @@ class OwnForce(Force):
             object.__setattr__(self, flag, read_bool(getattr(self, flag), flag))
 
     def __repr__(self) -> str:
-        return shown_fields(self)
+        return dataclass_repr(self)
 
     @property
     def label(self) -> str:
@@ -91,20 +91,20 @@ class OwnForce(Force):
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
-                    found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (DIFFERENCE_TIME, 0.0))
+                    moved, unmoved = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (DIFFERENCE_TIME, 0.0))
             except Exception as error:  # outside its domain a user function may raise anything
                 failure = in_one_line(str(error), 200)
                 continue
-            for result in (found, still):
+            for result in (moved, unmoved):
                 if result.shape != shape or result.dtype.kind not in kinds:
                     raise ValueError(
                         f"the flow of {self.name} returns {result.dtype} of shape {result.shape}; {system.name} needs "
                         f"{'' if 'c' in kinds else 'real '}numbers of shape {shape}"
                     )
                 if has_matrix_state(system) and np.all(np.isfinite(result)):
-                    system.read(result, f"what the flow of {self.name} returns")
-            if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
-                raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x then")
+                    system.read(result, f"the value of the flow of {self.name}")
+            if np.all(np.isfinite(unmoved)) and np.max(np.abs(unmoved - x)) > 1e-9 * np.max(np.abs(x)):
+                raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x")
             return
         raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
 

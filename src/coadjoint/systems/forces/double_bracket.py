@@ -90,19 +90,19 @@ class DoubleBracketDamping(Force):
         return self.alpha * apply_metric(self.metric, system.vector_field(x, t))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        middle, last = x, np.inf
+        middle, last_change = x, np.inf
         for _ in range(MAX_SUBSTEPS):
             v = tau * self._damping_direction(system, middle, t + 0.5 * tau)
-            before, middle = middle, exponential(system, 0.5 * v, x)
-            moved = float(np.sum(np.abs(middle - before)))
-            if moved == 0.0 or (moved >= 0.5 * last and moved <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
+            previous, middle = middle, exponential(system, 0.5 * v, x)
+            change = float(np.sum(np.abs(middle - previous)))
+            if change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
                 return exponential(system, v, x)
-            last = moved
+            last_change = change
         raise IntegrationError(
             f"the midpoint rule of {type(self).__name__} did not converge; take a smaller step",
             step=1,
             time=float(t),
-            residual=last,
+            residual=last_change,
         )
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
@@ -122,11 +122,11 @@ def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
 def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     """Return exp(D_v) x, D_v x = sign J(x) v, by its power series in substeps."""
     D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
-    pieces = max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
-    for _ in range(pieces):
+    substeps = max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
+    for _ in range(substeps):
         term, total = x, np.zeros_like(x)
         for k in range(1, MAX_TERMS):
-            term = D @ term / (k * pieces)
+            term = D @ term / (k * substeps)
             total = total + term
             if not np.any(np.abs(term) > 2.0**-60 * np.abs(x).max(initial=0.0)):
                 break

@@ -8,9 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.forces.base import Noise, normal_deviates
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential
-from coadjoint.systems.forces.normal_deviates import normal_deviates
 from coadjoint.systems.forces.rates import Plain, apply_metric, metric_root
 from coadjoint.validation import read_integer, read_number
 
@@ -118,10 +117,10 @@ class HeatBath(DoubleBracketDamping):
             return x
         deviates = normal_deviates(self.seed, self.stream, t, half, system.dim)
         root = metric_root(self.metric, "metric")
-        for some in reversed(noise.sets) if half else noise.sets:
-            chosen = np.zeros(system.dim)
-            chosen[list(some)] = deviates[list(some)]
-            x = exponential(system, self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, chosen), x)
+        for directions in reversed(noise.sets) if half else noise.sets:
+            selected = np.zeros(system.dim)
+            selected[list(directions)] = deviates[list(directions)]
+            x = exponential(system, self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected), x)
         return x
 
 
@@ -131,17 +130,17 @@ def commuting_sets(algebra: Any, metric: Plain) -> tuple[tuple[int, ...], ...]:
     if root.ndim == 2:
         return tuple((a,) for a in range(algebra.dim) if np.any(root[:, a]))
     noisy = np.broadcast_to(root, (algebra.dim,)) != 0.0
-    others: list[set[int]] = [set() for _ in range(algebra.dim)]
+    neighbours: list[set[int]] = [set() for _ in range(algebra.dim)]
     for i, j in zip(algebra.triples.i.tolist(), algebra.triples.j.tolist(), strict=True):
-        others[i].add(j)
-        others[j].add(i)
+        neighbours[i].add(j)
+        neighbours[j].add(i)
     sets: list[list[int]] = []
-    place: dict[int, int] = {}
+    set_of: dict[int, int] = {}
     for a in np.flatnonzero(noisy).tolist():
-        taken = {place[b] for b in others[a] if b in place}
-        free = next(s for s in range(len(sets) + 1) if s not in taken)
-        if free == len(sets):
+        used = {set_of[b] for b in neighbours[a] if b in set_of}
+        index = next(s for s in range(len(sets) + 1) if s not in used)
+        if index == len(sets):
             sets.append([])
-        sets[free].append(a)
-        place[a] = free
+        sets[index].append(a)
+        set_of[a] = index
     return tuple(map(tuple, sets))

@@ -73,14 +73,14 @@ class LinearDamping(Force):
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         from scipy.linalg import expm
 
-        rate, away = np.asarray(self.rate), np.asarray(x) - state_vector(self.toward, system)
+        rate, deviation = np.asarray(self.rate), np.asarray(x) - state_vector(self.toward, system)
         if rate.ndim == 2:
             n = len(rate)
             # The last column of this exponential is the displacement of the state by the flow.
-            whole = np.zeros((n + 1, n + 1))
-            whole[:n, :n], whole[:n, n] = -tau * rate, -tau * (rate @ away)
-            return np.asarray(x + expm(whole)[:n, n])
-        return np.asarray(x + np.expm1(-tau * rate) * away)
+            generator = np.zeros((n + 1, n + 1))
+            generator[:n, :n], generator[:n, n] = -tau * rate, -tau * (rate @ deviation)
+            return np.asarray(x + expm(generator)[:n, n])
+        return np.asarray(x + np.expm1(-tau * rate) * deviation)
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.damping(np.asarray(self.rate), state_vector(self.toward, system))

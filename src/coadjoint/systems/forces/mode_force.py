@@ -18,13 +18,13 @@ PerMode = list[NDArray[Any]]
 
 def modes_of(system: Any, what: str) -> ModeBasis:
     """Return the modes of a system; raise ValueError if it has none."""
-    found = mode_basis_of(system)
-    if found is None:
+    modes = mode_basis_of(system)
+    if modes is None:
         raise ValueError(
             f"{what} acts on the modes of a fluid, such as sphere_euler or torus_euler, which {system.name} does not "
             "have; take LinearDamping"
         )
-    return found
+    return modes
 
 
 def values_by_scale(
@@ -33,8 +33,8 @@ def values_by_scale(
     """Return a number for each mode: a constant, or a validated function of the degrees or wave numbers."""
     if not callable(argument):
         return np.full(scales.shape, argument)
-    found = {scale: read_number(argument(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
-    return np.array([found[scale] for scale in scales.tolist()])
+    values = {scale: read_number(argument(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
+    return np.array([values[scale] for scale in scales.tolist()])
 
 
 class OnLayer(Force):
@@ -46,19 +46,19 @@ class OnLayer(Force):
         """Validate the field."""
         object.__setattr__(self, "layer", read_choice(self.layer, f"layer of {self.label}", LAYERS))
 
-    def place(self, system: Any) -> int:
+    def layer_index(self, system: Any) -> int:
         """Return the index of the field in a state."""
         return layer_index(system, self.layer)
 
-    def matrix(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
+    def layer_matrix(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Return the field of a state."""
         state = system.from_vector(x)
-        return np.asarray(state if state.ndim == 2 else state[self.place(system)])
+        return np.asarray(state if state.ndim == 2 else state[self.layer_index(system)])
 
-    def moved(self, system: Any, W: NDArray[Any]) -> NDArray[Any]:
+    def layer_vector(self, system: Any, W: NDArray[Any]) -> NDArray[Any]:
         """Return the vector of a state with this field, and zero in the others."""
         state = np.zeros(system.shape, dtype=W.dtype)
-        state[self.place(system) if state.ndim == 3 else ...] = W
+        state[self.layer_index(system) if state.ndim == 3 else ...] = W
         return np.asarray(system.to_vector(state))
 
 
@@ -74,39 +74,39 @@ class ModeRates(OnLayer):
 
     def check(self, system: Any) -> None:
         self._selected_modes(modes_of(system, self.label))
-        self.place(system)
+        self.layer_index(system)
 
     def _selected_modes(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
         """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
         numbers, rates = [], []
         for d in range(modes.diagonals):
-            every = modes.numbers(d)
-            found = self.rates(modes, d, every)
-            numbers.append(every[found != 0.0])
-            rates.append(found[found != 0.0])
+            all_numbers = modes.numbers(d)
+            all_rates = self.rates(modes, d, all_numbers)
+            numbers.append(all_numbers[all_rates != 0.0])
+            rates.append(all_rates[all_rates != 0.0])
         return numbers, rates
 
     def _scale_modes(
         self, system: Any, x: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]
     ) -> NDArray[Any]:
         modes = modes_of(system, self.label)
-        chosen, rates = self._selected_modes(modes)
-        W = self.matrix(system, x)
-        still = self._rest_state(system)
-        W = W if still is None else W - still
-        moved = [
+        selected, rates = self._selected_modes(modes)
+        W = self.layer_matrix(system, x)
+        rest = self._rest_state(system)
+        W = W if rest is None else W - rest
+        coefficients = [
             factor(rate) * modes.coefficients(W, d, numbers)
-            for d, (numbers, rate) in enumerate(zip(chosen, rates, strict=True))
+            for d, (numbers, rate) in enumerate(zip(selected, rates, strict=True))
         ]
-        return self.moved(system, modes.matrix(moved, chosen))
+        return self.layer_vector(system, modes.matrix(coefficients, selected))
 
     def _rest_state(self, system: Any) -> NDArray[Any] | None:
         """Return the state at rest in the frame, or None if it is zero."""
         absolute = getattr(system, "absolute", None)
         if absolute is None or self.layer != "vorticity":
             return None
-        still = np.asarray(absolute(np.zeros(system.algebra.shape)))
-        return still if np.any(still) else None
+        rest = np.asarray(absolute(np.zeros(system.algebra.shape)))
+        return rest if np.any(rest) else None
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return self._scale_modes(system, x, lambda rate: -rate)
@@ -116,6 +116,6 @@ class ModeRates(OnLayer):
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        still = self._rest_state(system)
-        aim = None if still is None else np.ascontiguousarray(still).view(np.float64).ravel()
-        return reader.mode_rates(modes, *self._selected_modes(modes), aim, self.place(system))
+        rest = self._rest_state(system)
+        target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()
+        return reader.mode_rates(modes, *self._selected_modes(modes), target, self.layer_index(system))

@@ -8,10 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.base import ForceReader
+from coadjoint.systems.forces.base import ForceReader, normal_deviates
 from coadjoint.systems.forces.heat_bath import MAX_SEED
 from coadjoint.systems.forces.mode_force import OnLayer, PerMode, modes_of
-from coadjoint.systems.forces.normal_deviates import normal_deviates
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
 from coadjoint.validation import read_finite, read_integer, read_number
 
@@ -91,24 +90,24 @@ class RandomForcing(OnLayer):
         numbers: list[Numbers] = []
         energies: PerMode = []
         stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
-        self.place(system)
+        self.layer_index(system)
         if stream is None:
             raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
-        waves, parts = modes.kind == Waves.kind, 0
+        waves, components = modes.kind == Waves.kind, 0
         for d in range(modes.diagonals):
-            every = modes.numbers(d)
+            candidates = modes.numbers(d)
             if waves and d == 0:
-                every = every[: modes.N // 2]
-            scales = modes.scales(d, every)
-            numbers.append(every[(self.band[0] <= scales) & (scales <= self.band[1])])
+                candidates = candidates[: modes.N // 2]
+            scales = modes.scales(d, candidates)
+            numbers.append(candidates[(self.band[0] <= scales) & (scales <= self.band[1])])
             energies.append(system.energy_sign * stream_values(stream, modes, d, numbers[d]))
-            parts += (2 if d or waves else 1) * len(numbers[d])
-        if not parts:
+            components += (2 if d or waves else 1) * len(numbers[d])
+        if not components:
             raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")
         if not all(np.all(energy > 0.0) for energy in energies):
             raise ValueError(f"the energy of {system.name} is not positive in the band {self.band} of RandomForcing")
         # energy |c|^2 / 2 for each part: real, and imaginary if there are two
-        return numbers, [np.sqrt(2.0 * self.energy_rate / parts / energy) for energy in energies]
+        return numbers, [np.sqrt(2.0 * self.energy_rate / components / energy) for energy in energies]
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if tau < 0.0:
@@ -117,19 +116,19 @@ class RandomForcing(OnLayer):
         numbers, amplitudes = self._selected_modes(system, modes)
         count = sum(map(len, numbers))
         pairs = normal_deviates(self.seed, self.stream, float(t), 0, 2 * count).reshape(count, 2)
-        moved, first = [], 0
+        coefficients, offset = [], 0
         for d, amplitude in enumerate(amplitudes):
-            real, imaginary = pairs[first : first + len(amplitude)].T
-            first += len(amplitude)
+            real, imaginary = pairs[offset : offset + len(amplitude)].T
+            offset += len(amplitude)
             if d == 0 and modes.kind != Waves.kind:
-                moved.append(1j * np.sqrt(tau) * amplitude * real)
+                coefficients.append(1j * np.sqrt(tau) * amplitude * real)
                 continue
-            both = 2.0 if d == 0 else 1.0
-            moved.append(both * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
-        return np.asarray(x + self.moved(system, modes.matrix(moved, numbers)))
+            multiplicity = 2.0 if d == 0 else 1.0
+            coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
+        return np.asarray(x + self.layer_vector(system, modes.matrix(coefficients, numbers)))
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
         return reader.mode_noise(
-            modes, *self._selected_modes(system, modes), self.seed, self.stream, self.place(system)
+            modes, *self._selected_modes(system, modes), self.seed, self.stream, self.layer_index(system)
         )

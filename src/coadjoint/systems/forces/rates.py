@@ -23,12 +23,12 @@ def read_matrix(argument: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2
     >>> read_matrix([1, 2], "rate")
     (1.0, 2.0)
     """
-    found = read_finite(argument, what)
-    square = found.ndim < 2 or found.shape[0] == found.shape[1]
-    if found.ndim not in dimensions or not square or not found.size:
+    array = read_finite(argument, what)
+    square = array.ndim < 2 or array.shape[0] == array.shape[1]
+    if array.ndim not in dimensions or not square or not array.size:
         shapes = " or ".join(("a number", "(n,)", "(n, n)")[k] for k in dimensions)
-        raise ValueError(f"{what} has the shape {found.shape}; it must be {shapes}")
-    plain = found.tolist()
+        raise ValueError(f"{what} has the shape {array.shape}; it must be {shapes}")
+    plain = array.tolist()
     return tuple(map(_in_tuples, plain)) if isinstance(plain, list) else float(plain)
 
 
@@ -112,11 +112,11 @@ def metric_root(metric: Plain, what: str) -> NDArray[np.float64]:
     if not np.array_equal(P, P.T):
         raise ValueError(f"{what} is not symmetric; damping needs a symmetric positive semidefinite one")
     n = len(P)
-    L, left, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
+    L, remainder, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
     for k in range(n):
-        if left[k, k] > tolerance:
-            L[k:, k] = left[k:, k] / np.sqrt(left[k, k])
-            left -= np.multiply.outer(L[:, k], L[:, k])
-        elif left[k, k] < -tolerance or np.max(np.abs(left[k:, k])) > np.sqrt(tolerance * size):
+        if remainder[k, k] > tolerance:
+            L[k:, k] = remainder[k:, k] / np.sqrt(remainder[k, k])
+            remainder -= np.multiply.outer(L[:, k], L[:, k])
+        elif remainder[k, k] < -tolerance or np.max(np.abs(remainder[k:, k])) > np.sqrt(tolerance * size):
             raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
     return L

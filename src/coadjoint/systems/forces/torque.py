@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.short_repr import shown_fields
+from coadjoint.short_repr import dataclass_repr
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.rates import check_state, has_matrix_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
@@ -60,7 +60,7 @@ class Torque(Force):
             object.__setattr__(self, "torque", read_state(self.torque, "the torque"))
 
     def __repr__(self) -> str:
-        return shown_fields(self)
+        return dataclass_repr(self)
 
     def _arguments(self) -> str:
         """Return the arguments of the function: "t", "x" or "x, t"."""
@@ -80,16 +80,16 @@ class Torque(Force):
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
-                    value = self.torque(*_given(arguments, x, SAMPLE_TIME))
+                    value = self.torque(*_call_arguments(arguments, x, SAMPLE_TIME))
             except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
                 failure = in_one_line(str(reason), 200)
                 continue
             if has_matrix_state(system):
-                system.read(value, "what the torque returns")
+                system.read(value, "the value of the torque")
                 return
-            found = read_numbers(value, "what the torque returns")
-            if found.shape != (n,):
-                raise ValueError(f"the torque returns shape {found.shape}; {system.name} needs ({n},)")
+            torque = read_numbers(value, "the value of the torque")
+            if torque.shape != (n,):
+                raise ValueError(f"the torque returns shape {torque.shape}; {system.name} needs ({n},)")
             return
         raise ValueError(f"the torque fails at every sample point ({failure}); correct the function")
 
@@ -97,9 +97,9 @@ class Torque(Force):
         if not callable(self.torque):
             return state_vector(self.torque, system)
         if has_matrix_state(system):
-            found = self.torque(*_given(self._arguments(), system.from_vector(x), t))
-            return np.asarray(system.to_vector(found))
-        return np.asarray(self.torque(*_given(self._arguments(), x, t)))
+            torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
+            return np.asarray(system.to_vector(torque))
+        return np.asarray(self.torque(*_call_arguments(self._arguments(), x, t)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if not callable(self.torque):
@@ -109,11 +109,11 @@ class Torque(Force):
             return np.asarray(
                 x + 0.5 * tau * sum(w * self.field(system, x, t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
             )
-        one = self.field(system, x, t)
-        two = self.field(system, x + 0.5 * tau * one, t + 0.5 * tau)
-        three = self.field(system, x + 0.5 * tau * two, t + 0.5 * tau)
-        four = self.field(system, x + tau * three, t + tau)
-        return np.asarray(x + tau * (one + 2.0 * two + 2.0 * three + four) / 6.0)
+        k1 = self.field(system, x, t)
+        k2 = self.field(system, x + 0.5 * tau * k1, t + 0.5 * tau)
+        k3 = self.field(system, x + 0.5 * tau * k2, t + 0.5 * tau)
+        k4 = self.field(system, x + tau * k3, t + tau)
+        return np.asarray(x + tau * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0)
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
@@ -121,5 +121,5 @@ class Torque(Force):
         return reader.constant(state_vector(self.torque, system))
 
 
-def _given(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:
+def _call_arguments(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:
     return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]

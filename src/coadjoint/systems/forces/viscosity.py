@@ -54,8 +54,8 @@ class Viscosity(ModeRates):
     >>> import coadjoint as co
     >>> import numpy as np
     >>> s = co.systems.sphere_euler(N=6)
-    >>> place = np.arange(6) - 2.5
-    >>> W0 = 1j * np.diag(place**2 - np.mean(place**2))
+    >>> z = np.arange(6) - 2.5
+    >>> W0 = 1j * np.diag(z**2 - np.mean(z**2))
     >>> sol = co.integrate(
     ...     s.with_forces(co.forces.Viscosity(0.01)), W0, t_span=(0, 10), step=0.5, method=co.IsospectralGauss()
     ... )
@@ -78,6 +78,6 @@ class Viscosity(ModeRates):
         self.read_layer()
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        spared = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
+        offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
         with np.errstate(over="ignore"):  # modes of infinite rate become zero
-            return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - spared) ** self.power)
+            return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - offset) ** self.power)

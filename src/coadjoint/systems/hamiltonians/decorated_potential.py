@@ -73,8 +73,8 @@ def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
     def add(c: float, *powers: tuple[int, int]) -> None:
         if c:
             exponents = [0] * dim
-            for place, power in powers:
-                exponents[place] += power
+            for coordinate, power in powers:
+                exponents[coordinate] += power
             key = tuple(exponents)
             total[key] = total.get(key, 0.0) + c
 
@@ -107,7 +107,7 @@ def polynomial_derivatives(coefficients: Floats | None) -> DerivativeFunctions:
     [13.0, 12.0, 6.0, 0.0]
     """
 
-    def one(c: Floats) -> Callable[..., Any]:
+    def polynomial_function(c: Floats) -> Callable[..., Any]:
         def value(x: Any) -> Any:
             total = 0.0
             for k in range(len(c) - 1, -1, -1):
@@ -116,12 +116,12 @@ def polynomial_derivatives(coefficients: Floats | None) -> DerivativeFunctions:
 
         return value
 
-    found = []
+    functions = []
     c = np.zeros(1) if coefficients is None else coefficients
     for _ in range(4):
-        found.append(one(c))
+        functions.append(polynomial_function(c))
         c = np.arange(1, len(c)) * c[1:] if len(c) > 1 else np.zeros(1)
-    return tuple(found)
+    return tuple(functions)
 
 
 def potential_energy(w: Floats, external: DerivativeFunctions, pair: DerivativeFunctions) -> Hamiltonian:

@@ -31,18 +31,18 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
     weight1, weight2 = gravity * (m1 + m2) * l1, gravity * m2 * l2
     half = 0.5 / d
 
-    def products(x: Any, y: Any) -> Any:
-        found = np.zeros((4, 4), dtype=x.dtype)
+    def scalar_products(x: Any, y: Any) -> Any:
+        result = np.zeros((4, 4), dtype=x.dtype)
         for i in range(4):
             for j in range(4):
                 for k in range(3):
-                    found[i, j] += x[3 * i + k] * y[3 * j + k]
-        return found
+                    result[i, j] += x[3 * i + k] * y[3 * j + k]
+        return result
 
-    products = callable_from_compiled(products)
+    scalar_products = callable_from_compiled(scalar_products)
 
     def value(x: Any) -> Any:
-        D = products(x, x)
+        D = scalar_products(x, x)
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
         r = np.sqrt(A1 * A2)
         t1, t2, E = A1 * s21 - f * s11, f * s22 - A2 * s12, A2 * s11 * s12 + A1 * s21 * s22 - f * s11 * s22
@@ -51,7 +51,7 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         moving = squares - 2 * c * (r * D[2, 3] - E / r) - c * c * W / Z
         return half * moving + weight1 * x[2] / np.sqrt(A1) + weight2 * x[5] / np.sqrt(A2)
 
-    def common(D: Any) -> Any:
+    def shared_terms(D: Any) -> Any:
         """Return subexpressions shared by the derivatives: 1 / r, f / r, w_1, w_2 (c^2 W/Z by t_1, t_2), ..."""
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
         r = np.sqrt(A1 * A2)
@@ -63,12 +63,12 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         by_r = -2 * c * (D[2, 3] + u) - 2 * X * (c * e * t1 * t2 / r - (d + c * c) * r * V)
         return r, e, t1, t2, u, Z, X, V, w1, w2, by_r
 
-    common = callable_from_compiled(common)
+    shared_terms = callable_from_compiled(shared_terms)
 
     def sums(D: Any) -> Any:
         """Return twice the derivative of 2 d T by each square, and the derivative by each other product."""
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
-        r, _, t1, t2, _, _, X, V, w1, w2, by_r = common(D)
+        r, _, t1, t2, _, _, X, V, w1, w2, by_r = shared_terms(D)
         S, g = 0 * D, 2 * c / r
         S[0, 0] = 2 * b * D[2, 2] + 2 * (g * s22 - w1) * s21 + by_r * r / A1
         S[1, 1] = 2 * a * D[3, 3] + 2 * (g * s11 + w2) * s12 + by_r * r / A2
@@ -78,35 +78,35 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         S[2, 2], S[3, 3], S[2, 3] = 2 * b * A1, 2 * a * A2, -2 * c * r
         return S
 
-    def applied(S: Any, x: Any) -> Any:
-        found = 0 * x
+    def apply_derivatives(S: Any, x: Any) -> Any:
+        result = 0 * x
         for i in range(4):
             for j in range(4):
                 for k in range(3):
-                    found[3 * i + k] += half * S[min(i, j), max(i, j)] * x[3 * j + k]
-        return found
+                    result[3 * i + k] += half * S[min(i, j), max(i, j)] * x[3 * j + k]
+        return result
 
-    sums, applied = callable_from_compiled(sums), callable_from_compiled(applied)
+    sums, apply_derivatives = callable_from_compiled(sums), callable_from_compiled(apply_derivatives)
 
     def gradient(x: Any) -> Any:
-        D = products(x, x)
-        found = applied(sums(D), x)
+        D = scalar_products(x, x)
+        result = apply_derivatives(sums(D), x)
         for i in range(2):
             up, A = 3 * i + 2, D[i, i]
             weight = (weight1, weight2)[i] / np.sqrt(A)
             out = weight * x[up] / A
             for k in range(3):
-                found[3 * i + k] -= out * x[3 * i + k]
-            found[up] += weight
-        return found
+                result[3 * i + k] -= out * x[3 * i + k]
+            result[up] += weight
+        return result
 
-    def change(x: Any, v: Any) -> Any:
-        """Return the derivative of the gradient along v; d... is the derivative of what the rest names."""
-        D, dD = products(x, x), products(v, x)
+    def gradient_derivative(x: Any, v: Any) -> Any:
+        """Return the derivative of the gradient along v; the prefix d marks derivatives along v."""
+        D, dD = scalar_products(x, x), scalar_products(v, x)
         dD = dD + dD.T
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
         dA1, dA2, df, ds11, ds12, ds21, ds22 = dD[0, 0], dD[1, 1], dD[0, 1], dD[0, 2], dD[0, 3], dD[1, 2], dD[1, 3]
-        r, e, t1, t2, u, Z, X, V, w1, w2, by_r = common(D)
+        r, e, t1, t2, u, Z, X, V, w1, w2, by_r = shared_terms(D)
         dr = (dA1 * A2 + A1 * dA2) / (2 * r)
         de, g, dg = (df - e * dr) / r, 2 * c / r, -2 * c * dr / (r * r)
         dt1 = dA1 * s21 + A1 * ds21 - df * s11 - f * ds11
@@ -135,25 +135,25 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         dS[0, 3] = (dg * s11 + g * ds11 + dw2) * A2 + (g * s11 + w2) * dA2
         dS[1, 2] = (dg * s22 + g * ds22 - dw1) * A1 + (g * s22 - w1) * dA1
         dS[2, 2], dS[3, 3], dS[2, 3] = 2 * b * dA1, 2 * a * dA2, -2 * c * dr
-        found = applied(dS, x) + applied(S, v)
+        result = apply_derivatives(dS, x) + apply_derivatives(S, v)
         for i in range(2):
             up, A, dA = 3 * i + 2, D[i, i], dD[i, i]
             weight = (weight1, weight2)[i] / np.sqrt(A)
             out = weight * x[up] / A
             dout = weight * v[up] / A - 1.5 * out * dA / A
             for k in range(3):
-                found[3 * i + k] -= dout * x[3 * i + k] + out * v[3 * i + k]
-            found[up] -= 0.5 * weight * dA / A
-        return found
+                result[3 * i + k] -= dout * x[3 * i + k] + out * v[3 * i + k]
+            result[up] -= 0.5 * weight * dA / A
+        return result
 
-    change = callable_from_compiled(change)
+    gradient_derivative = callable_from_compiled(gradient_derivative)
 
     def hessian(x: Any) -> Any:
-        found = np.zeros((len(x), len(x)), dtype=x.dtype)
+        result = np.zeros((len(x), len(x)), dtype=x.dtype)
         for i in range(12):
-            along = 0 * x
-            along[i] += 1
-            found[:, i] = change(x, along)
-        return found
+            unit = 0 * x
+            unit[i] += 1
+            result[:, i] = gradient_derivative(x, unit)
+        return result
 
     return Hamiltonian(value, gradient, hessian)

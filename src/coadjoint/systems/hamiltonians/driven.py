@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import need
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
@@ -24,7 +24,7 @@ class Driven(Summable):
     """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic in ``sites * axes`` coordinates.
 
     `force` is a function of the time alone that returns ``(axes,)`` numbers, common to all sites, or ``(sites, axes)``;
-    Numba compiles it. Coordinates of the same axis must commute. `what` is the name of the function in messages.
+    Numba compiles it. Coordinates of the same axis must commute. `what` is its name in messages.
     """
 
     timed = True
@@ -35,16 +35,16 @@ class Driven(Summable):
         if isinstance(force, type) or takes_time(force, what):
             raise TypeError(f"{what} is {short(force)}; give a function of the time t alone")
         try:
-            given = np.asarray(force(0.0), dtype=np.float64)
+            values = np.asarray(force(0.0), dtype=np.float64)
         except Exception as reason:
             raise TypeError(
                 f"{what}(0.0) fails ({type(reason).__name__}: {short(str(reason))}); give numbers"
             ) from None
-        if given.shape not in ((axes,), (sites, axes)):
-            raise ValueError(f"{what}(t) has shape {given.shape}; it must return ({axes},) or ({sites}, {axes})")
-        if not np.isfinite(given).all():
+        if values.shape not in ((axes,), (sites, axes)):
+            raise ValueError(f"{what}(t) has shape {values.shape}; it must return ({axes},) or ({sites}, {axes})")
+        if not np.isfinite(values).all():
             raise ValueError(f"{what}(0.0) is not finite; give a function with finite values")
-        self.uniform = given.ndim == 1
+        self.uniform = values.ndim == 1
         self._force, self._factor = force, 1.0
         self._terms: tuple[Term, ...] | None = None
 
@@ -60,8 +60,8 @@ class Driven(Summable):
         return result
 
     def _forces(self, t: float, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        given = np.asarray(self._force(t), dtype=None if like.dtype == object else np.float64)
-        return self._factor * np.broadcast_to(given, (self._sites, self._axes)).ravel()
+        values = np.asarray(self._force(t), dtype=None if like.dtype == object else np.float64)
+        return self._factor * np.broadcast_to(values, (self._sites, self._axes)).ravel()
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
@@ -80,15 +80,15 @@ class Driven(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return the quadratic term and one function term for each axis."""
         if self._terms is None:
-            need("a force in time, a Python function,", "numba")
+            need("a time-dependent field", "numba")
             import numba
 
             compiled = numba.njit(self._force) if inspect.isfunction(self._force) else self._force
-            own = [
+            drive_terms = [
                 _term(compiled, -self._factor, np.arange(axis, self.dim or 0, self._axes), axis, self.uniform)
                 for axis in range(self._axes)
             ]
-            self._terms = (*self._quadratic.terms(), *own)
+            self._terms = (*self._quadratic.terms(), *drive_terms)
         return self._terms
 
     def __repr__(self) -> str:
@@ -96,31 +96,31 @@ class Driven(Summable):
 
 
 def _term(
-    force: Callable[..., Any], times: float, where: npt.NDArray[np.int64], axis: int, uniform: bool
+    force: Callable[..., Any], factor: float, coordinates: npt.NDArray[np.int64], axis: int, uniform: bool
 ) -> FunctionTerm:
     if uniform:
 
         def value(y: Any, t: Any) -> Any:
-            return times * force(t)[axis] * np.sum(y)
+            return factor * force(t)[axis] * np.sum(y)
 
         def gradient(y: Any, t: Any) -> Any:
-            return np.full(len(y), times * force(t)[axis])
+            return np.full(len(y), factor * force(t)[axis])
 
     else:
 
         def value(y: Any, t: Any) -> Any:
             forces, total = force(t), 0.0
             for site in range(len(y)):
-                total += times * forces[site][axis] * y[site]
+                total += factor * forces[site][axis] * y[site]
             return total
 
         def gradient(y: Any, t: Any) -> Any:
             forces, result = force(t), np.zeros(len(y))
             for site in range(len(y)):
-                result[site] = times * forces[site][axis]
+                result[site] = factor * forces[site][axis]
             return result
 
     def hessian(y: Any, t: Any) -> Any:
         return np.zeros((len(y), len(y)))
 
-    return FunctionTerm(where.astype(np.int64), value, gradient, hessian, timed=True)
+    return FunctionTerm(coordinates.astype(np.int64), value, gradient, hessian, timed=True)

@@ -1,4 +1,4 @@
-"""The interface of Hamiltonians, and Hamiltonians given by Python functions or polynomials."""
+"""The interface of Hamiltonians, and Hamiltonians given by Python functions, polynomials or user-defined classes."""
 
 from __future__ import annotations
 
@@ -10,16 +10,23 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.product_sums import Coefficient
 from coadjoint.memory import check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.hamiltonians.user_hamiltonian_check import REQUIRED_ATTRIBUTES, check_user_hamiltonian
-from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.user_functions import (
+    SAMPLE_TIME,
+    all_take_time,
+    check_derivative,
+    evaluate,
+    multiple_of,
+    sample_points,
+)
 from coadjoint.validation import read_integer
 
 MAX_CACHED_MONOMIALS = 64  # monomials of cached polynomials
@@ -174,12 +181,12 @@ class Hamiltonian(Summable):
         """Return the single `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
         if self.dim is None:
             raise TypeError("this Hamiltonian has no dimension yet; bind(n) it first")
-        everything = np.arange(self.dim, dtype=np.int64)
-        return (FunctionTerm(everything, self._value, self._gradient, self._hessian, timed=self.timed),)
+        coordinates = np.arange(self.dim, dtype=np.int64)
+        return (FunctionTerm(coordinates, self._value, self._gradient, self._hessian, timed=self.timed),)
 
     def __repr__(self) -> str:
-        given = (self._value, self._gradient, self._hessian)
-        names = [getattr(f, "__name__", short(f)) for f in given if f is not None]
+        functions = (self._value, self._gradient, self._hessian)
+        names = [getattr(f, "__name__", short(f)) for f in functions if f is not None]
         return f"Hamiltonian({', '.join(names)})"
 
 
@@ -248,17 +255,17 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
             return Quadratic.from_polynomial(H)
         return _quadratic(H, tuple(map(type, monomials.values())))
     if isinstance(H, type) or not isinstance(H, HamiltonianLike):
-        lacking = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
+        missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
         what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
-        almost = not isinstance(H, type) and 0 < len(lacking) < len(REQUIRED_ATTRIBUTES) - 1
-        own = f" (as a kind of your own it lacks {', '.join(lacking)})" if almost else ""
+        is_incomplete = not isinstance(H, type) and 0 < len(missing) < len(REQUIRED_ATTRIBUTES) - 1
+        hint = f" (as a user-defined Hamiltonian it lacks {', '.join(missing)})" if is_incomplete else ""
         if isinstance(H, str):
             raise TypeError(
                 f"the Hamiltonian is the text {short(H)}; give co.Polynomial(text, {n}) if its coordinates are x1, x2, "
                 "..., or co.Polynomial(text, basis=algebra.basis) if they are names of the basis"
             )
         raise TypeError(
-            f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian{own}"
+            f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian{hint}"
         )
     if isinstance(H, Quadratic):
         H.check_dimension(n, owner)
@@ -266,3 +273,67 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
     if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
         check_user_hamiltonian(bound, n)
     return bound
+
+
+REQUIRED_ATTRIBUTES = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
+
+
+def check_user_hamiltonian(H: Any, n: int) -> None:
+    """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree.
+
+    Compiled loops use the terms; Python code uses the functions.
+    """
+    kind = type(H).__name__
+    if getattr(H, "dim", None) != n:
+        raise ValueError(f"bind({n}) of {kind} returned a Hamiltonian of dimension {short(getattr(H, 'dim', None))}")
+    terms = H.terms()
+    for term in terms:
+        if not hasattr(term, "given_to"):
+            raise TypeError(
+                f"{kind}.terms() holds {short(term)}; a term is a QuadraticTerm, PolynomialTerm or FunctionTerm"
+            )
+    value, gradient = (f"{kind}.{name}" for name in ("value", "gradient"))
+    check_derivative(H.value, H.gradient, names=(value, gradient), shapes=((), (n,)), n=n, timed=H.timed)
+    if not isinstance(evaluate(H.hessian, sample_points(n)[0], H.timed), TypeError):
+        names = (gradient, f"{kind}.hessian")
+        check_derivative(H.gradient, H.hessian, names=names, shapes=((n,), (n, n)), n=n, timed=H.timed)
+    for x in sample_points(n):
+        declared = evaluate(H.gradient, x, H.timed)
+        if isinstance(declared, Exception):
+            continue
+        term_gradient = _Gradient(x)
+        for term in terms:
+            term.given_to(term_gradient)
+        total, size = term_gradient.total, term_gradient.size
+        if not np.all(np.abs(total - declared) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(declared))):
+            k = int(np.argmax(np.abs(total - declared)))
+            raise ValueError(
+                f"{kind}.terms() contradict {gradient}: component {k} is {total[k]:.6g} by the terms and "
+                f"{float(declared[k]):.6g} by the gradient at a sample point; correct the one that is wrong"
+            )
+
+
+class _Gradient:
+    """The gradient of a sum of terms at a sample point, and the sum of absolute values for tolerances."""
+
+    def __init__(self, x: npt.NDArray[np.float64]) -> None:
+        self.x, self.total, self.size = x, np.zeros(len(x)), 0.0
+
+    def _add(self, part: npt.NDArray[np.float64]) -> None:
+        self.total += part
+        self.size += float(np.max(np.abs(part), initial=0.0))
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        part = term.linear.astype(np.float64)
+        np.add.at(part, term.rows, term.values * self.x[term.indices])
+        self.size += float(np.max(np.abs(term.values), initial=0.0) * np.abs(self.x).sum())
+        self._add(part)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        self._add(np.asarray(term.polynomial.gradient(self.x), dtype=np.float64))
+
+    def function(self, term: FunctionTerm) -> None:
+        y, part = self.x[term.coordinates], np.zeros(len(self.x))
+        values = term.gradient(y[0] if term.scalar else y, *((SAMPLE_TIME,) if term.timed else ()))
+        np.add.at(part, term.coordinates, np.asarray(values, dtype=np.float64).reshape(len(y)))
+        self._add(part)

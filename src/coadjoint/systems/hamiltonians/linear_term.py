@@ -34,21 +34,21 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
         (term,) = H.terms()
         assert term.form is not None
         return np.array(term.form.linear)
-    found = np.zeros(n)
+    linear = np.zeros(n)
     if isinstance(H, Separable):
-        return found
+        return linear
     if isinstance(H, SumOfHamiltonians):
-        return np.asarray(sum(linear_of(one, n) for one in H.summands if _has_linear(one)) + found)
+        return np.asarray(sum(linear_of(summand, n) for summand in H.summands if _has_linear(summand)) + linear)
     if isinstance(H, PolynomialHamiltonian):
         for exponents, coefficient in H.polynomial.monomials.items():
             if sum(exponents) == 1:
-                found[exponents.index(1)] = float(coefficient)
-        return found
+                linear[exponents.index(1)] = float(coefficient)
+        return linear
     if isinstance(H, SplitHamiltonian):
         for coordinates, piece in zip(H.coordinates, H.pieces, strict=True):
             if _has_linear(piece):
-                found[list(coordinates)] += linear_of(piece, len(coordinates))
-        return found
+                linear[list(coordinates)] += linear_of(piece, len(coordinates))
+        return linear
     raise TypeError(
         f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace; give a Quadratic, a "
         "Polynomial, a Separable or a SplitHamiltonian"
@@ -79,10 +79,9 @@ def with_linear(system: SystemT, linear: Floats) -> SystemT:
 
 
 def with_placeholders(system: SystemT, coordinates: Sequence[int]) -> SystemT:
-    """Return the system with `PLACEHOLDER_COEFFICIENT` in place of those of the given linear coefficients that are
-    zero.
+    """Replace zero linear coefficients of `coordinates` by `PLACEHOLDER_COEFFICIENT`.
 
-    Its Hamiltonian then has every part that it can have for any values of them.
+    The Hamiltonian then has every part that it can have for any of their values.
     """
     linear, chosen = linear_of(system.hamiltonian, system.dim), np.array(coordinates, dtype=np.int64)
     absent = chosen[linear[chosen] == 0.0]
@@ -106,8 +105,8 @@ def _replace_linear(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
     if isinstance(H, Separable):
         pieces = []
         for term in H.functions():
-            given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
-            pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
+            functions: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
+            pieces.append(((int(term.coordinates[0]),), Separable({0: functions})))
         return _replace_linear_in_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
     raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace")
 
@@ -124,22 +123,22 @@ def _replace_linear_in_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianL
 
 def _replace_linear_in_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
     changed = np.flatnonzero(linear != linear_of(H, len(linear))).tolist()
-    found = list(zip(H.coordinates, H.pieces, strict=True))
+    pieces = list(zip(H.coordinates, H.pieces, strict=True))
     for k in changed:
-        able = [p for p, (where, piece) in enumerate(found) if k in where and _has_linear(piece)]
-        if len(able) > 1:
+        candidates = [p for p, (coordinates, piece) in enumerate(pieces) if k in coordinates and _has_linear(piece)]
+        if len(candidates) > 1:
             raise ValueError(
-                f"pieces {able[0]} and {able[1]} of the SplitHamiltonian are polynomials in coordinate {k}, whose "
-                "linear coefficient may belong to either; leave the coordinate in one of them"
+                f"pieces {candidates[0]} and {candidates[1]} of the SplitHamiltonian are polynomials in coordinate "
+                f"{k}, so its linear coefficient is ambiguous; use the coordinate in one of them"
             )
-        if not able:
-            found.append(((k,), Quadratic(0.0, linear=linear[k : k + 1])))
+        if not candidates:
+            pieces.append(((k,), Quadratic(0.0, linear=linear[k : k + 1])))
             continue
-        where, piece = found[able[0]]
-        own = linear_of(piece, len(where))
-        own[where.index(k)] = linear[k]
-        found[able[0]] = where, _replace_linear(piece, own)
-    return SplitHamiltonian(found).bind(len(linear))
+        coordinates, piece = pieces[candidates[0]]
+        piece_linear = linear_of(piece, len(coordinates))
+        piece_linear[coordinates.index(k)] = linear[k]
+        pieces[candidates[0]] = coordinates, _replace_linear(piece, piece_linear)
+    return SplitHamiltonian(pieces).bind(len(linear))
 
 
 def check_linear(system: Any) -> None:

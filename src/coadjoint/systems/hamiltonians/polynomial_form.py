@@ -12,18 +12,18 @@ def polynomial_of(hamiltonian: HamiltonianLike) -> Polynomial | None:
     """Return a bound Hamiltonian as a polynomial, with its given coefficients; None if it calls user functions."""
     if isinstance(hamiltonian, Quadratic):
         return hamiltonian.to_polynomial()
-    reader = _Pieces()
+    reader = _PolynomialReader()
     for term in hamiltonian.terms():
         term.given_to(reader)
-    return None if reader.other else sum(reader.found[1:], reader.found[0])
+    return None if reader.has_functions else sum(reader.polynomials[1:], reader.polynomials[0])
 
 
-class _Pieces:
+class _PolynomialReader:
     """Term reader that collects the terms of a Hamiltonian as polynomials."""
 
     def __init__(self) -> None:
-        self.found: list[Polynomial] = []
-        self.other = False
+        self.polynomials: list[Polynomial] = []
+        self.has_functions = False
 
     def quadratic(self, term: QuadraticTerm) -> None:
         n = len(term.linear)
@@ -33,17 +33,17 @@ class _Pieces:
         for i, j, c in zip(term.rows.tolist(), term.indices.tolist(), term.values.tolist(), strict=True):
             if i <= j:
                 monomials[_exponents(n, i, j)] = c / 2 if i == j else c
-        self.found.append(Polynomial(monomials))
+        self.polynomials.append(Polynomial(monomials))
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        self.found.append(term.polynomial)
+        self.polynomials.append(term.polynomial)
 
     def function(self, term: FunctionTerm) -> None:
-        self.other = True
+        self.has_functions = True
 
 
 def _exponents(n: int, *factors: int) -> tuple[int, ...]:
-    found = [0] * n
+    exponents = [0] * n
     for i in factors:
-        found[i] += 1
-    return tuple(found)
+        exponents[i] += 1
+    return tuple(exponents)

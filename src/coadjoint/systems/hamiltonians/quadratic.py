@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Self, cast
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.product_sums import Coefficient
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, point, scatter
@@ -94,8 +94,8 @@ class Quadratic(Summable):
             n = len(self._linear) if self._linear is not None else 0
             self._store(n, np.arange(n), np.arange(n), np.full(n, array.item(), dtype=array.dtype))
         elif array.ndim == 1:
-            own = np.flatnonzero(array)
-            self._store(array.size, own, own, array[own], mirrored=True)
+            nonzero = np.flatnonzero(array)
+            self._store(array.size, nonzero, nonzero, array[nonzero], mirrored=True)
         elif array.ndim == 2 and array.shape[0] == array.shape[1]:
             rows, columns = np.nonzero(array)
             self._store(array.shape[0], rows, columns, array[rows, columns])
@@ -116,9 +116,9 @@ class Quadratic(Summable):
         if self._linear is None:
             self._linear = np.zeros(n)
         if self._linear.size != n:
-            have = f"M has {n} entries" if mirrored else f"M is {n} x {n}"
+            size = f"M has {n} entries" if mirrored else f"M is {n} x {n}"
             raise ValueError(
-                f"{have} and linear has {self._linear.size}; give both one for each coordinate of the system"
+                f"{size} and linear has {self._linear.size}; give both one for each coordinate of the system"
             )
         rows, columns = rows.astype(np.int64), columns.astype(np.int64)
         if not mirrored:
@@ -172,19 +172,19 @@ class Quadratic(Summable):
         columns: list[int] = []
         entries: list[Any] = []
         for exponents, coefficient in polynomial.monomials.items():
-            where = factors_of(exponents)
-            if len(where) == 2:
-                rows += [where[0], where[1]] if where[0] != where[1] else [where[0]]
-                columns += [where[1], where[0]] if where[0] != where[1] else [where[0]]
-                entries += [coefficient, coefficient] if where[0] != where[1] else [2 * coefficient]
-            elif len(where) == 1:
-                linear[where[0]] = coefficient
+            factors = factors_of(exponents)
+            if len(factors) == 2:
+                rows += [factors[0], factors[1]] if factors[0] != factors[1] else [factors[0]]
+                columns += [factors[1], factors[0]] if factors[0] != factors[1] else [factors[0]]
+                entries += [coefficient, coefficient] if factors[0] != factors[1] else [2 * coefficient]
+            elif len(factors) == 1:
+                linear[factors[0]] = coefficient
             else:
                 constant = coefficient
         packed = np.empty(len(entries), dtype=kind)
         packed[:] = entries
-        places = np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
-        return cls.from_entries(n, *places, packed, linear, constant)
+        positions = np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+        return cls.from_entries(n, *positions, packed, linear, constant)
 
     @classmethod
     def from_entries(
@@ -326,7 +326,7 @@ class Quadratic(Summable):
         >>> Quadratic([1.0, 2.0]).times(0.5)
         Quadratic([0.5, 1.0])
         """
-        from coadjoint.systems.hamiltonians.quadratic_sums import scale_quadratic
+        from coadjoint.systems.hamiltonians.sum_of_hamiltonians import scale_quadratic
 
         return cast(Self, scale_quadratic(self, factor))
 
@@ -356,15 +356,15 @@ class Quadratic(Summable):
         """
         if self.dim is None:
             raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
-        given = real_array(linear, "linear")
-        if given.shape != (self.dim,):
+        coefficients = real_array(linear, "linear")
+        if coefficients.shape != (self.dim,):
             raise ValueError(
-                f"linear has the shape {given.shape}; give one coefficient for each of {self.dim} coordinates"
+                f"linear has the shape {coefficients.shape}; give one coefficient for each of {self.dim} coordinates"
             )
-        given.flags.writeable = False
+        coefficients.flags.writeable = False
         changed = copy.copy(self)
         changed.__dict__.pop("_terms", None)
-        changed._linear = given
+        changed._linear = coefficients
         return changed
 
     def _at(self, x: npt.ArrayLike) -> tuple[Quadratic, npt.NDArray[Any]]:
@@ -444,10 +444,10 @@ class Quadratic(Summable):
 
 def factors_of(exponents: tuple[int, ...]) -> list[int]:
     """Return the coordinates in a monomial with multiplicity; fast for low degrees and many coordinates."""
-    found: list[int] = []
+    factors: list[int] = []
     for degree in range(1, max(exponents) + 1):
-        place = -1
+        coordinate = -1
         for _ in range(exponents.count(degree)):
-            place = exponents.index(degree, place + 1)
-            found += [place] * degree
-    return sorted(found)
+            coordinate = exponents.index(degree, coordinate + 1)
+            factors += [coordinate] * degree
+    return sorted(factors)

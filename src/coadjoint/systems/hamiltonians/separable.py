@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
@@ -57,14 +57,14 @@ class Separable(Summable):
         self._terms: list[FunctionTerm] = []
         for key in functions:
             i = read_integer(key, "a coordinate of Separable", 0, MAX_COORDINATES)
-            given = functions[key]
-            if not isinstance(given, tuple | list) or len(given) not in (2, 3):
-                raise TypeError(f"coordinate {i} has {short(given)}; give (H_i, dH_i) or (H_i, dH_i, d2H_i)")
-            value, slope = given[0], given[1]
-            curvature = given[2] if len(given) == 3 else None
+            group = functions[key]
+            if not isinstance(group, tuple | list) or len(group) not in (2, 3):
+                raise TypeError(f"coordinate {i} has {short(group)}; give (H_i, dH_i) or (H_i, dH_i, d2H_i)")
+            value, slope = group[0], group[1]
+            curvature = group[2] if len(group) == 3 else None
             timed = all_take_time({f"H_{i}": value, f"dH_{i}": slope, f"d2H_{i}": curvature})
-            where = np.array([i], dtype=np.int64)
-            self._terms.append(FunctionTerm(where, value, slope, curvature, scalar=True, timed=timed))
+            coordinates = np.array([i], dtype=np.int64)
+            self._terms.append(FunctionTerm(coordinates, value, slope, curvature, scalar=True, timed=timed))
         self._terms.sort(key=lambda term: int(term.coordinates[0]))
         self.timed = any(term.timed for term in self._terms)
 
@@ -129,10 +129,10 @@ class Separable(Summable):
             result._terms.append(replace(term, value=value, gradient=gradient, hessian=hessian))
         return result
 
-    def _each(self, which: str, y: npt.NDArray[Any], t: float) -> list[tuple[int, Any]]:
+    def _each(self, attribute: str, y: npt.NDArray[Any], t: float) -> list[tuple[int, Any]]:
         results = []
         for term in self._terms:
-            i, function = int(term.coordinates[0]), getattr(term, which)
+            i, function = int(term.coordinates[0]), getattr(term, attribute)
             if i >= y.size:
                 raise ValueError(f"Separable has a function of coordinate {i}, but x has only {y.size} entries")
             if function is None:
@@ -143,8 +143,8 @@ class Separable(Summable):
                 if y.dtype != object:
                     raise
                 # NumPy functions reject Python objects that lack the method.
-                said = in_one_line(str(reason), 200)
-                raise TypeError(f"the function of coordinate {i} does not take {short(y[i])} ({said})") from None
+                message = in_one_line(str(reason), 200)
+                raise TypeError(f"the function of coordinate {i} does not take {short(y[i])} ({message})") from None
         return results
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
@@ -180,5 +180,9 @@ class Separable(Summable):
         return tuple(self._terms)
 
     def __repr__(self) -> str:
-        where = [int(term.coordinates[0]) for term in self._terms]
-        return f"Separable(of coordinates {where})" if len(where) <= 8 else f"Separable(of {len(where)} coordinates)"
+        coordinates = [int(term.coordinates[0]) for term in self._terms]
+        return (
+            f"Separable(of coordinates {coordinates})"
+            if len(coordinates) <= 8
+            else f"Separable(of {len(coordinates)} coordinates)"
+        )

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
@@ -63,11 +63,11 @@ class SplitHamiltonian(Summable):
         coordinates: list[tuple[int, ...]] = []
         parts: list[HamiltonianLike] = []
         rule = "give a list of (coordinates, Hamiltonian)"
-        for number, piece in enumerate(read_list(pieces, "what SplitHamiltonian was given", rule)):
+        for number, piece in enumerate(read_list(pieces, "pieces", rule)):
             if not isinstance(piece, tuple | list) or len(piece) != 2:
                 raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)")
-            where, H = piece
-            listed = read_list(where, f"where piece {number} acts", "give (coordinates, Hamiltonian)")
+            indices, H = piece
+            listed = read_list(indices, f"the coordinates of piece {number}", "give (coordinates, Hamiltonian)")
             chosen = tuple(read_integer(i, f"a coordinate of piece {number}", 0, MAX_COORDINATES) for i in listed)
             if not chosen or len(set(chosen)) != len(chosen):
                 raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
@@ -129,7 +129,7 @@ class SplitHamiltonian(Summable):
         for number, piece in enumerate(self.pieces):
             if not isinstance(piece, Summable):
                 raise TypeError(
-                    f"piece {number} is {short(piece)}, whose type cannot be multiplied; multiply the piece itself"
+                    f"piece {number} is {short(piece)}, which has no method times; multiply the piece itself"
                 )
         result = copy.copy(self)
         result.pieces = tuple(piece.times(factor) for piece in self.pieces if isinstance(piece, Summable))
@@ -146,8 +146,8 @@ class SplitHamiltonian(Summable):
         y = point(x, self.dim)
         result = np.zeros(y.size, dtype=y.dtype)
         for chosen, part in zip(self.coordinates, self.pieces, strict=True):
-            where = list(chosen)
-            result[where] += part.gradient(y[where], t)
+            indices = list(chosen)
+            result[indices] += part.gradient(y[indices], t)
         return result
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
@@ -155,8 +155,8 @@ class SplitHamiltonian(Summable):
         y = point(x, self.dim)
         result = np.zeros((y.size, y.size), dtype=y.dtype)
         for chosen, part in zip(self.coordinates, self.pieces, strict=True):
-            where = list(chosen)
-            result[np.ix_(where, where)] += part.hessian(y[where], t)
+            indices = list(chosen)
+            result[np.ix_(indices, indices)] += part.hessian(y[indices], t)
         return result
 
     def terms(self) -> tuple[Term, ...]:
@@ -165,8 +165,8 @@ class SplitHamiltonian(Summable):
             raise TypeError("SplitHamiltonian has no dimension yet; bind(n) it first")
         result: list[Term] = []
         for number, (chosen, part) in enumerate(zip(self.coordinates, self.pieces, strict=True)):
-            where = np.array(chosen, dtype=np.int64)
-            result += [term.placed(where, self.dim, number) for term in part.terms()]
+            indices = np.array(chosen, dtype=np.int64)
+            result += [term.placed(indices, self.dim, number) for term in part.terms()]
         return tuple(result)
 
     def __repr__(self) -> str:

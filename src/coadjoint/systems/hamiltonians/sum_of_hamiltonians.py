@@ -1,4 +1,4 @@
-"""Sums of Hamiltonians of any types, the result of ``H1 + H2``."""
+"""Sums of Hamiltonians of any types, the result of ``H1 + H2``, and multiples of quadratic ones."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.quadratic_sums import add_quadratics
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import Term
+from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY
 from coadjoint.validation import is_real
 
 
@@ -29,36 +31,36 @@ class SumOfHamiltonians(Summable):
 
     def __init__(self, summands: Sequence[Any]) -> None:
         self.summands: tuple[Any, ...] = tuple(summands)
-        dimensions = [one.dim for one in self.summands]
+        dimensions = [summand.dim for summand in self.summands]
         known = set(dimensions) - {None}
         if len(known) > 1:
             raise ValueError(f"Hamiltonians of {' and '.join(map(str, sorted(known)))} coordinates cannot be added")
         self.dim: int | None = None if None in dimensions else dimensions[0]
-        self.timed = any(one.timed for one in self.summands)
+        self.timed = any(summand.timed for summand in self.summands)
 
     def bind(self, n: int) -> SumOfHamiltonians:
         """Return the sum of the summands bound to dimension n."""
-        return SumOfHamiltonians([as_hamiltonian(one, n) for one in self.summands])
+        return SumOfHamiltonians([as_hamiltonian(summand, n) for summand in self.summands])
 
     def times(self, factor: Coefficient) -> Self:
         """Return the Hamiltonian multiplied by a factor."""
-        return type(self)([factor * one for one in self.summands])
+        return type(self)([factor * summand for summand in self.summands])
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
-        return sum(one.value(x, t) for one in self.summands)
+        return sum(summand.value(x, t) for summand in self.summands)
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
-        return np.asarray(sum(one.gradient(x, t) for one in self.summands))
+        return np.asarray(sum(summand.gradient(x, t) for summand in self.summands))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the second derivatives, shape (n, n)."""
-        return np.asarray(sum(one.hessian(x, t) for one in self.summands))
+        return np.asarray(sum(summand.hessian(x, t) for summand in self.summands))
 
     def terms(self) -> tuple[Term, ...]:
         """Return the terms of all summands; the sum must be bound."""
-        return tuple(term for one in self.summands for term in one.terms())
+        return tuple(term for summand in self.summands for term in summand.terms())
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.summands))
@@ -75,43 +77,45 @@ def sum_of(first: Any, second: Any) -> Any:
     Two of the same type `Quadratic`, `Polynomial` or `SplitHamiltonian` give this type, a Quadratic and a Polynomial a
     Polynomial, and all others a `SumOfHamiltonians`. Raises ValueError for different numbers of coordinates.
     """
-    if any(is_real(one) and one == 0 for one in (first, second)):
+    if any(is_real(summand) and summand == 0 for summand in (first, second)):
         return second if is_real(first) else first  # the start value of `sum`
     simple: Any = None
     split: SplitHamiltonian | None = None
-    others: list[Any] = []
-    for one in _each((first, second)):
-        if isinstance(one, Quadratic | Polynomial):
-            simple = one if simple is None else _simple_sum(simple, one)
-        elif isinstance(one, SplitHamiltonian):
-            split = one if split is None else _split_sum(split, one)
+    rest: list[Any] = []
+    for summand in _flatten((first, second)):
+        if isinstance(summand, Quadratic | Polynomial):
+            simple = summand if simple is None else _simple_sum(simple, summand)
+        elif isinstance(summand, SplitHamiltonian):
+            split = summand if split is None else _split_sum(split, summand)
         else:
-            others.append(one)
-    found = [one for one in (simple, split, *others) if one is not None]
-    if len(found) == 1:
-        return found[0]
-    return SumOfHamiltonians([as_hamiltonian(one, one.dim) if isinstance(one, Polynomial) else one for one in found])
+            rest.append(summand)
+    summands = [summand for summand in (simple, split, *rest) if summand is not None]
+    if len(summands) == 1:
+        return summands[0]
+    return SumOfHamiltonians(
+        [as_hamiltonian(summand, summand.dim) if isinstance(summand, Polynomial) else summand for summand in summands]
+    )
 
 
-def _each(argument: Iterable[Any]) -> Iterable[Any]:
+def _flatten(argument: Iterable[Any]) -> Iterable[Any]:
     """Yield the summands, a number as a Quadratic and a polynomial unchanged."""
-    for one in argument:
-        if is_real(one):
-            yield Quadratic(0.0, constant=one)
-        elif isinstance(one, SumOfHamiltonians):
-            yield from _each(one.summands)
-        elif isinstance(one, PolynomialHamiltonian):
-            yield one.polynomial
-        elif isinstance(one, Polynomial | Summable) or _is_user_defined(one):
-            yield one
+    for summand in argument:
+        if is_real(summand):
+            yield Quadratic(0.0, constant=summand)
+        elif isinstance(summand, SumOfHamiltonians):
+            yield from _flatten(summand.summands)
+        elif isinstance(summand, PolynomialHamiltonian):
+            yield summand.polynomial
+        elif isinstance(summand, Polynomial | Summable) or _is_user_defined(summand):
+            yield summand
         else:
-            raise TypeError(f"{short(one)} is not a Hamiltonian and cannot be added to one; give one, or a number")
+            raise TypeError(f"{short(summand)} is not a Hamiltonian and cannot be added to one; give one, or a number")
 
 
 def _is_user_defined(argument: Any) -> bool:
     """Return whether it is a Hamiltonian of a user-defined type."""
-    own = type(argument).__module__.partition(".")[0] != __name__.partition(".")[0]
-    return own and not isinstance(argument, type) and isinstance(argument, HamiltonianLike)
+    is_foreign = type(argument).__module__.partition(".")[0] != __name__.partition(".")[0]
+    return is_foreign and not isinstance(argument, type) and isinstance(argument, HamiltonianLike)
 
 
 def _simple_sum(first: Quadratic | Polynomial, second: Quadratic | Polynomial) -> Quadratic | Polynomial:
@@ -119,13 +123,68 @@ def _simple_sum(first: Quadratic | Polynomial, second: Quadratic | Polynomial) -
         return add_quadratics(first, second)
     dim = first.dim if isinstance(first, Polynomial) else second.dim
     assert dim is not None
-    one, other = (H if isinstance(H, Polynomial) else H.bind(dim).to_polynomial() for H in (first, second))
-    return one + other
+    polynomial, other_polynomial = (
+        H if isinstance(H, Polynomial) else H.bind(dim).to_polynomial() for H in (first, second)
+    )
+    return polynomial + other_polynomial
 
 
 def _split_sum(first: SplitHamiltonian, second: SplitHamiltonian) -> SplitHamiltonian:
     if None not in (first.dim, second.dim) and first.dim != second.dim:
         raise ValueError(f"Hamiltonians of {first.dim} and {second.dim} coordinates cannot be added")
-    both = (*zip(first.coordinates, first.pieces, strict=True), *zip(second.coordinates, second.pieces, strict=True))
+    pieces = (*zip(first.coordinates, first.pieces, strict=True), *zip(second.coordinates, second.pieces, strict=True))
     dim = first.dim if first.dim is not None else second.dim
-    return SplitHamiltonian(both) if dim is None else SplitHamiltonian(both).bind(dim)
+    return SplitHamiltonian(pieces) if dim is None else SplitHamiltonian(pieces).bind(dim)
+
+
+@ignore_overflow
+def add_quadratics(first: Quadratic, second: Quadratic) -> Quadratic:
+    """Return the sum of two quadratic Hamiltonians; raise ValueError on different dimensions or overflow.
+
+    Examples
+    --------
+    >>> add_quadratics(Quadratic([1.0, 2.0]), Quadratic([[0.0, 1.0], [1.0, 0.0]], linear=[3.0, 0.0]))
+    Quadratic([[1.0, 1.0], [1.0, 2.0]], linear=[3.0, 0.0])
+    """
+    dim = first.dim if first.dim is not None else second.dim
+    if dim is None:
+        return Quadratic(first.scalar + second.scalar, constant=first.constant + second.constant)
+    if second.dim not in (None, dim):
+        raise ValueError(f"Hamiltonians of {dim} and {second.dim} coordinates cannot be added")
+    a, b = first.bind(dim).as_given(), second.bind(dim).as_given()
+    count = len(a.entries) + len(b.entries)
+    check_available_memory(BYTES_PER_ENTRY * count, f"a sum of matrices with {count} entries")
+    rows, columns = np.r_[a.rows, b.rows], np.r_[a.columns, b.columns]
+    entries = np.concatenate([a.entries, b.entries])
+    order = np.lexsort((columns, rows))
+    rows, columns, entries = rows[order], columns[order], entries[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(rows) != 0) | (np.diff(columns) != 0)][: len(rows)])
+    if len(starts):
+        rows, columns, entries = rows[starts], columns[starts], np.add.reduceat(entries, starts)
+    return Quadratic.from_entries(
+        dim, rows, columns, _as_floats(entries), _as_floats(a.linear + b.linear), first.constant + second.constant
+    )
+
+
+@ignore_overflow
+def scale_quadratic(H: Quadratic, factor: Coefficient) -> Quadratic:
+    """Return a multiple of a quadratic Hamiltonian, bound or not; raise ValueError on overflow."""
+    if H.dim is None:
+        return Quadratic(H.scalar * factor, constant=H.constant * factor)
+    stored = H.as_given()
+    entries, linear = (
+        _as_floats(stored.entries * _as_number_type(factor, stored.entries)),
+        _as_floats(stored.linear * _as_number_type(factor, stored.linear)),
+    )
+    return Quadratic.from_entries(H.dim, stored.rows, stored.columns, entries, linear, H.constant * factor)
+
+
+def _as_number_type(factor: Coefficient, numbers: npt.NDArray[Any]) -> Any:
+    return factor if numbers.dtype == object else float(factor)
+
+
+def _as_floats(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an array of objects as float64 if all are floats."""
+    if numbers.dtype == object and all(isinstance(number, float) for number in numbers):
+        return numbers.astype(np.float64)
+    return numbers

@@ -6,8 +6,7 @@ from abc import ABC, abstractmethod
 from fractions import Fraction
 from typing import Any, Self
 
-from coadjoint.algebra.polynomials.monomials import read_coefficient
-from coadjoint.algebra.polynomials.product_sums import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient, read_coefficient
 from coadjoint.short_repr import short
 from coadjoint.validation import is_real
 
@@ -49,10 +48,10 @@ class Summable(ABC):
         return self * factor
 
     def __truediv__(self, divisor: Any) -> Self:
-        below = _factor(divisor)
-        if below == 0:
+        denominator = _factor(divisor)
+        if denominator == 0:
             raise ValueError(f"a Hamiltonian can be divided by a number other than 0, not by {short(divisor)}")
-        return self * (1.0 / below if isinstance(below, float) else Fraction(1, 1) / below)
+        return self * (1.0 / denominator if isinstance(denominator, float) else Fraction(1, 1) / denominator)
 
 
 def _factor(argument: Any) -> Coefficient:

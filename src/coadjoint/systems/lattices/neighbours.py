@@ -51,29 +51,29 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     if not isinstance(lattice, str):
         count = read_integer(shape, "shape, the number of sites where edges are given,", 1, MAX_SITES)
         read_flags(periodic, 1)
-        edges = _given(lattice, count)
+        edges = _read_edges(lattice, count)
     elif read_choice(lattice, "lattice", NAMES) == "complete":
         count = read_integer(shape, "shape of a complete graph, its number of sites,", 1, MAX_SITES)
         read_flags(periodic, 1)
         check_available_memory(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
         edges = np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
     else:
-        cell, around = (CELLS["chain"], True) if lattice == "ring" else (CELLS[lattice], periodic)
+        cell, closed = (CELLS["chain"], True) if lattice == "ring" else (CELLS[lattice], periodic)
         axes = len(cell.bonds[0][2])
         sizes = _sizes(shape, axes, lattice)
         count = cell.sites * math.prod(sizes)
         check_available_memory(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
-        edges = _of_cells(cell, sizes, read_flags(around, axes))
-    _check_once(edges, count, lattice, shape)
+        edges = _edges_of_cells(cell, sizes, read_flags(closed, axes))
+    _check_simple(edges, count, lattice, shape)
     return count, edges
 
 
 def _sizes(shape: Any, axes: int, lattice: str) -> tuple[int, ...]:
     rule = f"give {axes} whole numbers" if axes > 1 else "give one whole number"
-    given = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, "shape", rule)
-    if len(given) != axes:
+    sizes = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, "shape", rule)
+    if len(sizes) != axes:
         raise ValueError(f"shape is {short(shape)}; {rule} for a lattice that is {lattice}")
-    return tuple(read_integer(size, f"shape[{axis}]") for axis, size in enumerate(given))
+    return tuple(read_integer(size, f"shape[{axis}]") for axis, size in enumerate(sizes))
 
 
 def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
@@ -91,22 +91,22 @@ def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
     return tuple(read_bool(flag, f"periodic[{axis}]") for axis, flag in enumerate(periodic))
 
 
-def _of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
-    places = np.indices(sizes).reshape(len(sizes), -1)
+def _edges_of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
+    positions = np.indices(sizes).reshape(len(sizes), -1)
     numbers = np.arange(math.prod(sizes), dtype=np.int64)
-    found = []
+    edges = []
     for first, second, step in cell.bonds:
         other, inside = np.zeros_like(numbers), np.ones(len(numbers), dtype=bool)
-        for axis, (size, around) in enumerate(zip(sizes, periodic, strict=True)):
-            place = places[axis] + step[axis]
-            if not around:
-                inside &= (place >= 0) & (place < size)
-            other = other * size + place % size
-        found.append(np.stack([numbers * cell.sites + first, other * cell.sites + second], axis=1)[inside])
-    return np.concatenate(found)
+        for axis, (size, closed) in enumerate(zip(sizes, periodic, strict=True)):
+            position = positions[axis] + step[axis]
+            if not closed:
+                inside &= (position >= 0) & (position < size)
+            other = other * size + position % size
+        edges.append(np.stack([numbers * cell.sites + first, other * cell.sites + second], axis=1)[inside])
+    return np.concatenate(edges)
 
 
-def _given(edges: Any, count: int) -> Integers:
+def _read_edges(edges: Any, count: int) -> Integers:
     array = to_array(edges, "lattice")
     if array.size == 0:
         return np.zeros((0, 2), dtype=np.int64)
@@ -123,16 +123,16 @@ def _given(edges: Any, count: int) -> Integers:
     return array.astype(np.int64)
 
 
-def _check_once(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
+def _check_simple(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
     """Raise ValueError for an edge from a site to itself, and for two edges between the same sites."""
     low, high = edges.min(axis=1, initial=count), edges.max(axis=1, initial=0)
     what = f"a periodic {lattice} lattice of shape {short(shape)}" if isinstance(lattice, str) else "lattice"
-    instead = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""
+    advice = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""
     loops = np.flatnonzero(low == high)
     if loops.size:
-        raise ValueError(f"{what} joins site {low[loops[0]]} to itself{instead or '; give pairs of different sites'}")
+        raise ValueError(f"{what} joins site {low[loops[0]]} to itself{advice or '; give pairs of different sites'}")
     keys = np.sort(low * count + high)
-    again = np.flatnonzero(keys[1:] == keys[:-1])
-    if again.size:
-        i, j = divmod(int(keys[again[0]]), count)
-        raise ValueError(f"{what} joins the sites {i} and {j} twice{instead or '; give every pair once'}")
+    duplicates = np.flatnonzero(keys[1:] == keys[:-1])
+    if duplicates.size:
+        i, j = divmod(int(keys[duplicates[0]]), count)
+        raise ValueError(f"{what} joins the sites {i} and {j} twice{advice or '; give every pair once'}")

@@ -13,8 +13,7 @@ from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.spin_integrals import total_spins
-from coadjoint.systems.closed_forms.spin_precession import precession
+from coadjoint.systems.closed_forms.spins import precession, total_spins
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.driven import Driven
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -40,12 +39,12 @@ EXAMPLE_SIDE = 18
 def _vortices() -> Floats:
     """Return spins in the plane that rotate once around each of two sites, and point up there."""
     x, y = np.indices((EXAMPLE_SIDE, EXAMPLE_SIDE)) - 0.5 * (EXAMPLE_SIDE - 1)
-    turned, tilt = 0.5 * np.pi, np.zeros_like(x)
+    angle, tilt = 0.5 * np.pi, np.zeros_like(x)
     for side in (-3.5, 3.5):
-        turned = turned + np.arctan2(y, x - side)
+        angle = angle + np.arctan2(y, x - side)
         tilt = tilt + np.exp(-0.4 * ((x - side) ** 2 + y**2))
-    flat = np.sqrt(1.0 - np.minimum(tilt, 1.0) ** 2)
-    return np.stack([flat * np.cos(turned), flat * np.sin(turned), tilt], axis=-1).ravel()
+    in_plane = np.sqrt(1.0 - np.minimum(tilt, 1.0) ** 2)
+    return np.stack([in_plane * np.cos(angle), in_plane * np.sin(angle), tilt], axis=-1).ravel()
 
 
 def _mean(axis: int, x: Any) -> Any:
@@ -55,7 +54,7 @@ def _mean(axis: int, x: Any) -> Any:
 _MEANS = {f"S{axis + 1}": partial(_mean, axis) for axis in range(3)}
 
 
-def _named(dim: int) -> tuple[str, ...]:
+def _coordinate_names(dim: int) -> tuple[str, ...]:
     return tuple(f"S{axis + 1}[{site + 1}]" for site in range(dim // 3) for axis in range(3))
 
 
@@ -70,7 +69,7 @@ def _named(dim: int) -> tuple[str, ...]:
         pictures=(Picture("spins", at=0.0), Picture("spins", at=1.0)),
         components=Picture("components", functions=_MEANS, quantity="mean spin"),
         parameters={"lattice": "square", "shape": (EXAMPLE_SIDE, EXAMPLE_SIDE), "tensor": (1.0, 1.0, 0.85)},
-        coordinates=_named,
+        coordinates=_coordinate_names,
         quantity="spin",
     )
 )
@@ -159,16 +158,16 @@ def spin_lattice(
     )
     if driven:
         H = Driven(H, field, sites, 3, "field")
-    kept = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
-    turns = None if driven or np.any(D) else precession(sites, edges, J, T, K, B)
+    parameters = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
+    exact = None if driven or np.any(D) else precession(sites, edges, J, T, K, B)
     return LiePoissonSystem(
         _spins(sites) if sites <= 8 else copies(catalogue.so(3), sites),
         H,
         sign=+1,
         casimirs=None if sites <= MAX_RECORDED_SPINS else {"sum of |x|^2": Quadratic(np.full(3 * sites, 2.0))},
         name="spin_lattice",
-        parameters=kept,
-        exact=turns,
+        parameters=parameters,
+        exact=exact,
         integrals=total_spins(sites, T, D, K, B, H.uniform if driven else None),
         layout={"lattice": lattice, "shape": shape} if isinstance(lattice, str) else {"lattice": "graph"},
     )
@@ -183,8 +182,8 @@ def _spins(sites: int) -> LieAlgebra:
 def _numbers(argument: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:
     array = read_finite(argument, what)
     if array.shape not in shapes:
-        wanted = " or ".join(str(shape) for shape in shapes).replace("()", "one number")
-        raise ValueError(f"{what} has shape {array.shape}; give {wanted}")
+        expected = " or ".join(str(shape) for shape in shapes).replace("()", "one number")
+        raise ValueError(f"{what} has shape {array.shape}; give {expected}")
     if np.abs(array).max(initial=0.0) > MAX_COUPLING:
         raise ValueError(
             f"{what} has numbers beyond {MAX_COUPLING:g}, whose products leave the range of float64; take larger units"
@@ -195,9 +194,9 @@ def _numbers(argument: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> F
 def _matrices(argument: Any, what: str, count: int, symmetric: bool = False) -> Floats:
     array = _numbers(argument, what, ((3,), (3, 3), (count, 3, 3)))
     matrices = np.diag(array) if array.ndim == 1 else array
-    wrong = np.argwhere(matrices != np.swapaxes(matrices, -1, -2)) if symmetric else np.zeros(0)
-    if wrong.size:
-        raise ValueError(f"{what} is not symmetric at {wrong[0].tolist()}; give the same value on both sides")
+    asymmetric = np.argwhere(matrices != np.swapaxes(matrices, -1, -2)) if symmetric else np.zeros(0)
+    if asymmetric.size:
+        raise ValueError(f"{what} is not symmetric at {asymmetric[0].tolist()}; give the same value on both sides")
     return matrices
 
 
@@ -208,28 +207,28 @@ def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site:
     a, b = np.nonzero(np.any(coupling.reshape(-1, 3, 3), axis=0))
     c, d = np.nonzero(np.any(on_site.reshape(-1, 3, 3), axis=0))
     value = np.broadcast_to(coupling, (len(edges), 3, 3))[:, a, b].ravel()
-    own = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
+    on_site_values = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
     rows, columns = (3 * edges[:, :1] + a).ravel(), (3 * edges[:, 1:] + b).ravel()
     site = 3 * np.arange(sites)[:, None]
-    entries = np.concatenate([value, value, own])
-    places = (
+    entries = np.concatenate([value, value, on_site_values])
+    indices = (
         np.concatenate([rows, columns, (site + c).ravel()]),
         np.concatenate([columns, rows, (site + d).ravel()]),
     )
-    return scipy.sparse.coo_matrix((entries, places), shape=(3 * sites, 3 * sites))
+    return scipy.sparse.coo_matrix((entries, indices), shape=(3 * sites, 3 * sites))
 
 
-def _plain_parameters(lattice: Any, *others: Any) -> dict[str, Any] | None:
+def _plain_parameters(lattice: Any, *arguments: Any) -> dict[str, Any] | None:
     """Return the parameters as plain numbers and tuples; None if they are too many."""
     names = ("shape", "periodic", "exchange", "tensor", "dm", "field", "on_site")
     edges = lattice if isinstance(lattice, str) else to_array(lattice, "lattice")
-    if sum(np.size(argument) for argument in (edges, *others)) > MAX_STORED_VALUES:
+    if sum(np.size(argument) for argument in (edges, *arguments)) > MAX_STORED_VALUES:
         return None
     return {
         "lattice": lattice if isinstance(lattice, str) else _plain(np.asarray(edges).tolist()),
         **{
             name: _plain(np.asarray(argument, dtype=np.float64 if k > 1 else None).tolist())
-            for k, (name, argument) in enumerate(zip(names, others, strict=True))
+            for k, (name, argument) in enumerate(zip(names, arguments, strict=True))
         },
     }
 

@@ -29,9 +29,9 @@ MAX_SITES_WITH_ALL_TRACES = 8  # largest number of sites with all traces; for mo
 MAX_PRECISION_BITS = 2**20
 
 
-def _names(springs_less: int, dim: int) -> tuple[str, ...]:
+def _names(missing_bonds: int, dim: int) -> tuple[str, ...]:
     """Return b1, b2, ..., a1, a2, ... for `dim` coordinates."""
-    n = (dim + springs_less) // 2
+    n = (dim + missing_bonds) // 2
     return (*(f"b{i + 1}" for i in range(n)), *(f"a{i + 1}" for i in range(dim - n)))
 
 
@@ -39,8 +39,8 @@ def _position(i: int, x: Any) -> Any:
     """Return the position of a particle relative to the center of all, in units of 1/beta and for A beta = exp(4) m."""
     bonds = x.shape[-1] // 2
     gaps = 4.0 - 2.0 * np.log(2.0 * np.abs(x[..., bonds + 1 :]))
-    places = np.concatenate([np.zeros_like(gaps[..., :1]), np.cumsum(gaps, axis=-1)], axis=-1)
-    return places[..., i] - places.mean(axis=-1)
+    positions = np.concatenate([np.zeros_like(gaps[..., :1]), np.cumsum(gaps, axis=-1)], axis=-1)
+    return positions[..., i] - positions.mean(axis=-1)
 
 
 def _particles(dim: int) -> dict[str, Any]:
@@ -48,12 +48,12 @@ def _particles(dim: int) -> dict[str, Any]:
     return {f"q{i + 1}": partial(_position, i) for i in range(min(8, (dim + 1) // 2))}
 
 
-def _some_velocities(dim: int) -> range:
+def _sampled_velocities(dim: int) -> range:
     """Return the coordinates b of some sites."""
     return range(0, dim // 2, max(1, dim // 16))
 
 
-def _bump() -> Floats:
+def _compressed_ring() -> Floats:
     """Return a ring of 48 sites at rest, compressed around one of them."""
     a = 0.5 + 0.35 * np.exp(-0.25 * (np.arange(48) - 11.5) ** 2)
     return np.concatenate([np.zeros(48), a])
@@ -120,7 +120,7 @@ def toda(sites: int = 4) -> LiePoissonSystem:
 
 @ready_made(
     gallery_entry=GalleryEntry(
-        x0=_bump,
+        x0=_compressed_ring,
         t_span=(0.0, 60.0),
         step=0.05,
         caption="A ring of 48 sites, pressed together around one of them: two waves run apart, break up into "
@@ -133,7 +133,7 @@ def toda(sites: int = 4) -> LiePoissonSystem:
                 title="$a_i$, large where two particles are close",
             ),
         ),
-        components=Picture("components", chosen=_some_velocities, quantity="velocity $b_i$"),
+        components=Picture("components", chosen=_sampled_velocities, quantity="velocity $b_i$"),
         parameters={"sites": 48},
         coordinates=partial(_names, 0),
         quantity="state",
@@ -236,15 +236,15 @@ def traces(n: int, ring: bool) -> dict[str, Polynomial]:
     for start in range(n):
         walks = Counter[tuple[int, tuple[int, ...]]]({(start, ()): 1})
         for k in range(1, highest + 1):
-            further = Counter[tuple[int, tuple[int, ...]]]()
-            for (site, way), count in walks.items():
-                for place, coordinate in steps[site]:
-                    further[place, tuple(sorted((*way, coordinate)))] += count
-            walks = further
-            totals[k].update({way: count for (site, way), count in walks.items() if site == start})
+            extended = Counter[tuple[int, tuple[int, ...]]]()
+            for (site, path), count in walks.items():
+                for neighbour, coordinate in steps[site]:
+                    extended[neighbour, tuple(sorted((*path, coordinate)))] += count
+            walks = extended
+            totals[k].update({path: count for (site, path), count in walks.items() if site == start})
     dim = n + bonds
     return {
-        f"tr L^{k}": Polynomial({tuple(way.count(i) for i in range(dim)): c for way, c in totals[k].items()})
+        f"tr L^{k}": Polynomial({tuple(path.count(i) for i in range(dim)): c for path, c in totals[k].items()})
         for k in range(3, highest + 1)
     }
 
@@ -262,28 +262,28 @@ def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
     """
     reject_attitude(attitude, "toda")
     start, times = start_and_times(x0, t, 2 * n - 1)
-    states = np.array([_at(n, start, time) for time in np.atleast_1d(times).tolist()]).reshape(-1, 2 * n - 1)
+    states = np.array([_state_at(n, start, time) for time in np.atleast_1d(times).tolist()]).reshape(-1, 2 * n - 1)
     return states[0] if times.ndim == 0 else states
 
 
-def _at(n: int, start: Floats, time: float) -> Floats:
+def _state_at(n: int, start: Floats, time: float) -> Floats:
     """Return the state at one time; the precision is increased until the balls are smaller than float64 rounding."""
     from flint import arb, ctx
 
     size = float(np.abs(start).max())
     if time == 0.0 or size == 0.0:
         return start.copy()
-    turns = 12.0 * math.log2(math.e) * size * abs(time)  # |L| <= 3 size, and exp(2 t L) has both signs of it
-    if not turns < MAX_PRECISION_BITS / 4:
+    exponent_bits = 12.0 * math.log2(math.e) * size * abs(time)  # |L| <= 3 size, and exp(2 t L) has both signs of it
+    if not exponent_bits < MAX_PRECISION_BITS / 4:
         raise ValueError(
             f"t is {time:g}, too long for the closed form from so large a state; integrate, or start later"
         )
-    bits = 96 + int(turns / 8)  # usually sufficient, otherwise doubled
+    bits = 96 + int(exponent_bits / 8)  # usually sufficient, otherwise doubled
     while bits <= MAX_PRECISION_BITS:
         with ctx.workprec(bits):
             state = _by_cholesky(n, [arb(v) for v in start.tolist()], arb(time))
-            small = 2.0**-60 * size
-            if state and all(q.rad() < small for q in state[:n]) and all(_is_accurate(q) for q in state[n:]):
+            tolerance = 2.0**-60 * size
+            if state and all(q.rad() < tolerance for q in state[:n]) and all(_is_accurate(q) for q in state[n:]):
                 return np.array([float(q.mid()) for q in state])
         bits *= 2
     raise ValueError(f"t is {time:g}, too long for the closed form from this state; integrate, or start later")

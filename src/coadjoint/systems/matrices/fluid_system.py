@@ -1,4 +1,4 @@
-"""Base class of ideal fluids on the sphere and the torus: modes, grids, spectra and initial states."""
+"""Base class of ideal fluids on the sphere and the torus: modes, grids, spectra, initial states, scale separation."""
 
 from __future__ import annotations
 
@@ -138,14 +138,29 @@ class FluidSystem(MatrixSystem):
     @property
     def energy_weights(self) -> Floats:
         """Weight of the absolute square of each entry of `mode_array` in the kinetic energy."""
-        inside = self.degrees > 0
-        return np.where(inside, 0.5 * self.squares / np.where(inside, self.eigenvalues, 1.0), 0.0)
+        resolved = self.degrees > 0
+        return np.where(resolved, 0.5 * self.squares / np.where(resolved, self.eigenvalues, 1.0), 0.0)
 
     def spectrum_of_modes(self, modes: Complexes, weights: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
         """Return the degrees from 1, and the sums over each of the weighted absolute squares of modes (..., N, N)."""
-        number = self.degrees.ravel()
-        count = int(number.max()) + 1
-        each = weights * (modes.real**2 + modes.imag**2)
-        rows = each.reshape(-1, number.size)
-        found = np.array([np.bincount(number, row, count) for row in rows]).reshape(*each.shape[:-2], count)
-        return np.arange(1, count, dtype=np.int64), np.asarray(found[..., 1:], dtype=np.float64)
+        degrees = self.degrees.ravel()
+        count = int(degrees.max()) + 1
+        weighted = weights * (modes.real**2 + modes.imag**2)
+        rows = weighted.reshape(-1, degrees.size)
+        sums = np.array([np.bincount(degrees, row, count) for row in rows]).reshape(*weighted.shape[:-2], count)
+        return np.arange(1, count, dtype=np.int64), np.asarray(sums[..., 1:], dtype=np.float64)
+
+
+Matrix = npt.NDArray[Any]
+
+
+def large_scales(P: Matrix, W: Matrix) -> Matrix:
+    """Return the part of W, (..., N, N), that commutes with its stream matrix P: its diagonal in an eigenbasis of P.
+
+    In a fluid it is the vorticity averaged along streamlines. With distinct eigenvalues of P it is an orthogonal
+    projection. K. Modin, M. Viviani, J. Fluid Mech. 943 (2022) A36.
+    """
+    _, V = np.linalg.eigh(-1j * P)
+    adjoint = np.conj(np.swapaxes(V, -1, -2))
+    diagonal = np.einsum("...ji,...jk,...ki->...i", np.conj(V), W, V, optimize=True)
+    return np.asarray((V * (1j * diagonal.imag)[..., None, :]) @ adjoint)

@@ -62,11 +62,11 @@ class FunctionStream:
         return np.stack([self(part, t) for part in W]) if len(W) else np.zeros_like(W)
 
     def _centred(self, W: Matrix) -> Matrix:
-        found = W.copy() if self.traceless else W
+        result = W.copy() if self.traceless else W
         for first, last in self.traceless:
             rows = np.arange(first, last)
-            found[rows, rows] -= found[rows, rows].mean()
-        return found
+            result[rows, rows] -= result[rows, rows].mean()
+        return result
 
     def checked(self, P: Any, W: Matrix) -> Matrix:
         """Validate the returned value, and return it as a matrix like W.
@@ -76,9 +76,9 @@ class FunctionStream:
         TypeError
             Another shape, or another type of numbers than that of W.
         """
-        right = "iufc" if np.iscomplexobj(W) else "iuf"
-        found = to_array(P, "what the stream returns", right)
-        if found.shape != W.shape or found.dtype.kind not in right:
-            kind = "complex" if right == "iufc" else "real"
+        kinds = "iufc" if np.iscomplexobj(W) else "iuf"
+        result = to_array(P, "the value of the stream", kinds)
+        if result.shape != W.shape or result.dtype.kind not in kinds:
+            kind = "complex" if kinds == "iufc" else "real"
             raise TypeError(f"the stream returns {short(P)}; it must return a {kind} matrix of shape {W.shape}")
-        return found.astype(W.dtype, copy=False)
+        return result.astype(W.dtype, copy=False)

@@ -77,14 +77,14 @@ def random(
     modes = system.random_modes(generator, last)
     if spectrum is None:
         weights = 0.5 * system.squares
-        wanted = np.asarray(np.bincount(system.degrees.ravel(), system.squares.ravel())[first : last + 1], dtype=float)
+        target = np.asarray(np.bincount(system.degrees.ravel(), system.squares.ravel())[first : last + 1], dtype=float)
         if energy is None and enstrophy is None:
             enstrophy = system.area / 2
     else:
         weights = system.energy_weights
-        wanted = _read_spectrum(spectrum, first, last)
+        target = _read_spectrum(spectrum, first, last)
     factors = np.zeros(int(system.degrees.max()) + 1)
-    factors[first : last + 1] = np.sqrt(wanted / system.spectrum_of_modes(modes, weights)[1][first - 1 : last])
+    factors[first : last + 1] = np.sqrt(target / system.spectrum_of_modes(modes, weights)[1][first - 1 : last])
     return system.absolute(system.from_modes(_scaled(system, modes * factors[system.degrees], energy, enstrophy)))
 
 
@@ -121,8 +121,8 @@ def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comp
     >>> s.to_grid(W).shape
     (33, 33)
     """
-    found = _sum_about_points(system, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
-    return system.absolute(system.from_modes(found))
+    modes = _sum_about_points(system, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
+    return system.absolute(system.from_modes(modes))
 
 
 def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
@@ -164,8 +164,8 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     if sigma < 0.0:
         raise ValueError(f"edge is {sigma:g}; give a width of at least 0")
     names = "patches", "vorticities", "radii"
-    found = _sum_about_points(system, names, places, vorticities, radii, system.disc_profile, sigma)
-    return system.absolute(system.from_modes(found))
+    modes = _sum_about_points(system, names, places, vorticities, radii, system.disc_profile, sigma)
+    return system.absolute(system.from_modes(modes))
 
 
 def from_file(
@@ -214,17 +214,17 @@ def _sum_about_points(
 ) -> Complexes:
     """Return the modes of fields about points; `sizes` are the widths of blobs or the radii of patches."""
     points = system.read_places(places, f"places of {names[0]}")
-    factors, extents = (
+    factors, radii = (
         _one_per_point(argument, len(points), name)
         for argument, name in zip((strengths, sizes), names[1:], strict=True)
     )
-    if not (extents > 0.0).all():
+    if not (radii > 0.0).all():
         raise ValueError(f"{names[2]} is {short(sizes)}; give positive numbers")
     total = np.zeros(system.degrees.shape, dtype=np.complex128)
-    for extent in np.unique(extents):
-        chosen = extents == extent
-        smoothing = np.exp(-system.eigenvalues * min(extent if edge is None else edge, MAX_WIDTH) ** 2 / 2)
-        total += system.point_modes(points[chosen], factors[chosen]) * profile(float(extent)) * smoothing
+    for radius in np.unique(radii):
+        selected = radii == radius
+        smoothing = np.exp(-system.eigenvalues * min(radius if edge is None else edge, MAX_WIDTH) ** 2 / 2)
+        total += system.point_modes(points[selected], factors[selected]) * profile(float(radius)) * smoothing
     total[system.degrees < 1] = 0.0
     return total
 
@@ -237,20 +237,20 @@ def _one_per_point(argument: Any, count: int, what: str) -> Floats:
 
 
 def _read_degrees(degrees: Any, spectrum: Any, system: FluidSystem) -> tuple[int, int]:
-    complete = system.resolved_degree
+    resolved = system.resolved_degree
     if degrees is None:
         if spectrum is None:
-            return min(DEFAULT_DEGREES[0], complete), min(DEFAULT_DEGREES[1], complete)
-        listed = complete if callable(spectrum) else np.size(read_finite(spectrum, "spectrum")) - 1
-        if listed > complete:
-            raise ValueError(f"spectrum goes to the degree {listed}; N resolves those up to {complete}")
-        return 1, max(1, listed)
+            return min(DEFAULT_DEGREES[0], resolved), min(DEFAULT_DEGREES[1], resolved)
+        highest = resolved if callable(spectrum) else np.size(read_finite(spectrum, "spectrum")) - 1
+        if highest > resolved:
+            raise ValueError(f"spectrum goes to the degree {highest}; N resolves those up to {resolved}")
+        return 1, max(1, highest)
     try:
         first, last = degrees
     except (TypeError, ValueError):
         raise TypeError(f"degrees is {short(degrees)}; give the first and the last one, such as (2, 10)") from None
-    first = read_integer(first, "degrees[0]", 1, complete)
-    return first, read_integer(last, "degrees[1]", first, complete)
+    first = read_integer(first, "degrees[0]", 1, resolved)
+    return first, read_integer(last, "degrees[1]", first, resolved)
 
 
 def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
@@ -258,19 +258,19 @@ def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
         try:
             returned = spectrum(np.arange(first, last + 1.0))
         except (TypeError, ValueError) as reason:
-            said = in_one_line(str(reason), 200)
-            raise TypeError(f"spectrum is {short(spectrum)}; it must take an array of degrees ({said})") from None
-        found = read_finite(returned, "spectrum of degrees")
-        if found.shape != (last + 1 - first,):
-            raise ValueError(f"spectrum returns the shape {found.shape}; it must return one number for each degree")
+            message = in_one_line(str(reason), 200)
+            raise TypeError(f"spectrum is {short(spectrum)}; it must take an array of degrees ({message})") from None
+        energies = read_finite(returned, "spectrum of degrees")
+        if energies.shape != (last + 1 - first,):
+            raise ValueError(f"spectrum returns the shape {energies.shape}; it must return one number for each degree")
     else:
         argument = read_finite(spectrum, "spectrum")
         if argument.ndim != 1 or len(argument) <= last:
             raise ValueError(f"spectrum has the shape {argument.shape}; give the energy of the degrees 0, ..., {last}")
-        found = argument[first : last + 1]
-    if (found < 0.0).any() or not found.any():
+        energies = argument[first : last + 1]
+    if (energies < 0.0).any() or not energies.any():
         raise ValueError("spectrum must be positive or zero, and not zero at all degrees")
-    return found
+    return energies
 
 
 def _scaled(system: FluidSystem, modes: Complexes, energy: Any, enstrophy: Any) -> Complexes:
@@ -278,6 +278,6 @@ def _scaled(system: FluidSystem, modes: Complexes, energy: Any, enstrophy: Any) 
         raise ValueError("energy and enstrophy are both given; give only one of them")
     if energy is None and enstrophy is None:
         return modes
-    wanted = read_positive(energy, "energy") if enstrophy is None else read_positive(enstrophy, "enstrophy")
+    target = read_positive(energy, "energy") if enstrophy is None else read_positive(enstrophy, "enstrophy")
     weights = system.energy_weights if enstrophy is None else 0.5 * system.squares
-    return modes * np.sqrt(wanted / system.spectrum_of_modes(modes, weights)[1].sum())
+    return modes * np.sqrt(target / system.spectrum_of_modes(modes, weights)[1].sum())

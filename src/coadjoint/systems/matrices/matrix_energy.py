@@ -79,9 +79,9 @@ def checked_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
 def samples(system: MatrixSystem) -> list[Matrix]:
     """Return seeded sample matrices of the algebra, of norm one."""
     rng, shape = np.random.default_rng(1), system.algebra.shape
-    drawn = [rng.standard_normal(shape) + 1j * system.complex * rng.standard_normal(shape) for _ in range(2)]
-    found = [system.algebra.projected(one) for one in drawn]
-    return [one / (np.abs(one).max(initial=0.0) or 1.0) for one in found]
+    random_matrices = [rng.standard_normal(shape) + 1j * system.complex * rng.standard_normal(shape) for _ in range(2)]
+    projected = [system.algebra.projected(matrix) for matrix in random_matrices]
+    return [matrix / (np.abs(matrix).max(initial=0.0) or 1.0) for matrix in projected]
 
 
 @ignore_overflow
@@ -91,42 +91,42 @@ def check_stream(system: MatrixSystem) -> None:
     Without a function for the energy the stream must be linear and symmetric; otherwise it must be its gradient.
     """
     A, B = samples(system)
-    P, rounded, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
+    P, tolerance, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
     size = float(np.abs(P).max(initial=0.0))
-    if not float(np.abs(P - algebra.projected(P)).max(initial=0.0)) <= rounded * size:
+    if not float(np.abs(P - algebra.projected(P)).max(initial=0.0)) <= tolerance * size:
         raise ValueError(f"the stream leaves {algebra}: its values at sample matrices are not {algebra.description}")
     if system.energy_function is not None:
         _check_slope(system, A, B)
         return
     Q, R = system.slope_of(B, SAMPLE_TIME), system.slope_of((A + B) / 2.0, SAMPLE_TIME)
-    off, size = float(np.abs(2.0 * R - P - Q).max(initial=0.0)), float((np.abs(P) + np.abs(Q)).max(initial=0.0))
-    if not off <= rounded * size:
+    deviation, size = float(np.abs(2.0 * R - P - Q).max(initial=0.0)), float((np.abs(P) + np.abs(Q)).max(initial=0.0))
+    if not deviation <= tolerance * size:
         raise ValueError(
             "the stream is not linear: stream((A + B)/2) is not the mean of stream(A), stream(B) at sample matrices; "
-            "give energy=, the function whose gradient it is"
+            "give energy=, the function with this gradient"
         )
     sizes = float(np.sum(np.abs(P.T * B.T)) + np.sum(np.abs(Q * A)))
-    if not abs(algebra.pairing(P, B) - algebra.pairing(A, Q)) <= rounded * sizes:
+    if not abs(algebra.pairing(P, B) - algebra.pairing(A, Q)) <= tolerance * sizes:
         raise ValueError("the stream is not symmetric: <stream(A), B> and <A, stream(B)> differ at sample matrices")
 
 
 def _check_slope(system: MatrixSystem, A: Matrix, B: Matrix) -> None:
     energy = system.energy_function
     assert energy is not None
-    time = (SAMPLE_TIME,) if system.timed else ()
-    ahead, behind = (_number(energy(A + side * DIFFERENCE_STEP * B, *time)) for side in (1.0, -1.0))
-    seen = (ahead - behind) / (2.0 * DIFFERENCE_STEP)
+    time_argument = (SAMPLE_TIME,) if system.timed else ()
+    ahead, behind = (_energy_value(energy(A + side * DIFFERENCE_STEP * B, *time_argument)) for side in (1.0, -1.0))
+    difference = (ahead - behind) / (2.0 * DIFFERENCE_STEP)
     P = system.slope_of(A, SAMPLE_TIME)
     declared = system.energy_sign * float(system.algebra.pairing(P, B))
     size = float(np.sum(np.abs(P) * np.abs(B.T))) + abs(ahead)
-    if np.isfinite(seen) and not abs(seen - declared) <= AGREEMENT * system.algebra.N * size:
+    if np.isfinite(difference) and not abs(difference - declared) <= AGREEMENT * system.algebra.N * size:
         raise ValueError(
             f"the stream is not the gradient of the energy: along a sample matrix the derivative of the energy is "
-            f"{seen:.6g}, and energy_sign <stream, .> is {declared:.6g}; correct one of them"
+            f"{difference:.6g}, and energy_sign <stream, .> is {declared:.6g}; correct one of them"
         )
 
 
-def _number(value: Any) -> float:
+def _energy_value(value: Any) -> float:
     """Return the value of a function for the energy; NaN outside its domain."""
     if not is_real(value):
         raise TypeError(f"energy returns {short(value)} at a sample matrix; it must return one real number")

@@ -27,7 +27,7 @@ Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 POWERS = 5
-"""Number of powers of W whose traces are recorded: the first that do not vanish."""
+"""Default number of recorded traces of powers of W, from the lowest nonvanishing power."""
 MAX_POWERS = 64
 DEGENERACY_TOLERANCE = 1e-9
 """Relative to the largest eigenvalue: real parts that differ by less are treated as equal in sorting."""
@@ -107,7 +107,7 @@ class MatrixSystem:
         if not isinstance(stream, Stream):
             if isinstance(stream, type) or not callable(stream):
                 raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w), or a function of W")
-            traceless = [(place.start, place.stop) for place, _, kind in algebra.parts if kind.traceless]
+            traceless = [(rows.start, rows.stop) for rows, _, kind in algebra.parts if kind.traceless]
             stream = FunctionStream(stream, tuple(traceless))
         self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
         self.timed: bool = getattr(stream, "timed", False)
@@ -125,11 +125,9 @@ class MatrixSystem:
             self.linear.flags.writeable = False
         size = getattr(stream, "size", None)
         if size not in (None, algebra.N):
-            raise ValueError(f"the stream is one of matrices of {size} rows; those of {algebra} have {algebra.N}")
+            raise ValueError(f"the stream acts on matrices of {size} rows; those of {algebra} have {algebra.N}")
         if stream.kind != "WEIGHTS" and not (isinstance(stream, FunctionStream) or algebra.skew):
-            raise ValueError(
-                f"{type(stream).__name__} acts on skew-Hermitian matrices, which those of {algebra} are not"
-            )
+            raise ValueError(f"{type(stream).__name__} needs skew-Hermitian matrices; those of {algebra} are not")
         self.hamiltonian = MatrixEnergy(self)
         check_stream(self)
 
@@ -172,10 +170,10 @@ class MatrixSystem:
 
         A vector represents the nearest matrix of the algebra.
         """
-        seen = copy.copy(self)
-        seen.shape = (self.dim,)
-        seen.__dict__["in_numbers"] = seen
-        return seen
+        view = copy.copy(self)
+        view.shape = (self.dim,)
+        view.__dict__["in_numbers"] = view
+        return view
 
     def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
         """Return stream(W) for matrices (..., N, N), without the constant term."""
@@ -202,28 +200,28 @@ class MatrixSystem:
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return W' for matrices (..., N, N) or vectors, in the same form."""
         W = self.matrices(x)
-        found = self.algebra.bracket(self.stream_of(W, t), W)
-        return self.to_vector(found) if self.is_in_numbers(x) else found
+        commutator = self.algebra.bracket(self.stream_of(W, t), W)
+        return self.to_vector(commutator) if self.is_in_numbers(x) else commutator
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of matrices (..., N, N) or of vectors."""
         W, pairing = self.matrices(x), self.algebra.pairing
         if self.energy_function is None:
-            found = 0.5 * self.energy_sign * pairing(self.slope_of(W, t), W)
+            value = 0.5 * self.energy_sign * pairing(self.slope_of(W, t), W)
         else:
-            time = (t,) if self.timed else ()
-            flat = [self.energy_function(part, *time) for part in W.reshape(-1, *self.algebra.shape)]
-            found = np.array(flat, dtype=np.float64).reshape(W.shape[:-2])
+            time_argument = (t,) if self.timed else ()
+            flat = [self.energy_function(part, *time_argument) for part in W.reshape(-1, *self.algebra.shape)]
+            value = np.array(flat, dtype=np.float64).reshape(W.shape[:-2])
         if self.linear is not None:
-            found = found + self.energy_sign * pairing(self.linear, W)
-        return float(found) if np.ndim(found) == 0 else found
+            value = value + self.energy_sign * pairing(self.linear, W)
+        return float(value) if np.ndim(value) == 0 else value
 
     def structure_matrix(self, x: Any) -> Floats:
         """Return J, (n, n), of a state as a vector: x' = J(x) grad H(x) on the algebra, zero on its complement."""
         check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
-        moved = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
-        return self.energy_sign * self.to_vector(moved).T
+        columns = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
+        return self.energy_sign * self.to_vector(columns).T
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the traces of powers of matrices (..., N, N), or of vectors.
@@ -247,10 +245,12 @@ class MatrixSystem:
         check_finite(W, "a state")
         if self.algebra.skew:
             return np.asarray(np.linalg.eigvalsh(-1j * W), dtype=np.float64)
-        found = np.linalg.eigvals(W).astype(np.complex128)
-        size = DEGENERACY_TOLERANCE * (np.abs(found).max(axis=-1, keepdims=True, initial=0.0) + np.finfo(float).tiny)
-        order = np.lexsort((found.imag, np.round(found.real / size)), axis=-1)
-        return np.take_along_axis(found, order, axis=-1)
+        eigenvalues = np.linalg.eigvals(W).astype(np.complex128)
+        size = DEGENERACY_TOLERANCE * (
+            np.abs(eigenvalues).max(axis=-1, keepdims=True, initial=0.0) + np.finfo(float).tiny
+        )
+        order = np.lexsort((eigenvalues.imag, np.round(eigenvalues.real / size)), axis=-1)
+        return np.take_along_axis(eigenvalues, order, axis=-1)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the closed-form solution; raise TypeError if none is known."""
@@ -263,9 +263,9 @@ class MatrixSystem:
 
     def from_vector(self, x: Any) -> Matrix:
         """Return vectors as matrices."""
-        found = np.ascontiguousarray(x, dtype=np.float64)
-        lead = found.shape[:-1]
-        return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.algebra.shape)
+        numbers = np.ascontiguousarray(x, dtype=np.float64)
+        lead = numbers.shape[:-1]
+        return (numbers.view(np.complex128) if self.complex else numbers).reshape(*lead, *self.algebra.shape)
 
     def is_in_numbers(self, x: Any) -> bool:
         """Return whether states are vectors rather than matrices."""

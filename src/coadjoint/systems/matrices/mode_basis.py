@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.matrices.hoppe_yau import laplacian
+from coadjoint.systems.matrices.spherical_modes import laplacian
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse
 from coadjoint.systems.matrices.torus_modes import representatives
 
@@ -58,12 +58,12 @@ class ModeBasis(ABC):
         """Return the table of chosen modes for the kernels, by diagonal; ``matrices/modes.hpp`` describes it."""
 
     @abstractmethod
-    def places(self, d: int) -> tuple[Numbers, Numbers]:
+    def indices(self, d: int) -> tuple[Numbers, Numbers]:
         """Return the rows and columns of the entries of a diagonal."""
 
     def coefficients(self, W: npt.NDArray[Any], d: int, numbers: Numbers) -> Complexes:
         """Return the coefficients in W of modes of a diagonal."""
-        return np.asarray(np.conj(self.vectors(d, numbers)) @ W[self.places(d)], dtype=np.complex128)
+        return np.asarray(np.conj(self.vectors(d, numbers)) @ W[self.indices(d)], dtype=np.complex128)
 
     def matrix(self, coefficients: Sequence[Complexes], chosen: Sequence[Numbers]) -> Complexes:
         """Return the full matrix of coefficients of chosen modes, by diagonal.
@@ -74,7 +74,7 @@ class ModeBasis(ABC):
         for d, (c, numbers) in enumerate(zip(coefficients, chosen, strict=True)):
             if not len(numbers):
                 continue
-            i, j = self.places(d)
+            i, j = self.indices(d)
             entries = c @ self.vectors(d, numbers)
             if d == 0:
                 W[i, j] = 1j * entries.imag
@@ -114,15 +114,15 @@ class Harmonics(ModeBasis):
         check_available_memory(
             8.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees"
         )
-        found, filled = np.empty(count), 0
+        table, offset = np.empty(count), 0
         for d, numbers in enumerate(chosen):
             if len(numbers):
                 half = self._half(d, numbers).ravel()
-                found[filled : filled + half.size] = half
-                filled += half.size
-        return found
+                table[offset : offset + half.size] = half
+                offset += half.size
+        return table
 
-    def places(self, d: int) -> tuple[Numbers, Numbers]:
+    def indices(self, d: int) -> tuple[Numbers, Numbers]:
         i = np.arange(self.N - d)
         return i, i + d
 
@@ -154,14 +154,14 @@ class Waves(ModeBasis):
         return np.sqrt(self.eigenvalues(d, numbers))
 
     def vectors(self, d: int, numbers: Numbers) -> Complexes:
-        turns = numbers[:, None] * (d + 2 * np.arange(self.N)) % self.N
-        return np.asarray(self._circle()[turns] / np.sqrt(self.N))
+        phases = numbers[:, None] * (d + 2 * np.arange(self.N)) % self.N
+        return np.asarray(self._circle()[phases] / np.sqrt(self.N))
 
     def table(self, chosen: Sequence[Numbers]) -> Floats:
         circle = self._circle()
         return np.concatenate([circle.real, circle.imag])
 
-    def places(self, d: int) -> tuple[Numbers, Numbers]:
+    def indices(self, d: int) -> tuple[Numbers, Numbers]:
         a = np.arange(self.N)
         return a, (a + d) % self.N
 
@@ -222,5 +222,5 @@ def _shift(stream: DiagonalSolve) -> float | None:
     """Return the shift of the equations of a stream from the Hoppe-Yau Laplacian, or None if they differ otherwise."""
     N = len(stream.main)
     main, beside = laplacian(N)
-    apart = (stream.main - main)[np.add.outer(np.arange(N), np.arange(N)) < N]
-    return float(apart[0]) if np.array_equal(stream.beside, beside) and np.all(apart == apart[0]) else None
+    shifts = (stream.main - main)[np.add.outer(np.arange(N), np.arange(N)) < N]
+    return float(shifts[0]) if np.array_equal(stream.beside, beside) and np.all(shifts == shifts[0]) else None

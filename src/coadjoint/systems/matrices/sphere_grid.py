@@ -21,7 +21,7 @@ GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
 MAX_GRID_SIZE = 2**16
 
 
-def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tuple[int, int]:
+def read_shape(shape: Any, least: tuple[int, int], default: tuple[int, int]) -> tuple[int, int]:
     """Validate the numbers of rows and columns of a grid.
 
     Examples
@@ -30,22 +30,22 @@ def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tu
     ((9, 16), (5, 8))
     """
     if shape is None:
-        return usual
+        return default
     try:
         rows, columns = shape
     except (TypeError, ValueError):
-        raise TypeError(f"shape is {short(shape)}; give two whole numbers, such as {usual}") from None
+        raise TypeError(f"shape is {short(shape)}; give two whole numbers, such as {default}") from None
     return read_integer(rows, "shape[0]", least[0], MAX_GRID_SIZE), read_integer(
         columns, "shape[1]", least[1], MAX_GRID_SIZE
     )
 
 
-def usual_shape(N: int) -> tuple[int, int]:
+def default_shape(N: int) -> tuple[int, int]:
     """Return the smallest grid with poles and an even number of columns that resolves all degrees below N.
 
     Examples
     --------
-    >>> usual_shape(16)
+    >>> default_shape(16)
     (17, 32)
     """
     return N + 1, 2 * N
@@ -81,13 +81,13 @@ def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
         8 * (2 + int(np.prod(lead))) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points"
     )
     rows, columns = _triangle(N - 1, N - 1)
-    found = np.empty((*lead, *shape))
+    values = np.empty((*lead, *shape))
     for index in np.ndindex(lead):
         alm = np.ascontiguousarray(c[index][rows, columns])[None]
-        found[index] = synthesis_2d(
+        values[index] = synthesis_2d(
             alm=alm, spin=0, lmax=N - 1, mmax=N - 1, geometry=code, ntheta=shape[0], nphi=shape[1]
         )[0]
-    return found
+    return values
 
 
 def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Complexes:
@@ -102,21 +102,23 @@ def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Com
 
     field = read_values(values)
     rows, columns = field.shape[-2:]
-    least = resolved(points, rows)
-    if least < 1:
-        raise ValueError(f"values has {rows} rows of latitude; a grid of this kind needs at least {rows - least + 1}")
-    l_most, m_most = least, min(least, (columns - 1) // 2)
+    degree_bound = resolved(points, rows)
+    if degree_bound < 1:
+        raise ValueError(
+            f"values has {rows} rows of latitude; a grid of this kind needs at least {rows - degree_bound + 1}"
+        )
+    l_most, m_most = degree_bound, min(degree_bound, (columns - 1) // 2)
     lead = field.shape[:-2]
     check_available_memory(
         16 * (int(np.prod(lead)) * N * N + l_most * m_most), f"coefficients up to the degree {l_most}"
     )
     l, m = _triangle(l_most, m_most)
-    kept = l < N
+    resolved_modes = l < N
     c = np.zeros((*lead, N, N), dtype=np.complex128)
     for index in np.ndindex(lead):
         map_ = np.ascontiguousarray(field[index])[None]
         alm = analysis_2d(map=map_, spin=0, lmax=l_most, mmax=m_most, geometry=code, phi0=first)[0]
-        c[(*index, l[kept], m[kept])] = alm[kept]
+        c[(*index, l[resolved_modes], m[resolved_modes])] = alm[resolved_modes]
     return c
 
 
@@ -129,14 +131,14 @@ def read_values(values: Any, what: str = "values") -> Floats:
     return field
 
 
-def delta_coefficients(places: Floats, strengths: Floats, N: int) -> Complexes:
+def delta_coefficients(points: Floats, strengths: Floats, N: int) -> Complexes:
     """Return c (N, N) of a sum of delta functions at points (k, 2), latitudes and longitudes, with strengths (k,)."""
     need("fields about points on the sphere", "ducc0")
     from ducc0.sht import adjoint_synthesis_general
 
-    where = np.ascontiguousarray(np.stack([pi / 2 - places[:, 0], np.mod(places[:, 1], 2 * pi)], axis=-1))
+    locations = np.ascontiguousarray(np.stack([pi / 2 - points[:, 0], np.mod(points[:, 1], 2 * pi)], axis=-1))
     alm = adjoint_synthesis_general(
-        map=np.ascontiguousarray(strengths)[None], spin=0, lmax=N - 1, mmax=N - 1, loc=where, epsilon=3e-13
+        map=np.ascontiguousarray(strengths)[None], spin=0, lmax=N - 1, mmax=N - 1, loc=locations, epsilon=3e-13
     )[0]
     c = np.zeros((N, N), dtype=np.complex128)
     c[_triangle(N - 1, N - 1)] = alm
@@ -158,10 +160,10 @@ def cap_profile(radius: float, N: int) -> Floats:
     P[0], P[1] = 1.0, x
     for l in range(1, N + 1):
         P[l + 1] = ((2 * l + 1) * x * P[l] - l * P[l - 1]) / (l + 1)
-    found = np.empty(N)
-    found[0] = 2 * pi * (1 - x)
-    found[1:] = 2 * pi * (P[: N - 1] - P[2 : N + 1]) / (2 * np.arange(1, N) + 1)
-    return found
+    integrals = np.empty(N)
+    integrals[0] = 2 * pi * (1 - x)
+    integrals[1:] = 2 * pi * (P[: N - 1] - P[2 : N + 1]) / (2 * np.arange(1, N) + 1)
+    return integrals
 
 
 def read_places(places: Any, what: str) -> Floats:
@@ -172,36 +174,36 @@ def read_places(places: Any, what: str) -> Floats:
     >>> read_places([(0.5, 7)], "places")
     array([[0.5, 7. ]])
     """
-    found = read_finite(places, what)
-    if found.ndim != 2 or found.shape[1] != 2:
-        raise ValueError(f"{what} has the shape {found.shape}; give (k, 2), a latitude and a longitude in each row")
-    if (np.abs(found[:, 0]) > pi / 2).any():
-        wrong = found[np.abs(found[:, 0]) > pi / 2][0, 0]
-        raise ValueError(f"{what} has the latitude {wrong:g}; give radians, from -pi/2 to pi/2")
-    return found
+    points = read_finite(places, what)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{what} has the shape {points.shape}; give (k, 2), a latitude and a longitude in each row")
+    if (np.abs(points[:, 0]) > pi / 2).any():
+        latitude = points[np.abs(points[:, 0]) > pi / 2][0, 0]
+        raise ValueError(f"{what} has the latitude {latitude:g}; give radians, from -pi/2 to pi/2")
+    return points
 
 
 def grid_orientation(rows: Floats, columns: Floats) -> tuple[int, str, int]:
     """Return the direction of rows (1 from north to south, else -1), the kind of points, and the direction of columns.
 
-    Raises ValueError if the rows are those of none of the `GRIDS`, or the columns not equally spaced around the sphere.
+    Raises ValueError if the rows match none of the `GRIDS`, or the columns are not equally spaced around the sphere.
     """
     if rows.ndim != 1 or columns.ndim != 1 or min(len(rows), len(columns)) < 3:
         raise ValueError("a grid on the sphere needs at least three rows and columns, and a coordinate of each")
     north, east = (-1 if rows[0] < rows[-1] else 1), (-1 if columns[0] > columns[-1] else 1)
     # coordinates in files may be float32 in degrees
-    near = 1e-5
-    wanted = longitudes(len(columns), float(columns[::east][0]))
-    if np.abs(columns[::east] - wanted).max() > near:
+    tolerance = 1e-5
+    expected = longitudes(len(columns), float(columns[::east][0]))
+    if np.abs(columns[::east] - expected).max() > tolerance:
         raise ValueError("the longitudes are not equally spaced over 2 pi; give one period without its end point")
     for points in GRIDS:
-        if np.abs(rows[::north] - latitudes(points, len(rows))).max() <= near:
+        if np.abs(rows[::north] - latitudes(points, len(rows))).max() <= tolerance:
             return north, points, east
-    raise ValueError(f"the latitudes are those of no known grid ({', '.join(GRIDS)}); interpolate to one of them")
+    raise ValueError(f"the latitudes match no known grid ({', '.join(GRIDS)}); interpolate to one of them")
 
 
 def _triangle(l_most: int, m_most: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the degrees and orders of the coefficients in the order of ducc0, by orders."""
     m, l = np.divmod(np.arange((m_most + 1) * (l_most + 1)), l_most + 1)
-    inside = l >= m
-    return l[inside], m[inside]
+    valid = l >= m
+    return l[valid], m[valid]

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.hoppe_yau import generators
-from coadjoint.systems.matrices.spherical_modes import harmonics_of_matrix, scale
+from coadjoint.systems.matrices.spherical_modes import generators, harmonics_of_matrix, scale
 from coadjoint.validation import read_finite, read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
@@ -114,22 +113,22 @@ def zonal_jet(
     vorticity.
     """
     south, north = _read_band(band)
-    fast, part = read_positive(speed, "speed"), read_number(perturbation, "perturbation")
+    max_speed, fraction = read_positive(speed, "speed"), read_number(perturbation, "perturbation")
     shape = max(4 * system.algebra.N, 512), 2 * max(2 * system.algebra.N, 64)
     latitude, east = system.grid(shape)
     inside = (latitude > south) & (latitude < north)
     product = np.where(inside, (latitude - south) * (latitude - north), -1.0)
     # the speed u, and from it -(1/cos) d(u cos)/d latitude
     with np.errstate(under="ignore"):
-        u = np.where(inside, fast * np.exp(1 / product + 4 / (north - south) ** 2), 0.0)
+        u = np.where(inside, max_speed * np.exp(1 / product + 4 / (north - south) ** 2), 0.0)
         slope = -u * (2 * latitude - south - north) / product**2
     zonal = np.where(inside, u * np.tan(latitude) - slope, 0.0)
     middle, half = (south + north) / 2, (north - south) / 2
-    away = np.mod(east - read_number(longitude, "longitude") + pi, 2 * pi) - pi
+    distance = np.mod(east - read_number(longitude, "longitude") + pi, 2 * pi) - pi
     with np.errstate(under="ignore"):
-        along = np.exp(-((away / BUMP[0]) ** 2))
+        along = np.exp(-((distance / BUMP[0]) ** 2))
         across = np.cos(latitude) / np.cos(middle) * np.exp(-(((latitude - middle) / BUMP[1]) ** 2))
-    field = zonal[:, None] + part * fast / half * across[:, None] * along
+    field = zonal[:, None] + fraction * max_speed / half * across[:, None] * along
     return system.absolute(system.from_grid(field))
 
 
@@ -164,9 +163,9 @@ def exact_motion(W: Complexes, t: Any, rotation: float) -> Complexes:
     A = np.einsum("a,aij->ij", _components(W, N), S)
     speeds, columns = np.linalg.eigh(1j * (1 / (l * (l + 1)) - 1 / 2) * A)
     frame = np.exp(np.multiply.outer(-rotation * times, np.diagonal(S[2])))
-    turned = (np.exp(-1j * np.multiply.outer(times, speeds))[..., None, :] * columns) @ np.conj(columns.T)
-    whole = frame[..., :, None] * turned
-    return np.asarray(whole @ W @ np.conj(np.swapaxes(whole, -1, -2)))
+    rotation_about_A = (np.exp(-1j * np.multiply.outer(times, speeds))[..., None, :] * columns) @ np.conj(columns.T)
+    rotation_matrix = frame[..., :, None] * rotation_about_A
+    return np.asarray(rotation_matrix @ W @ np.conj(np.swapaxes(rotation_matrix, -1, -2)))
 
 
 def _components(W: Complexes, N: int) -> Floats:
@@ -203,5 +202,5 @@ class MomentumAlong:
     axis: str
 
     def __call__(self, W: Any) -> Any:
-        found = angular_momentum(W)[..., "xyz".index(self.axis)]
-        return float(found) if found.ndim == 0 else found
+        component = angular_momentum(W)[..., "xyz".index(self.axis)]
+        return float(component) if component.ndim == 0 else component

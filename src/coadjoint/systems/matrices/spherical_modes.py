@@ -1,4 +1,4 @@
-"""Spherical harmonics as matrices: the coefficients of a vorticity on the sphere, and its matrix W.
+"""Spherical harmonics as matrices: the coefficients of a vorticity on the sphere, its matrix W, and the Laplacian.
 
 The vorticity is ``omega = sum over l, m of c_lm Y_lm`` with orthonormal spherical harmonics in the phase convention of
 Condon and Shortley; c_l(-m) = (-1)^m conj(c_lm) for a real field. Its matrix is
@@ -7,7 +7,7 @@ Condon and Shortley; c_l(-m) = (-1)^m conj(c_lm) for a real field. Its matrix is
 - T_lm, m >= 0, is real and lies on the diagonal of the entries (i, i + m); i = 0 is the north pole;
 - on each diagonal it is an eigenvector of the Hoppe-Yau Laplacian, with the eigenvalue l(l + 1);
 - ``T_l(-m) = (-1)^m`` times the transpose of T_lm;
-- the coordinates x, y, z of the sphere have the matrices -S_1, -S_2, -S_3 of `hoppe_yau.generators`.
+- the coordinates x, y, z of the sphere have the matrices -S_1, -S_2, -S_3 of `generators`.
 
 W is ``(i/hbar)`` times the Hermitian matrix that represents omega, ``hbar = 2/sqrt(N^2 - 1)``, and [P, W] is then the
 matrix of ``{psi, omega}`` up to O(1/N^2): ``W' = [P, W]`` is the Euler equation of the unit sphere in physical time,
@@ -17,6 +17,7 @@ matrix of ``{psi, omega}`` up to O(1/N^2): ``W' = [P, W]`` is the Euler equation
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from math import pi, sqrt
 from threading import Lock
 from typing import Any
@@ -40,6 +41,40 @@ def scale(N: int) -> float:
     return sqrt(N * (N * N - 1) / (16 * pi))
 
 
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+
+def laplacian(N: int) -> tuple[Floats, Floats]:
+    """Return L = -sum_a [S_a, [S_a, .]] by diagonal: ``main[i, m]`` for the entry (i, i + m), and couplings `beside`.
+
+    Both are (N, N), as in `streams.DiagonalSolve`; the eigenvalues on diagonal m are l(l + 1), l = m, ..., N - 1.
+    J. Hoppe and S.-T. Yau, "Some properties of matrix harmonics on S^2", Comm. Math. Phys. 195, 67 (1998).
+
+    Examples
+    --------
+    >>> main, beside = laplacian(2)
+    >>> main[:, 0].tolist(), float(beside[1, 0]), float(main[0, 1])
+    ([1.0, 1.0], -1.0, 2.0)
+    """
+    i, m = np.arange(N)[:, None], np.arange(N)[None, :]
+    valid = i + m < N
+    main = np.where(valid, (N - 1) * (2 * i + 1 + m) - 2 * i * (i + m), 1).astype(float)
+    # (i (N - i)) (j (N - j)) with j = i + m is an integer below 2^53, exact for N up to about ten thousand
+    product = (i * (N - i)) * ((i + m) * np.maximum(N - i - m, 0))
+    return main, -np.sqrt(np.where(valid, product, 0).astype(float))
+
+
+@lru_cache(maxsize=8)
+def generators(N: int) -> tuple[Complexes, Complexes, Complexes]:
+    """Return the anti-Hermitian generators S_1, S_2, S_3 of spin (N - 1)/2, with [S_1, S_2] = S_3 and cyclic."""
+    s = (N - 1) / 2
+    raising = np.diag(np.sqrt(np.arange(1, N) * np.arange(N - 1, 0, -1.0)), 1)
+    first, second = (raising + raising.T) / 2, (raising - raising.T) / 2j
+    # S_a = -i J_a with [J_1, J_2] = i J_3
+    return -1j * first, -1j * second, -1j * np.diag(s - np.arange(N)).astype(complex)
+
+
 class _HarmonicsCache:
     """Cache of the most recent harmonics, of a single N, by order."""
 
@@ -49,16 +84,16 @@ class _HarmonicsCache:
 
     def get(self, N: int, m: int) -> Floats:
         with self._lock:
-            found = self._made.get(m) if self._N == N else None
-        if found is None:
-            found = harmonics(N, m)
+            entries = self._made.get(m) if self._N == N else None
+        if entries is None:
+            entries = harmonics(N, m)
             with self._lock:
                 if self._N != N:
                     self._N, self._bytes, self._made = N, 0, {}
-                if self._bytes + found.nbytes <= MAX_CACHE_BYTES and found.nbytes < available() // 4:
-                    self._bytes += found.nbytes
-                    self._made[m] = found
-        return found
+                if self._bytes + entries.nbytes <= MAX_CACHE_BYTES and entries.nbytes < available() // 4:
+                    self._bytes += entries.nbytes
+                    self._made[m] = entries
+        return entries
 
 
 _HARMONICS_CACHE = _HarmonicsCache()
@@ -73,29 +108,29 @@ def harmonics(N: int, m: int) -> Floats:
     n, m2 = N - m, m * m
     check_available_memory(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
     half = n - n // 2
-    places: Floats = np.asarray((n - 1) / 2 - np.arange(half), dtype=np.float64)
+    positions: Floats = np.asarray((n - 1) / 2 - np.arange(half), dtype=np.float64)
     l = np.arange(m + 1, N, dtype=float)
     beside: Floats = np.sqrt((l * l - m2) * (N * N - l * l) / (4 * l * l - 1)) / 2
-    met = int(np.argmax(beside)) if n > 1 else 0
+    peak = int(np.argmax(beside)) if n > 1 else 0
     V = np.empty((n, half))
-    V[: met + 2] = _recurrence(places, beside[: met + 1])
-    if met + 2 < n:
-        rest = _recurrence(places, beside[met:][::-1])[::-1]
-        known, same = V[met : met + 2], rest[:2]
-        V[met:] = rest * (np.sum(known * same, axis=0) / np.sum(same * same, axis=0))
+    V[: peak + 2] = _recurrence(positions, beside[: peak + 1])
+    if peak + 2 < n:
+        from_above = _recurrence(positions, beside[peak:][::-1])[::-1]
+        forward, backward = V[peak : peak + 2], from_above[:2]
+        V[peak:] = from_above * (np.sum(forward * backward, axis=0) / np.sum(backward * backward, axis=0))
     # near the north pole T_lm has the sign of (-1)^m
     V *= (-1.0) ** m / np.sqrt(np.sum(V * V, axis=0))
     return V
 
 
-def _recurrence(places: Floats, beside: Floats) -> Floats:
+def _recurrence(positions: Floats, beside: Floats) -> Floats:
     """Return v, one row more than `beside`, with ``place v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
 
     Columns begin with a positive number, and are scaled so that growing ones end with entries of order 1.
     """
-    v = np.ones((len(beside) + 1, len(places)))
+    v = np.ones((len(beside) + 1, len(positions)))
     for k in range(len(beside)):
-        np.multiply(places, v[k], out=v[k + 1])
+        np.multiply(positions, v[k], out=v[k + 1])
         if k:
             v[k + 1] -= beside[k - 1] * v[k - 1]
         v[k + 1] /= beside[k]
@@ -129,8 +164,8 @@ def along_diagonal(d: Complexes, N: int, m: int) -> Complexes:
 
 
 def _times(x: Complexes, T: Floats) -> Complexes:
-    both = np.stack([x.real, x.imag]) @ T
-    return np.asarray(both[0] + 1j * both[1])
+    products = np.stack([x.real, x.imag]) @ T
+    return np.asarray(products[0] + 1j * products[1])
 
 
 def matrix_of_harmonics(c: Complexes) -> Complexes:
@@ -195,10 +230,10 @@ def read_harmonics(argument: Any, N: int) -> Complexes:
             )
         mirrored = (-1) ** m * number.conjugate()
         try:
-            other = complex(argument.get((l, -m), mirrored))
+            conjugate = complex(argument.get((l, -m), mirrored))
         except (TypeError, ValueError, OverflowError):
             continue  # reported at its own key
-        if abs(other - mirrored) > 1e-12 * abs(number):
+        if abs(conjugate - mirrored) > 1e-12 * abs(number):
             raise ValueError(
                 f"modes ({l}, {m}) and ({l}, {-m}) do not belong to a real vorticity: c_l(-m) = (-1)^m conj(c_lm)"
             )
@@ -214,19 +249,19 @@ def _read_array(argument: Any, N: int) -> Complexes:
         )
     if not np.isfinite(c).all():
         raise ValueError("modes contains NaN or infinity; every coefficient must be finite")
-    wrong = np.abs(np.where(np.arange(N)[:, None] < np.arange(N), c, 0)).max(initial=0.0)
-    wrong = max(wrong, np.abs(c[..., 0, 0]).max(initial=0.0), np.abs(np.imag(c[..., 0])).max(initial=0.0))
-    if wrong > 1e-12 * np.abs(c).max(initial=0.0):
+    violation = np.abs(np.where(np.arange(N)[:, None] < np.arange(N), c, 0)).max(initial=0.0)
+    violation = max(violation, np.abs(c[..., 0, 0]).max(initial=0.0), np.abs(np.imag(c[..., 0])).max(initial=0.0))
+    if violation > 1e-12 * np.abs(c).max(initial=0.0):
         raise ValueError("modes has entries [l, m] with m > l, or [0, 0], or complex ones of m = 0; these must be zero")
     return np.asarray(c, dtype=np.complex128)
 
 
 def as_mapping(c: Complexes) -> dict[tuple[int, int], complex]:
     """Return coefficients (N, N) as a mapping of (l, m), m from -l to l, without round-off."""
-    found: dict[tuple[int, int], complex] = {}
+    modes: dict[tuple[int, int], complex] = {}
     for l, m in np.argwhere(np.abs(c) > 1e-14 * np.abs(c).max(initial=0.0)).tolist():
         number = complex(c[l, m])
         if m:
-            found[l, -m] = (-1) ** m * number.conjugate()
-        found[l, m] = number
-    return dict(sorted(found.items()))
+            modes[l, -m] = (-1) ** m * number.conjugate()
+        modes[l, m] = number
+    return dict(sorted(modes.items()))

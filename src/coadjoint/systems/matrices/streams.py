@@ -63,7 +63,7 @@ class DiagonalSolve:
 
     @property
     def size(self) -> int:
-        """How many rows the matrices have."""
+        """Number of rows of the matrices."""
         return len(self.main)
 
     def __post_init__(self) -> None:
@@ -75,26 +75,26 @@ class DiagonalSolve:
             m = slice(0, N - i)
             below[i, m] = self.beside[i, m] / pivot[m]
             pivot = self.main[i, m] - below[i, m] * self.beside[i, m]
-            last = i == N - 1 and abs(pivot[0]) <= 1e-10 * abs(self.main[i, 0])
-            inverse[i, m] = 0.0 if last else self.factor / pivot
+            is_singular = i == N - 1 and abs(pivot[0]) <= 1e-10 * abs(self.main[i, 0])
+            inverse[i, m] = 0.0 if is_singular else self.factor / pivot
         object.__setattr__(self, "table", np.stack([below, inverse]).ravel())
 
     def __call__(self, W: Matrix) -> Matrix:
         N = len(self.main)
         below, inverse = self.table.reshape(2, N, N)
-        P, unseen = np.zeros_like(W), inverse[N - 1, 0] == 0.0
+        P, singular = np.zeros_like(W), inverse[N - 1, 0] == 0.0
         diagonal, mean = np.arange(N), np.trace(W, axis1=-2, axis2=-1) / N
         # Vectorized over the diagonals.
         for i in range(N):
             P[..., i, i:] = W[..., i, i:]
             if i:
                 P[..., i, i:] -= below[i, : N - i] * P[..., i - 1, i - 1 : N - 1]
-            if unseen:
+            if singular:
                 P[..., i, i] -= mean
         for i in range(N - 1, -1, -1):
             P[..., i, i:] *= inverse[i, : N - i]
             P[..., i, i : N - 1] -= below[i + 1, : N - i - 1] * P[..., i + 1, i + 1 :] if i < N - 1 else 0.0
-        if unseen:
+        if singular:
             P[..., diagonal, diagonal] -= (np.trace(P, axis1=-2, axis2=-1) / N)[..., None]
         return _mirrored(P)
 
@@ -111,7 +111,7 @@ class DiagonalSolve:
 
 
 def _mirrored(upper: Matrix) -> Matrix:
-    """Return a skew-Hermitian matrix from its upper triangle; the diagonal is kept."""
+    """Return a skew-Hermitian matrix from its upper triangle; the diagonal is unchanged."""
     above = np.triu(upper, 1)
     return np.asarray(upper - np.conj(np.swapaxes(above, -1, -2)))
 
@@ -134,7 +134,7 @@ class Circulants:
 
     @property
     def size(self) -> int:
-        """How many rows the matrices have."""
+        """Number of rows of the matrices."""
         return len(self.spectrum)
 
     def __post_init__(self) -> None:
@@ -211,7 +211,7 @@ class Weights:
 
     @property
     def size(self) -> int:
-        """How many rows the matrices have."""
+        """Number of rows of the matrices."""
         return len(self.weights)
 
     def __post_init__(self) -> None:

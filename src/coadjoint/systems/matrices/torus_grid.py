@@ -44,8 +44,8 @@ def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
     n = representatives(w.shape[-1])
     folded = np.zeros((*lead, *shape), dtype=np.complex128)
     # modes that alias on a coarse grid have the same values there
-    places: Any = np.index_exp[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
-    np.add.at(folded, places, w)
+    indices: Any = np.index_exp[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
+    np.add.at(folded, indices, w)
     return np.asarray(np.fft.ifft2(folded).real * (shape[0] * shape[1]))
 
 
@@ -53,17 +53,17 @@ def modes_of(values: Floats, N: int) -> Complexes:
     """Return w (..., N, N) of values (..., nx, ny), all modes that N and the grid resolve; w[0, 0] is the mean."""
     shape = values.shape[-2:]
     n = representatives(N)
-    found = np.fft.fft2(values) / (shape[0] * shape[1])
-    w = found[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
+    modes = np.fft.fft2(values) / (shape[0] * shape[1])
+    w = modes[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
     x, y = (2 * np.abs(n) < count for count in shape)
     return np.where(x[:, None] & y[None, :], w, 0.0)
 
 
-def delta_coefficients(places: Floats, strengths: Floats, N: int) -> Complexes:
+def delta_coefficients(points: Floats, strengths: Floats, N: int) -> Complexes:
     """Return w (N, N) of a sum of delta functions at points (k, 2) with strengths (k,)."""
     n = representatives(N)
-    along = np.exp(-1j * np.multiply.outer(places[:, 0], n)) * strengths[:, None]
-    across = np.exp(1j * np.multiply.outer(places[:, 1], n))
+    along = np.exp(-1j * np.multiply.outer(points[:, 0], n)) * strengths[:, None]
+    across = np.exp(1j * np.multiply.outer(points[:, 1], n))
     return np.asarray(along.T @ across / (2 * pi) ** 2)
 
 
@@ -79,16 +79,16 @@ def disc_profile(radius: float, length: Floats) -> Floats:
         raise ValueError(f"a radius is {short(radius)}; give radians below pi")
     from scipy.special import j1
 
-    some = np.where(length > 0.0, length, 1.0)
-    return np.where(length > 0.0, 2 * pi * radius * j1(radius * length) / some, pi * radius**2)
+    safe_length = np.where(length > 0.0, length, 1.0)
+    return np.where(length > 0.0, 2 * pi * radius * j1(radius * length) / safe_length, pi * radius**2)
 
 
 def read_places(places: Any, what: str) -> Floats:
     """Validate points x and y, (k, 2)."""
-    found = read_finite(places, what)
-    if found.ndim != 2 or found.shape[1] != 2:
-        raise ValueError(f"{what} has the shape {found.shape}; give (k, 2), x and y in each row")
-    return found
+    points = read_finite(places, what)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{what} has the shape {points.shape}; give (k, 2), x and y in each row")
+    return points
 
 
 def grid_orientation(first: Floats, name: str) -> int:

@@ -30,10 +30,10 @@ def matrix_of_modes(w: Complexes) -> Complexes:
     N = w.shape[-1]
     a, d = np.arange(N)[:, None], np.arange(N)[None, :]
     # sum over n1 of w[n1, d] omega^(n1 (d + 2 a))
-    along = np.fft.ifft(w, axis=-2) * N
+    transformed = np.fft.ifft(w, axis=-2) * N
     signed = representatives(N)[None, :]
-    W = np.empty_like(along)
-    W[..., a, (a + d) % N] = along[..., (signed + 2 * a) % N, d]
+    W = np.empty_like(transformed)
+    W[..., a, (a + d) % N] = transformed[..., (signed + 2 * a) % N, d]
     return -1j * N / (4 * pi) * W
 
 
@@ -41,9 +41,9 @@ def modes_of_matrix(W: Complexes) -> Complexes:
     """Return the modes w of W; inverse of `matrix_of_modes`."""
     N = W.shape[-1]
     a, d = np.arange(N)[:, None], np.arange(N)[None, :]
-    along = np.empty_like(W)
-    along[..., (representatives(N)[None, :] + 2 * a) % N, d] = W[..., a, (a + d) % N]
-    return np.fft.fft(along, axis=-2) / N / (-1j * N / (4 * pi))
+    transformed = np.empty_like(W)
+    transformed[..., (representatives(N)[None, :] + 2 * a) % N, d] = W[..., a, (a + d) % N]
+    return np.fft.fft(transformed, axis=-2) / N / (-1j * N / (4 * pi))
 
 
 def read_modes(argument: Any, N: int) -> Complexes:
@@ -57,7 +57,7 @@ def read_modes(argument: Any, N: int) -> Complexes:
     if not isinstance(argument, Mapping):
         return _read_array(argument, N)
     w, half = np.zeros((N, N), dtype=np.complex128), N // 2
-    seen: dict[tuple[int, int], complex] = {}
+    coefficients: dict[tuple[int, int], complex] = {}
     for mode, value in argument.items():
         try:
             n1, n2 = (int(n) for n in mode)
@@ -70,9 +70,9 @@ def read_modes(argument: Any, N: int) -> Complexes:
             ) from None
         if max(abs(n1), abs(n2)) > half or (n1, n2) == (0, 0) or not np.isfinite(number):
             raise ValueError(f"mode {short(mode)}: give n1, n2 from {-half} to {half}, not both 0, and a finite w")
-        seen[n1, n2] = number
-    for (n1, n2), number in seen.items():
-        if abs(seen.get((-n1, -n2), number.conjugate()) - number.conjugate()) > 1e-12 * abs(number):
+        coefficients[n1, n2] = number
+    for (n1, n2), number in coefficients.items():
+        if abs(coefficients.get((-n1, -n2), number.conjugate()) - number.conjugate()) > 1e-12 * abs(number):
             raise ValueError(
                 f"modes ({n1}, {n2}) and ({-n1}, {-n2}) are not conjugate: the vorticity would not be real"
             )
@@ -87,7 +87,7 @@ def _read_array(argument: Any, N: int) -> Complexes:
     if not np.isfinite(w).all():
         raise ValueError("modes contains NaN or infinity; every w must be finite")
     mirrored = np.conj(np.roll(w[..., ::-1, ::-1], 1, (-2, -1)))
-    wrong = max(np.abs(w - mirrored).max(initial=0.0), np.abs(w[..., 0, 0]).max(initial=0.0))
-    if wrong > 1e-12 * np.abs(w).max(initial=0.0):
+    violation = max(np.abs(w - mirrored).max(initial=0.0), np.abs(w[..., 0, 0]).max(initial=0.0))
+    if violation > 1e-12 * np.abs(w).max(initial=0.0):
         raise ValueError("modes of n and -n are not conjugate, or that of (0, 0) is not zero; give a real vorticity")
     return np.asarray(w, dtype=np.complex128)

@@ -16,7 +16,7 @@ from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of
-from coadjoint.validation import title, to_array
+from coadjoint.validation import to_array, truncate_title
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -96,7 +96,7 @@ class TwoLayerSystem(MatrixSystem):
             if not isinstance(second_stream, Stream):
                 raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
             # the same checks as for the first stream
-            MatrixSystem(algebra, second_stream, name=title(f"the second stream of {name}"))
+            MatrixSystem(algebra, second_stream, name=truncate_title(f"the second stream of {name}"))
         self.second_stream = second_stream
         self.shape = (2, *algebra.shape)
         self.dim = 2 * self.dim
@@ -114,29 +114,29 @@ class TwoLayerSystem(MatrixSystem):
 
     @property
     def _names(self) -> tuple[str, ...]:
-        own = [] if self.second_stream is not None else [f"tr W^{k}" for k in self._followed]
-        return (*(name for k in self._followed for name in (f"tr Theta^{k}", mixed(k))), *own)
+        vorticity_names = [] if self.second_stream is not None else [f"tr W^{k}" for k in self._followed]
+        return (*(name for k in self._followed for name in (f"tr Theta^{k}", mixed(k))), *vorticity_names)
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the invariants of states (..., 2, N, N), of -i Theta and -i W if these are complex."""
         X = self.matrices(x)
         base = -1j * X if self.complex else X
         theta, W = base[..., 0, :, :], base[..., 1, :, :]
-        found = {}
+        values = {}
         for k, power in self._powers(theta):
-            found[f"tr Theta^{k}"], found[mixed(k)] = _trace(power, theta), _trace(power, W)
+            values[f"tr Theta^{k}"], values[mixed(k)] = _trace(power, theta), _trace(power, W)
         if self.second_stream is None:
-            found |= {f"tr W^{k}": _trace(power, W) for k, power in self._powers(W)}
-        return found
+            values |= {f"tr W^{k}": _trace(power, W) for k, power in self._powers(W)}
+        return values
 
     def _powers(self, A: Matrix) -> list[tuple[int, Matrix]]:
         """Return the pairs (k, power k - 1 of matrices)."""
-        found, power, below = [], A, 1
+        powers, power, below = [], A, 1
         for k in self._followed:
             while below < k - 1:
                 power, below = power @ A, below + 1
-            found.append((k, power))
-        return found
+            powers.append((k, power))
+        return powers
 
     def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
         """Return P and J of states (..., 2, N, N), in this order."""
@@ -148,15 +148,15 @@ class TwoLayerSystem(MatrixSystem):
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return x' for a state (2, N, N) or a vector, in the same form."""
         X = self.matrices(x)
-        found = self.bracket(self.stream_of(X), X)
-        return self.to_vector(found) if np.shape(x)[-1] == self.dim else found
+        commutator = self.bracket(self.stream_of(X), X)
+        return self.to_vector(commutator) if np.shape(x)[-1] == self.dim else commutator
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of states (..., 2, N, N)."""
         X = self.matrices(x)
         slope = self.stream_of(X)[..., ::-1, :, :]
-        found = 0.5 * self.energy_sign * np.sum(np.conj(slope) * X, axis=(-3, -2, -1)).real
-        return float(found) if found.ndim == 0 else found
+        value = 0.5 * self.energy_sign * np.sum(np.conj(slope) * X, axis=(-3, -2, -1)).real
+        return float(value) if value.ndim == 0 else value
 
     def spectrum(self, x: Any) -> Floats:
         """Return the eigenvalues of -i Theta, real and ascending, of states (..., 2, N, N)."""
@@ -191,13 +191,13 @@ class TwoLayerSystem(MatrixSystem):
         return self.from_vector(rows)
 
     def read(self, given: Any, what: str = "x0") -> Floats:
-        found = to_array(given, what, "iufc")
-        if found.shape[-3:] != self.shape or found.ndim > 4:
+        state = to_array(given, what, "iufc")
+        if state.shape[-3:] != self.shape or state.ndim > 4:
             raise ValueError(
-                f"{what} has the shape {found.shape}; it must be {self.shape}, the carried field and the vorticity, or "
+                f"{what} has the shape {state.shape}; it must be {self.shape}, the carried field and the vorticity, or "
                 f"(members, {str(self.shape)[1:]}"
             )
-        layers = [self.algebra.read(found[..., k, :, :], f"{what}, layer {k},") for k in range(2)]
+        layers = [self.algebra.read(state[..., k, :, :], f"{what}, layer {k},") for k in range(2)]
         return self.to_vector(np.stack(layers, axis=-3))
 
     def to_vector(self, W: Any) -> Floats:
@@ -209,9 +209,9 @@ class TwoLayerSystem(MatrixSystem):
 
     def from_vector(self, x: Any) -> Matrix:
         """Return vectors as states."""
-        found = np.ascontiguousarray(x, dtype=np.float64)
-        lead = found.shape[:-1]
-        return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.shape)
+        numbers = np.ascontiguousarray(x, dtype=np.float64)
+        lead = numbers.shape[:-1]
+        return (numbers.view(np.complex128) if self.complex else numbers).reshape(*lead, *self.shape)
 
 
 def mixed(k: int) -> str:

@@ -54,18 +54,18 @@ def read_field(
 def _read_dataset(
     dataset: xarray.Dataset, name: str, variable: str | None, select: Mapping[str, int] | None
 ) -> tuple[npt.NDArray[Any], tuple[Floats, Floats]]:
-    names = [str(key) for key, one in dataset.data_vars.items() if one.ndim >= 2]
+    names = [str(key) for key, array in dataset.data_vars.items() if array.ndim >= 2]
     if variable is None and len(names) != 1:
         raise ValueError(f"{name} has the variables {short(names)}; choose one by variable=")
     chosen = names[0] if variable is None else variable
     if chosen not in dataset.data_vars:
         raise ValueError(f"{name} has no variable {short(chosen)}; choose one of {short(names)}")
     field = dataset[chosen]
-    for axis, place in dict(select or {}).items():
+    for axis, index in dict(select or {}).items():
         if axis not in field.dims:
             raise ValueError(f"{chosen} of {name} has no axis {short(axis)}; choose from {short(list(field.dims))}")
         size = field.sizes[axis]
-        field = field.isel({axis: read_integer(place, f"select[{axis!r}]", -size, size - 1)})
+        field = field.isel({axis: read_integer(index, f"select[{axis!r}]", -size, size - 1)})
     axes = [_axis(field, known, name) for known in (FIRST, SECOND)]
     rest = [axis for axis in field.dims if axis not in axes]
     long = [axis for axis in rest if field.sizes[axis] > 1]

@@ -1,6 +1,6 @@
 // Length of a step of a series, from the sizes of its terms: A. Jorba, M. Zou, A software package for the numerical
 // integration of ODEs by means of high-order Taylor methods, Experimental Mathematics 14 (2005), section 3.2.
-// `coadjoint.methods.numerics.step_length` is the same in Python, operation by operation.
+// `coadjoint.methods.numerics.taylor_series` is the same in Python, operation by operation.
 #pragma once
 
 #include "numbers/arithmetic.hpp"

@@ -1,0 +1,164 @@
+"""Brackets as text, such as "[e1, e3] = 2 e1 - e2": parser, for arbitrary names of basis elements, and formatter."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from coadjoint.algebra.exact.numbers import NUMBER, PLAIN_NUMBER, TOO_LARGE, parse_number, quotient
+from coadjoint.short_repr import short
+
+if TYPE_CHECKING:
+    from coadjoint.algebra.constants import Triples
+
+MAX_QUOTED = 60
+MAX_EXAMINED_CONSTANTS = 20_000
+"""Number of constants examined by `format_brackets`; an algebra may have millions."""
+
+Brackets = dict[tuple[int, int], dict[int, float]]
+
+
+def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
+    """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}`` with indices from 0.
+
+    Coefficients are ``2``, ``0.5``, ``1/3``, optionally followed by ``*``. A ValueError names the invalid line.
+    """
+    names = _Names(basis)
+    result: Brackets = {}
+    for line in lines:
+        pair = names.parse_pair(line)
+        if pair is None:
+            raise ValueError(
+                f"{short(line, MAX_QUOTED)} is not a bracket of {_format_names(basis)}; "
+                f"write [{basis[0][:MAX_QUOTED]}, {basis[-1][:MAX_QUOTED]}] = 2 {basis[0][:MAX_QUOTED]}"
+            )
+        i, j, end = pair
+        if (i, j) in result or (j, i) in result:
+            first, second = (short(basis[k], MAX_QUOTED)[1:-1] for k in (i, j))
+            raise ValueError(f"the bracket of {first} and {second} is given twice; give each pair once")
+        try:
+            result[i, j] = _parse_sum(line, end, names, basis)
+        except OverflowError:
+            raise ValueError(f"{short(line, MAX_QUOTED)} has a number that {TOO_LARGE}") from None
+    return result
+
+
+def names_in(lines: Sequence[str]) -> tuple[str, ...]:
+    """Return the names in bracket lines in order of first appearance.
+
+    Examples
+    --------
+    >>> names_in(["[h, e] = 2 e", "[e, f] = h"])
+    ('h', 'e', 'f')
+    """
+    names: dict[str, None] = {}
+    for line in lines:
+        if not isinstance(line, str):
+            raise TypeError(f"a bracket is {short(line, MAX_QUOTED)}; it must be a line such as '[h, e] = 2 e'")
+        names.update(dict.fromkeys(re.findall(r"[^\W\d]\w*", line)))
+    if not names:
+        raise ValueError("there are no brackets; write lines such as '[h, e] = 2 e'")
+    return tuple(names)
+
+
+class _Names:
+    """Tokenizer of basis names, by length: its time does not grow with the number of names."""
+
+    _OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
+    # A name that begins like an exponent may follow a number: the number in 2e1 is 2.
+    _FACTORS = tuple(
+        re.compile(rf"\s*(?P<sign>[-+])?\s*{number}")
+        for number in (
+            rf"(?P<above>{NUMBER})(?:\s*/\s*(?P<below>{NUMBER}))?\s*\*?\s*",
+            rf"(?P<above>{NUMBER})\s*/\s*(?P<below>{PLAIN_NUMBER})\s*\*?\s*",
+            rf"(?P<above>{PLAIN_NUMBER})\s*\*?\s*(?P<below>(?!))?",
+            r"(?P<above>(?!))?(?P<below>(?!))?",
+        )
+    )
+    _WORD = re.compile(r"\w")
+    _SPACE = re.compile(r"\s*")
+
+    def __init__(self, basis: Sequence[str]) -> None:
+        self._index = {name: k for k, name in reversed(list(enumerate(basis)))}
+        # Longest first, so that e12 is not read as e1 followed by 2.
+        self._lengths = sorted(set(map(len, basis)), reverse=True)
+
+    def _matches(self, text: str, position: int) -> Iterator[tuple[int, int]]:
+        for length in self._lengths:
+            k = self._index.get(text[position : position + length])
+            if k is not None and position + length <= len(text):
+                yield k, position + length
+
+    def parse_pair(self, line: str) -> tuple[int, int, int] | None:
+        """Return the two elements in the bracket on the left, and the start of the right side."""
+        opened = self._OPENED.match(line)
+        for i, end in self._matches(line, opened.end()) if opened else ():
+            between = self._BETWEEN.match(line, end)
+            for j, last in self._matches(line, between.end()) if between else ():
+                closed = self._CLOSED.match(line, last)
+                if closed is not None:
+                    return i, j, closed.end()
+        return None
+
+    def parse_term(self, line: str, position: int) -> tuple[re.Match[str], int, int] | None:
+        """Parse the term at a position: sign and number, its element, and the start of the next term."""
+        for factor in self._FACTORS:
+            match = factor.match(line, position)
+            for k, end in self._matches(line, match.end()) if match else ():
+                if match is not None and not self._WORD.match(line, end):
+                    space = self._SPACE.match(line, end)
+                    return match, k, space.end() if space else end
+        return None
+
+
+def _parse_sum(line: str, position: int, names: _Names, basis: Sequence[str]) -> dict[int, float]:
+    if line[position : position + MAX_QUOTED].strip() == "0" and line[position:].strip() == "0":
+        return {}
+    result: dict[int, float] = {}
+    first = True
+    while first or position < len(line):
+        term = names.parse_term(line, position)
+        if term is None or not (first or term[0]["sign"]):
+            rest = short(line[position:].strip() or "its end", MAX_QUOTED)
+            raise ValueError(
+                f"{short(line, MAX_QUOTED)} cannot be parsed from {rest} on; write a sum of {_format_names(basis)}, "
+                f"each with a number before it, such as 2 {basis[0][:MAX_QUOTED]}"
+            )
+        factor, k, position = term
+        denominator = parse_number(factor["below"] or "1")
+        if denominator == 0:
+            raise ValueError(f"{short(line, MAX_QUOTED)} divides by zero")
+        size = float(quotient(parse_number(factor["above"] or "1"), denominator))
+        total = result.get(k, 0.0) + (-size if factor["sign"] == "-" else size)
+        if not math.isfinite(total):
+            raise OverflowError
+        result[k] = total
+        first = False
+    return result
+
+
+def _format_names(basis: Sequence[str]) -> str:
+    shown = [name[:MAX_QUOTED] for name in (basis if len(basis) <= 6 else (basis[0], basis[1], basis[-1]))]
+    return ", ".join(shown) if len(basis) <= 6 else f"{shown[0]}, {shown[1]}, ..., {shown[2]}"
+
+
+def format_brackets(triples: Triples, basis: Sequence[str], most: int) -> list[str]:
+    """Format the first `most` nonzero brackets."""
+    texts: dict[tuple[int, int], str] = {}
+    columns = (column[:MAX_EXAMINED_CONSTANTS].tolist() for column in triples)
+    for i, j, k, c in zip(*columns, strict=True):
+        if (i, j) not in texts and len(texts) == most:
+            break
+        before = texts.get((i, j), "")
+        sign = ("-" if c < 0 else "") if not before else (" - " if c < 0 else " + ")
+        size = f"{abs(c):.6g}"
+        texts[i, j] = f"{before}{sign}{'' if size == '1' else size + ' '}{basis[k]}"
+    return [f"[{basis[i]}, {basis[j]}] = {text}" for (i, j), text in texts.items()]
+
+
+def count_of_brackets(triples: Triples) -> int:
+    """Return the number of pairs of basis elements that do not commute."""
+    i, j = triples.i, triples.j
+    return 0 if not len(i) else 1 + int(((i[1:] != i[:-1]) | (j[1:] != j[:-1])).sum())

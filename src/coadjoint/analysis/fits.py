@@ -1,0 +1,355 @@
+"""Fitted powers and lines: orders of schemes, slopes of defects, growth of deviations, and straight lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.short_repr import short
+from coadjoint.validation import read_finite
+
+Floats = NDArray[np.float64]
+
+MIN_POINTS = 3  # of a fitted power
+MAX_POINTS = 5  # of a slope at small steps
+# Points with errors below this multiple of their round-off are excluded; at 16, the logarithm is off by 1/16.
+FLOOR_FACTOR = 16.0
+
+WINDOWS = 5
+"""Number of windows of a growth: the last half of the run, the half before it, and so on."""
+KINDS = ((-0.25, 0.25, "bounded"), (0.25, 0.75, "like sqrt(t)"), (0.75, 1.25, "linear"))
+
+BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are assumed to be independent
+MIN_MEMORY_EXPONENT = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
+SLOPE_PIECES = 8
+SCALES = 64  # blocks, from whose means the growth is computed
+MIN_SAMPLES = 16
+MIN_PIECE_SAMPLES = 4
+
+
+def fit_power(x: ArrayLike, y: ArrayLike) -> float:
+    """Return the power p of y = c x^p, by least squares in the logarithms."""
+    return _slope(np.log(x), np.log(y))
+
+
+def _slope(x: Floats, y: Floats) -> float:
+    return float(np.polyfit(x, y, 1)[0])
+
+
+class OrderFit(NamedTuple):
+    """A fitted order.
+
+    Parameters
+    ----------
+    order : float
+        Slope of log(error) against log(step), by least squares.
+    steps, errors : ndarray, shape (k,)
+        The points used, largest step first.
+    dropped : int
+        Number of points excluded, on the round-off floor.
+    """
+
+    order: float
+    steps: Floats
+    errors: Floats
+    dropped: int
+
+
+def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> OrderFit:
+    """Fit an order to errors at several steps, without the points dominated by round-off.
+
+    From the largest step down, points are used until one is at or below its `floor`, or until the error falls more
+    slowly than the square root of the step (a plateau: no scheme has order 1/2).
+
+    Parameters
+    ----------
+    steps : array_like, shape (k,)
+        Positive, distinct steps.
+    errors : array_like, shape (k,)
+        Non-negative errors.
+    floor : array_like, shape (k,) or a number
+        Size of the round-off in each error, for instance the number of steps times 2^-53 times the size of the state.
+
+    Returns
+    -------
+    OrderFit
+        The slope and the points used.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three points remain, or the input is not a set of positive steps with finite errors.
+
+    Examples
+    --------
+    >>> fit_order([0.4, 0.2, 0.1, 0.05], [1.6e-1, 4e-2, 1e-2, 9.9e-3]).order.__round__(12)
+    2.0
+    """
+    h, e = read_finite(steps, "steps"), read_finite(errors, "errors")
+    if h.ndim != 1 or h.shape != e.shape:
+        raise ValueError(f"steps and errors have the shapes {h.shape} and {e.shape}; they must both be (k,)")
+    if not (np.all(h > 0.0) and len(np.unique(h)) == len(h)):
+        raise ValueError(f"steps are {short(h.tolist())}; they must be positive and distinct")
+    if not np.all(e >= 0.0):
+        raise ValueError(f"errors are {short(e.tolist())}; they must be finite and not negative")
+    floors = read_finite(floor, "floor")
+    if floors.shape not in ((), h.shape):
+        raise ValueError(f"floor has the shape {floors.shape}; it must be a number or {h.shape}, as the errors are")
+    descending = np.argsort(-h)
+    h, e, floors = h[descending], e[descending], np.broadcast_to(floors, h.shape)[descending]
+    count = 0
+    while count < len(h) and e[count] > floors[count]:
+        if count and e[count] > e[count - 1] * np.sqrt(h[count] / h[count - 1]):
+            break
+        count += 1
+    if count < MIN_POINTS:
+        raise ValueError(
+            f"only {count} of {len(h)} errors are above the round-off floor and falling; "
+            f"an order needs {MIN_POINTS}, so take larger steps or more of them"
+        )
+    return OrderFit(fit_power(h[:count], e[:count]), h[:count], e[:count], len(h) - count)
+
+
+class Slope(NamedTuple):
+    """A fitted power of the step.
+
+    Parameters
+    ----------
+    value : float
+        The slope at the smallest steps.
+    uncertainty : float
+        Estimated distance from the slope in the limit of vanishing steps.
+    steepening : float
+        The slope at the smallest steps minus that at the largest ones. A positive value indicates that the asymptotic
+        order is not yet reached.
+    steps, errors : ndarray, shape (k,)
+        The fitted points, largest step first.
+    """
+
+    value: float
+    uncertainty: float
+    steepening: float
+    steps: Floats
+    errors: Floats
+
+    def __str__(self) -> str:
+        """Format the slope with its uncertainty."""
+        return f"{self.value:.2f} +- {self.uncertainty:.2f}"
+
+
+def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope | None:
+    """Return the slope of log(error) against log(step) at the smallest steps whose errors are above round-off.
+
+    Parameters
+    ----------
+    steps, errors, floors : list of float
+        Steps, errors, and the round-off of each error; all positive.
+
+    Returns
+    -------
+    Slope or None
+        None if fewer than three points are above the floor.
+
+    Notes
+    -----
+    For an error C h^p (1 + a h + ...) the slope at points near the step h is p + a h + .... From the larger to the
+    smaller points the step falls by a ratio r, so a h at the smaller ones is the change of the slope divided by
+    r - 1. The uncertainty also includes the effect of round-off, which may be 1/16 of an error.
+
+    Examples
+    --------
+    >>> fitted = slope([0.4, 0.2, 0.1], [1.6e-3, 4e-4, 1e-4], [1e-16] * 3)
+    >>> round(fitted.value, 12), fitted.uncertainty < 1e-9
+    (2.0, True)
+    """
+    points = [
+        (step, error, floor)
+        for step, error, floor in sorted(zip(steps, errors, floors, strict=True), reverse=True)
+        if error > FLOOR_FACTOR * floor
+    ][-MAX_POINTS:]
+    if len(points) < MIN_POINTS:
+        return None
+    h, e, floor = (np.array(column) for column in zip(*points, strict=True))
+    width = 3 if len(h) == MAX_POINTS else 2
+    large, small = fit_power(h[:width], e[:width]), fit_power(h[-width:], e[-width:])
+    ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
+    rounding = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
+    return Slope(small, abs(small - large) / (ratio - 1.0) + rounding, small - large, h, e)
+
+
+def slope_of_defects(largest: float, count: int, measure: Callable[[float], tuple[float, float]]) -> Slope | None:
+    """Fit the power of the step with which a defect scales, at `count` steps that decrease by factors sqrt(2).
+
+    `measure` maps a signed step to the defect and its round-off; steps at which it fails are skipped.
+    """
+    steps, defects, floors = [], [], []
+    for k in range(count):
+        h = largest / 2.0 ** (k / 2)
+        try:
+            defect, floor = measure(h)
+        except (IntegrationError, TypeError, ValueError):
+            continue
+        steps.append(abs(h))
+        defects.append(defect)
+        floors.append(floor)
+    return slope(steps, defects, floors)
+
+
+class Growth(NamedTuple):
+    """Growth of deviations over a run.
+
+    Parameters
+    ----------
+    power : float
+        The power of time, fitted over the windows; NaN if fewer than three windows have deviations.
+    kind : str
+        "bounded", "like sqrt(t)", "linear", or "like t^..."; "none in any bit" if no deviation differs from zero, and
+        "not to be told" if fewer than three windows have deviations.
+    times, sizes : ndarray, shape (windows,)
+        Middle and root mean square of each window.
+    """
+
+    power: float
+    kind: str
+    times: Floats
+    sizes: Floats
+
+
+def growth(t: Floats, deviations: Floats) -> Growth:
+    """Return the power of time with which the root mean square of deviations grows.
+
+    Parameters
+    ----------
+    t : ndarray, shape (k,)
+        Times since the start, increasing in absolute value.
+    deviations : ndarray, shape (k, members)
+        Deviations from the initial value.
+
+    Returns
+    -------
+    Growth
+
+    Notes
+    -----
+    Each window is twice as long as the previous one, so the logarithm of the root mean square of a deviation c t^a
+    rises by a log 2 from window to window, and the fitted slope is a. An oscillation with a period shorter than the
+    windows has equal root mean squares. A kind is assigned within 1/4 of its power, half of the distance to the next
+    kind. For a random walk of m members the slope has a standard deviation of about 0.3 / sqrt(m).
+
+    Examples
+    --------
+    >>> t = np.linspace(0, 100, 201)
+    >>> growth(t, 1e-3 * np.sin(9 * t)[:, None]).kind, growth(t, 1e-9 * t[:, None]).kind
+    ('bounded', 'linear')
+    """
+    since = np.abs(t - t[0])
+    edges = since[-1] / 2.0 ** np.arange(WINDOWS, -1, -1)
+    times, sizes = [], []
+    for k, (begin, end) in enumerate(pairwise(edges)):
+        inside = (since > begin * (1 + 1e-9)) & (since <= end * (1 + 1e-9)) if k else (since > 0) & (since <= end)
+        if np.any(inside):
+            times.append(float(np.sqrt(begin * end)))
+            sizes.append(float(np.sqrt(np.mean(deviations[inside] ** 2))))
+    middle, size = np.array(times), np.array(sizes)
+    positive = size > 0.0
+    if not np.any(positive):
+        return Growth(float("nan"), "none in any bit", middle, size)
+    if np.count_nonzero(positive) < MIN_POINTS:
+        return Growth(float("nan"), "not to be told", middle, size)
+    power = fit_power(middle[positive], size[positive])
+    kind = next((name for low, high, name in KINDS if low <= power < high), f"like t^{power:.1f}")
+    return Growth(power, kind, middle, size)
+
+
+class Line(NamedTuple):
+    """A least-squares line of a series; the attributes are those of `PhaseDrift`."""
+
+    slope: float
+    intercept: float
+    uncertainty: float
+    deviation: float
+    slow_deviation: float
+    exponent: float
+
+
+def straight_line(t: Floats, values: Floats) -> Line:
+    """Fit a straight line to a series at ordered times (at least 16), with the growth of the deviations from it.
+
+    The uncertainty is a standard error of the slope that allows for correlated deviations: the true slope is within two
+    of it for nine of ten series. The exponent H is the power of the length of a piece with which deviations grow.
+    """
+    # Uncertainty: for B blocks of neighbouring samples, deviations r and distances d from the middle time, the sums of
+    # d r over each block are independent if the blocks are long enough. The slope then has the variance B / (B - 2) *
+    # sum (block sums)^2 / (sum d^2)^2. The sufficient length is unknown, so the largest value for B = 4 to 32 is taken.
+    # If H < 0.2, deviations are not correlated over the whole span. Otherwise the slopes of q = 8 pieces are used,
+    # whose errors are q^(1 - H) times that of the whole.
+    # Exponent: H = 0 for oscillations and noise, 1/2 for a random walk, 3/2 for an integrated one (Brouwer's phase
+    # error), 2 for a parabola. A series is asymptotically linear if and only if H < 1.
+    middle = t.mean()
+    d = t - middle
+    spread = float(d @ d)
+    slope = float(d @ (values - values.mean())) / spread
+    deviations = values - values.mean() - slope * d
+    weighted = d * deviations
+    worst = 0.0
+    for blocks in BLOCKS:
+        if len(t) < MIN_PIECE_SAMPLES * blocks:
+            break
+        sums = np.add.reduceat(weighted, _block_starts(len(t), blocks))
+        worst = max(worst, blocks / (blocks - 2) * float(sums @ sums))
+    # Effect of rounding of the series on its slope.
+    rounding = 2.0**-53 * float(np.max(np.abs(values))) / np.sqrt(spread)
+    starts = _block_starts(len(t), min(SCALES, len(t) // 2))
+    sizes = np.diff(np.append(starts, len(t)))
+    slow_t, slow = np.add.reduceat(t, starts) / sizes, np.add.reduceat(values, starts) / sizes
+    exponent = _growth_exponent(slow_t, slow)
+    uncertainty = np.sqrt(worst) / spread
+    if exponent > MIN_MEMORY_EXPONENT:
+        pieces = min(SLOPE_PIECES, len(slow) // 2)
+        uncertainty = max(uncertainty, _slope_scatter(slow_t, slow, pieces) * pieces ** (exponent - 1.0))
+    return Line(
+        slope=slope,
+        intercept=float(values.mean() - slope * middle),
+        uncertainty=float(np.hypot(uncertainty, rounding)),
+        deviation=float(np.sqrt(np.mean(deviations**2))),
+        slow_deviation=_deviation_from_lines(slow_t, slow, 1),
+        exponent=exponent,
+    )
+
+
+def _block_starts(samples: int, blocks: int) -> NDArray[np.int64]:
+    return np.linspace(0, samples, blocks + 1).round().astype(np.int64)[:-1]
+
+
+def _deviation_from_lines(t: Floats, values: Floats, pieces: int) -> float:
+    """Return the root mean square deviation from the least-squares lines of a number of pieces."""
+    total = 0.0
+    for piece_t, piece in zip(np.array_split(t, pieces), np.array_split(values, pieces), strict=True):
+        d, v = piece_t - piece_t.mean(), piece - piece.mean()
+        total += float(np.sum((v - d * (d @ v) / (d @ d)) ** 2)) * len(piece) / max(1, len(piece) - 2)
+    return float(np.sqrt(total / len(t)))
+
+
+def _slope_scatter(t: Floats, values: Floats, pieces: int) -> float:
+    """Return the standard deviation of the slopes of the pieces of a series."""
+    slopes = []
+    for piece_t, piece in zip(np.array_split(t, pieces), np.array_split(values, pieces), strict=True):
+        d = piece_t - piece_t.mean()
+        slopes.append(float(d @ piece) / float(d @ d))
+    return float(np.std(slopes, ddof=1))
+
+
+def _growth_exponent(t: Floats, values: Floats) -> float:
+    pieces = [1]
+    while len(t) >= 2 * pieces[-1] * MIN_PIECE_SAMPLES and len(pieces) < 5:
+        pieces.append(2 * pieces[-1])
+    sizes = np.array([_deviation_from_lines(t, values, count) for count in pieces])
+    if len(pieces) < 2 or not np.all(sizes > 0.0):
+        return 0.0
+    return _slope(-np.log(pieces), np.log(sizes))

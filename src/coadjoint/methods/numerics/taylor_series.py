@@ -1,0 +1,231 @@
+"""Taylor series of a motion in NumPy: power series in time, dual numbers, and steps of variable length.
+
+The variable steps are the reference for ``taylor_variable.cpp``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.long_operations import note_progress
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+DECIDING_TERMS = 4  # number of last and of middle terms that determine the length
+LN2 = 0.6931471805599453
+NO_LIMIT = 900.0  # binary logarithm of the largest length
+MOST_STEPS = 1_000_000
+TOO_MANY_STEPS_MESSAGE = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
+"""End of the messages about steps that become too short; the limit is that of the kernels."""
+TOO_SHORT_MESSAGE = (
+    "the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; "
+    + TOO_MANY_STEPS_MESSAGE
+)
+
+
+class PowerSeries:
+    """The power series sum_k coefficients[k] t^k; sums and products are truncated at the same power.
+
+    Examples
+    --------
+    >>> (PowerSeries([1, 1, 0]) * PowerSeries([1, -1, 0]) + 2).coefficients
+    [3, 0, -1]
+    """
+
+    def __init__(self, coefficients: Sequence[Any]) -> None:
+        self.coefficients = list(coefficients)
+
+    def __add__(self, other: Any) -> PowerSeries:
+        """Return the sum with a series of equal length, or with a constant."""
+        if isinstance(other, PowerSeries):
+            return PowerSeries([a + b for a, b in zip(self.coefficients, other.coefficients, strict=True)])
+        return PowerSeries([self.coefficients[0] + other, *self.coefficients[1:]])
+
+    def __mul__(self, other: Any) -> PowerSeries:
+        """Return the product with a series of equal length, or with a constant."""
+        a = self.coefficients
+        if isinstance(other, PowerSeries):
+            b = other.coefficients
+            return PowerSeries([sum((a[j] * b[k - j] for j in range(1, k + 1)), a[0] * b[k]) for k in range(len(a))])
+        return PowerSeries([c * other for c in a])
+
+    def __pow__(self, exponent: int) -> PowerSeries | int:
+        """Return an integer power."""
+        result: Any = 1
+        for _ in range(exponent):
+            result = self * result
+        return result
+
+    def __neg__(self) -> PowerSeries:
+        """Return the negative."""
+        return self * -1
+
+    def __sub__(self, other: Any) -> PowerSeries:
+        """Return the difference."""
+        return self + other * -1
+
+    def __rsub__(self, other: Any) -> PowerSeries:
+        """Return the difference of a constant and the series."""
+        return self * -1 + other
+
+    def __truediv__(self, other: Any) -> PowerSeries:
+        """Return the quotient by a constant."""
+        return PowerSeries([c / other for c in self.coefficients])
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+class Dual:
+    """A number with its derivative, an array; supports sums and products with dual and plain numbers.
+
+    Examples
+    --------
+    >>> square = Dual(3.0, np.array([1.0])) * Dual(3.0, np.array([1.0]))
+    >>> square.value, square.derivative
+    (9.0, array([6.]))
+    """
+
+    __array_ufunc__ = None
+
+    def __init__(self, value: Any, derivative: NDArray[Any]) -> None:
+        self.value, self.derivative = value, derivative
+
+    def __add__(self, other: Any) -> Dual:
+        """Return the sum."""
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, self.derivative + other.derivative)
+        return Dual(self.value + other, self.derivative)
+
+    def __mul__(self, other: Any) -> Dual:
+        """Return the product."""
+        if isinstance(other, Dual):
+            return Dual(self.value * other.value, self.value * other.derivative + other.value * self.derivative)
+        if isinstance(other, Fraction) and self.derivative.dtype == np.float64:
+            other = float(other)  # the conversion that Python makes in products with a float
+        return Dual(self.value * other, other * self.derivative)
+
+    def __truediv__(self, other: Any) -> Dual:
+        """Return the quotient by a plain number."""
+        return Dual(self.value / other, self.derivative / other)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def expand(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any, order: int) -> list[NDArray[Any]]:
+    """Return x_1 h, ..., x_p h^p of the motion x' = field(x) from x, by x_(k+1) = f_k / (k + 1).
+
+    The field consists of sums and products; the entries of x are numbers of one type, or `Dual`.
+    """
+    terms = [x]
+    for k in range(order):
+        # The number of products up to a power grows like its square.
+        note_progress(f"the power {k + 1} of {order} of a series", (k / order) ** 3)
+        series = np.empty(len(x), dtype=object)
+        series[:] = [PowerSeries([term[i] for term in terms]) for i in range(len(x))]
+        slopes = np.empty(len(x), dtype=object)
+        slopes[:] = [f.coefficients[k] if isinstance(f, PowerSeries) else x[0] * 0 for f in field(series)]
+        terms.append(slopes * h / (k + 1))
+    return terms[1:]
+
+
+def near_log2(a: float) -> float:
+    """Return the binary logarithm of a positive number, within 2e-5; -1022 for zero."""
+    if a < 2.0**-1022:
+        return -1022.0
+    half, exponent = math.frexp(a)
+    z = (2.0 * half - 1.0) / (2.0 * half + 1.0)
+    zz = z * z
+    series = 2.885390081777927 + zz * (0.9617966939259757 + zz * (0.5770780163555854 + zz * 0.41219858311113244))
+    return float(exponent - 1) + z * series
+
+
+def near_power_of_two(a: float) -> float:
+    """Return 2^a for a from -1000 to 1000, with a relative error of 4e-6."""
+    integer = math.floor(a + 0.5)
+    r = (a - integer) * LN2
+    series = 1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0))))
+    return math.ldexp(1.0 + r * series, integer)
+
+
+def logarithm_of_step(sizes: Sequence[float], largest: float, tolerance: float) -> float:
+    """Return the binary logarithm of the length of a step, relative to the time h of the terms x_1 h, ..., x_p h^p.
+
+    At this length the last terms are `tolerance` times `largest` (the largest state so far) if the terms decay
+    geometrically from `largest`; the last four terms are tested, since even or odd ones may vanish. The length is at
+    most half the radius of convergence, estimated from the middle and last terms: the truncation error is then less
+    than the last term, and decaying motions decay in the series too. Source: A. Jorba, M. Zou, Experimental Mathematics
+    14 (2005), section 3.2.
+    """
+    order = len(sizes)
+    last = range(max(1, order + 1 - DECIDING_TERMS), order + 1)
+    level, last_size = near_log2(largest), max(sizes[k - 1] for k in last)
+    radius = min(((level - near_log2(sizes[k - 1])) / k for k in last if sizes[k - 1] > 0.0), default=2.0 * NO_LIMIT)
+    length = min(radius, 2.0 * NO_LIMIT) + near_log2(tolerance) / order
+    if order >= 2 * DECIDING_TERMS and last_size > 0.0:
+        middle = max(sizes[order // 2 - DECIDING_TERMS : order // 2])
+        if middle > 0.0:
+            converging = (near_log2(middle) - near_log2(last_size)) / (order - order // 2)
+            length = min(length, converging - 1.0)
+    return max(min(length, NO_LIMIT), -NO_LIMIT)
+
+
+def advance_by_own_steps(
+    field: Callable[[NDArray[Any]], NDArray[Any]],
+    x: NDArray[Any],
+    h: Any,
+    order: int,
+    tolerance: float,
+    to_level_set: Callable[[NDArray[Any]], NDArray[Any]],
+) -> NDArray[Any]:
+    """Return the state after a time h of either sign, in steps of lengths chosen from the series.
+
+    The field consists of sums and products; the entries of x are numbers of one type, or `Dual`. `tolerance` is the
+    error of a step relative to the largest state so far; `to_level_set`, a projection, is applied to the end of each
+    step. IntegrationError: steps no longer change the time.
+
+    Examples
+    --------
+    The motion x' = x^2 from 1, at t = 1/2:
+
+    >>> end = advance_by_own_steps(lambda x: x * x, np.array([1.0], dtype=object), 0.5, 12, 1e-12, lambda z: z)
+    >>> bool(abs(end[0] - 2) < 1e-10)
+    True
+    """
+    elapsed, largest, scale = h * 0, 0.0, _time_of_change(field, x, h)
+    for _ in range(MOST_STEPS):
+        largest = max(largest, _size(x))
+        terms = expand(field, x, scale, order)
+        length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
+        remaining = h - elapsed
+        if abs(remaining) <= abs(length):
+            return to_level_set(x + _sum(terms, remaining / scale))
+        x = to_level_set(x + _sum(terms, length / scale))
+        elapsed = elapsed + length
+        if not abs(length) > UNIT_ROUNDOFF * abs(elapsed):
+            break
+        scale = math.copysign(2.0 ** math.floor(near_log2(abs(length))), float(h))
+    raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=float(elapsed), residual=float(length))
+
+
+def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:
+    """Return the approximate time in which the state changes by its own size, a power of two with the sign of h."""
+    speed, size = _size(expand(field, x, 1.0, 1)[0]), _size(x)
+    return math.copysign(2.0 ** math.floor(near_log2(size) - near_log2(speed)) if speed > 0.0 else 1.0, float(h))
+
+
+def _sum(terms: Sequence[NDArray[Any]], s: Any) -> NDArray[Any]:
+    """Return the sum of terms[k - 1] s^k, by Horner's scheme."""
+    total = terms[-1] * s
+    for term in reversed(terms[:-1]):
+        total = (total + term) * s
+    return total
+
+
+def _size(x: NDArray[Any]) -> float:
+    return float(np.sum([abs(float(v.value if isinstance(v, Dual) else v)) for v in x]))

@@ -1,0 +1,305 @@
+"""Attitudes of runs whose Hamiltonian is shifted by a Casimir."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.files.datasets.export import rebuild
+from coadjoint.program.parts.decompose import decompose
+
+pytestmark = pytest.mark.thinned(3)
+
+U = 2.0**-53
+
+
+def cases():
+    rng = np.random.default_rng(7)
+    e3, M6 = co.algebras.e(3), (1.0, 0.5, 0.3, 0.2, 0.4, 0.9)
+    return {
+        "so(3), body": (co.systems.rigid_body((1.0, 2.0, 3.0)), True),
+        "so(3), paper": (co.systems.paper_rigid_body(), True),
+        "so(3), coadjoint": (co.systems.rigid_body((1.0, 2.0, 2.75)), "coadjoint"),
+        "e(3)": (co.LiePoissonSystem(e3, co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9)), sign=-1), True),
+        "e(3), coadjoint": (co.LiePoissonSystem(e3, co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9))), "coadjoint"),
+        "so(4)": (co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6)), sign=-1), True),
+        "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic((0.5, 1.0, 0.3))), True),
+        "two so(3)": (co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M6), sign=-1), True),
+    }
+
+
+@pytest.mark.parametrize("name", list(cases()))
+def test_shifted_and_unshifted_attitudes_agree(name):
+    system, attitude = cases()[name]
+    assert decompose(system, "auto").shift, "this case must be shifted"
+    x0 = 0.6 * np.random.default_rng(4).standard_normal(system.dim)
+    reference = co.integrate(
+        system, x0, (0, 2), 0.0025, co.Splitting(order=4, parts="coordinates"), attitude=attitude, save_every=800
+    ).attitude[-1]
+    errors = []
+    for h in (0.1, 0.05):
+        sol = co.integrate(system, x0, (0, 2), h, co.Splitting(order=4), attitude=attitude, save_every=100)
+        errors.append(np.abs(sol.attitude[-1] - reference).max())
+    assert errors[0] < 0.05 and errors[1] < errors[0] / 8 + 1e-12  # order 4: a factor 16
+
+
+def test_attitude_matches_the_closed_form():
+    system = cases()["so(3), body"][0]
+    x0 = np.array([0.3, 1.0, -0.5])
+    start = system.exact((1.0, 0.2, 0.4), 1.7, attitude=True)[1]
+    sol = co.integrate(system, x0, (3, 13), 1 / 512, co.Splitting(order=4), attitude=start, save_every=640)
+    exact = system.exact(x0, sol.t - 3, attitude=start)[1]
+    assert np.abs(sol.attitude - exact).max() < 1e-10
+
+
+@pytest.mark.parametrize("name", list(cases()))
+def test_spatial_momentum_is_preserved(name):
+    system, attitude = cases()[name]
+    if attitude is True and name.startswith(("e(3)", "so(4)", "sl(2)")):
+        attitude = "coadjoint"  # the matrix that acts on momenta
+    x0 = 0.6 * np.random.default_rng(4).standard_normal((3, system.dim))
+    sol = co.integrate(system, x0, (0, 20), 0.05, co.Splitting(order=2), attitude=attitude, save_every=40)
+    space = np.einsum("kmij,kmj->kmi", sol.attitude, sol.x)
+    size = np.abs(sol.attitude).max(axis=(2, 3)).max() * np.abs(sol.x).max()
+    # 400 steps of at most 5 flows each, every one rounding sums of at most n products, and the shift's exponential.
+    assert np.abs(space - sol.x[0]).max() <= 400 * 5 * system.dim * U * size
+
+
+def test_attitudes_of_members_and_backward_runs():
+    system, _ = cases()["so(3), body"]
+    x0 = np.array([[0.3, 1.0, -0.5], [1.0, -0.2, 0.4]])
+    together = co.integrate(system, x0, (0, 5), 0.05, attitude=True)
+    for member, x in enumerate(x0):
+        alone = co.integrate(system, x, (0, 5), 0.05, attitude=True)
+        np.testing.assert_array_equal(alone.attitude, together.attitude[:, member])
+    back = co.integrate(system, together.x[-1, 0], (5, 0), 0.05, attitude=together.attitude[-1, 0])
+    assert np.abs(back.attitude[-1] - np.eye(3)).max() < 1e-13
+
+
+def test_stepper_includes_the_shift():
+    system, _ = cases()["so(3), body"]
+    x = np.array([0.3, 1.0, -0.5])
+    g = co.stepper(system, co.Splitting(order=2), 0.01).group(x)
+    assert np.abs(g - system.exact(x, 0.01, attitude=True)[1]).max() < 1e-6
+
+
+SHIFTED = {
+    "so(3)": co.systems.rigid_body((1.0, 2.0, 3.0)),
+    "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.linspace(0.5, 2, 6)), sign=-1),
+    "so(5)": co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(np.linspace(0.5, 2, 10))),
+    "su(3)": co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(np.linspace(0.5, 2, 8)), sign=-1),
+    "sl(2)": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic((0.5, 1.0, 0.3))),
+    "e(3)": co.LiePoissonSystem(co.algebras.e(3), co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9)), sign=-1),
+    "A4,10": co.LiePoissonSystem(co.algebras.get("A4,10"), co.Quadratic((1.0, 0.5, 0.3, 0.4))),
+    "three so(3)": co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 3), co.Quadratic(np.linspace(0.5, 2, 9))),
+}
+
+
+def bodies():
+    """Return bodies with different shifts, and one without."""
+    systems = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 2.5), (1.5, 2, 2.75), (1.25, 1.75, 3))]
+    return [*systems, co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((0.0, 0.0, 0.5)), sign=-1)]
+
+
+def same_bits(one, other):
+    """Compare bits, also the signs of zeros."""
+    return one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def initial_elements(system, attitude, members=None):
+    """Return group elements as a user might give them: rounded, with zeros of both signs, in Fortran order."""
+    if attitude == "coadjoint":
+        return "coadjoint", np.eye(system.dim)
+    # The first generator moves few axes: the other entries are zeros, of which some are made negative.
+    turns = [0.7] if members is None else np.linspace(0.3, 0.9, members)
+    g = np.stack([expm(turn * system.representation[0]) for turn in turns])
+    g[:, 0][g[:, 0] == 0.0] = -0.0
+    g = g[0] if members is None else g
+    return np.asfortranarray(g), g
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("kind", ["representation", "coadjoint"])
+@pytest.mark.parametrize("span", [(0.0, 0.5), (0.5, 0.0), (1e6, 1e6 + 0.5)], ids=str)
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_first_element_is_the_given_one(name, span, kind):
+    system = SHIFTED[name]
+    assert decompose(system, "auto").shift
+    if kind == "representation" and system.representation is None:
+        pytest.skip("no representation")
+    many = 0.3 * np.random.default_rng(2).standard_normal((3, system.dim))
+    for x0, members in ((many[0], None), (many[:1], 1), (many, 3)):
+        for each in {None, members}:
+            attitude, expected = initial_elements(system, kind, each)
+            sol = co.integrate(system, x0, span, 0.0625, attitude=attitude, save_every=3)
+            assert same_bits(sol.attitude[0], np.array(np.broadcast_to(expected, sol.attitude[0].shape)))
+
+
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_elements_do_not_depend_on_saving_or_start_time(name):
+    system = SHIFTED[name]
+    attitude = initial_elements(system, "coadjoint" if system.representation is None else "representation")[0]
+    x0 = 0.3 * np.random.default_rng(2).standard_normal((3, system.dim))
+
+    def run(x, start, end, every, **options):
+        return co.integrate(system, x, (start, end), 0.1, attitude=attitude, save_every=every, **options).attitude
+
+    every = run(x0, 0.0, 3.0, 1)
+    assert same_bits(run(x0, 0.0, 3.0, 7), every[[0, 7, 14, 21, 28, 30]])
+    assert same_bits(run(x0, 0.0, 1.3, 5), every[[0, 5, 10, 13]])
+    assert same_bits(run(x0, 0.0, 3.0, 1, threads=2, watch=False), every)
+    assert same_bits(run(x0[1], 0.0, 3.0, 2), every[::2, 1])
+    assert same_bits(run(x0, 1e6, 1e6 + 3.0, 1), every), "elements must not depend on rounded times"
+    assert same_bits(co.stepper(system, co.Splitting(), 0.1).group(x0[0], 7.0, attitude), every[1, 0])
+
+
+def test_elements_do_not_depend_on_chunk_size(monkeypatch):
+    system, x0 = SHIFTED["so(5)"], np.linspace(-0.3, 0.4, 10)
+    once = co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude
+    monkeypatch.setattr("coadjoint.kernels.casimir_shift.MAX_PRODUCTS", 1e4)
+    assert same_bits(co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude, once)
+
+
+def test_batch_with_shifted_and_unshifted_members():
+    systems = bodies()
+    shifted = [bool(decompose(system, "auto").shift) for system in systems]
+    assert shifted == [True, True, True, False]
+    x0 = np.array([[0.3, 1.0, -0.5], [1.0, -0.2, 0.4], [0.1, 0.2, 0.3], [0.5, -0.5, 0.2]])
+    attitude, expected = initial_elements(systems[0], True, 4)
+    for span in ((0, 1), (3, 2)):
+        sol = co.integrate(co.batch(systems), x0, span, 0.1, attitude=attitude)
+        assert same_bits(sol.attitude[0], np.ascontiguousarray(expected))
+        for m, system in enumerate(systems):
+            alone = co.integrate(system, x0[m], span, 0.1, attitude=attitude[m])
+            assert same_bits(np.ascontiguousarray(sol.attitude[:, m]), np.ascontiguousarray(alone.attitude))
+        assert same_bits(rebuild(sol.to_xarray()).attitude, sol.attitude)
+
+
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_rebuilt_attitude_has_the_same_bits(name):
+    system = SHIFTED[name]
+    attitude = initial_elements(system, "coadjoint" if system.representation is None else "representation")[0]
+    x0 = 0.3 * np.random.default_rng(2).standard_normal((2, system.dim))
+    for x, span in ((x0, (0, 2)), (x0[0], (5, 3))):
+        sol = co.integrate(system, x, span, 0.1, attitude=attitude, save_every=3)
+        assert same_bits(rebuild(sol.to_xarray()).attitude, sol.attitude)
+
+
+@pytest.mark.parametrize("x0", [np.zeros(6), [0, 0, 0, 0, 0, 1.0], [1.0, 0, 0, 0, 0, 0]], ids=str)
+def test_attitude_where_the_casimir_gradient_vanishes(x0):
+    system = SHIFTED["so(4)"]
+    sol = co.integrate(system, x0, (0, 4), 0.1, co.Splitting(order=4), attitude=True, save_every=10)
+    plain = co.Splitting(order=4, parts="coordinates")
+    other = co.integrate(system, x0, (0, 4), 0.1, plain, attitude=True, save_every=10)
+    # A momentum along an axis stays, and turns by one frequency: every splitting is exact.
+    assert np.abs(sol.attitude - other.attitude).max() <= 40 * 64 * U
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(4)", "so(5)", "su(3)"])
+def test_rotations_stay_orthogonal_over_long_times(name):
+    """Three steps at a time of 3e9: the shift turns by 1e9 and the loop by three steps."""
+    system, h = SHIFTED[name], 2.0**30
+    x0 = np.random.default_rng(3).standard_normal(system.dim)
+    g = co.integrate(system, x0, (0, 3 * h), h, attitude=True).attitude[-1]
+    assert np.abs(g.T @ g - np.eye(len(g))).max() <= 3 * 20 * 8 * len(g) * U
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("factors", [(1.0,), (1.0, 1e-6), (1e-6, 1.0)], ids=str)
+def test_overflowing_attitude_is_an_error(factors, sense):
+    """The momentum stays bounded; the group element is a boost that grows until it overflows."""
+    g = co.algebras.get("so(2,1)")
+    # The Casimir is x1^2 - x2^2 - x3^2.
+    M = sense * (np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0]))
+    systems = [co.LiePoissonSystem(g, co.Quadratic(f * M)) for f in factors]
+    system, x0 = (co.batch(systems) if len(factors) > 1 else systems[0]), np.array([0.1, 1.0, 0.2])
+    near = co.integrate(system, x0, (0, 10), 0.1, attitude=True, save_every=10)
+    assert np.isfinite(near.attitude).all()
+    with pytest.raises(co.IntegrationError, match=r"attitude at t = .* shorter span") as raised:
+        co.integrate(system, x0, (0, 1000), 0.1, attitude=True, save_every=10)
+    partial = raised.value.partial
+    sound = np.isfinite(partial.attitude).reshape(len(partial.t), -1).all(axis=1)
+    assert np.isfinite(partial.x).all() and sound[:11].all() and not sound[-1]
+    assert raised.value.time == partial.t[np.argmin(sound)]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("members", [1, 30])
+@pytest.mark.parametrize("x0", [(0.1, 1.0, 0.2), (-0.1, -1.0, -0.2), (0.1, 0.2, -1.0)], ids=str)
+def test_attitude_overflow_for_all_signs(x0, members, way):
+    """Of the momentum and of the step; also if only the last member is fast."""
+    M = np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0])
+    system = co.LiePoissonSystem(co.algebras.get("so(2,1)"), co.Quadratic(M))
+    crowd = 1e-6 * np.ones((members, 3))
+    crowd[-1] = x0
+    with pytest.raises(co.IntegrationError, match=r"attitude at t = .* shorter span"):
+        co.integrate(system, crowd, (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
+    if members > 1:
+        calm = co.integrate(system, crowd[:-1], (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
+        assert np.isfinite(calm.attitude).all()
+
+
+def motion_of(system, x0, g0, kind, end):
+    """Return the state and group element at times since the start, from x' = f(x), g' = -sign g rho(grad H(x))."""
+    n, d = system.dim, len(g0)
+
+    def field(t, y):
+        x, g = y[:n], y[n:].reshape(d, d)
+        slope = system.hamiltonian.gradient(x)
+        A = system.algebra.coadjoint(slope) if kind == "coadjoint" else np.tensordot(slope, system.representation, 1)
+        return np.append(system.vector_field(x), -system.sign * (g @ A))
+
+    start = np.append(x0, g0)
+    found = solve_ivp(field, (0.0, end), start, method="DOP853", rtol=1e-11, atol=1e-12, dense_output=True).sol
+    return lambda t: (found(t)[:n], found(t)[n:].reshape(d, d))
+
+
+def plane_event(motion, elapsed, **options):
+    """Return an event at the time when a motion crosses the plane normal to it."""
+    x, later = motion(elapsed)[0], motion(1.01 * elapsed)[0]
+    w = (later - x) / np.linalg.norm(later - x)
+    return co.Event(co.Quadratic(0.0, linear=w, constant=-float(w @ x)), **options)
+
+
+# Over a time of 1, with frequencies of at most 1, the error of a scheme of order 4 is below h^4.
+EVENT_STEP = 1 / 32
+EVENT_ERROR = EVENT_STEP**4
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("t0", [0.0, 3.0, -40.0])
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_attitude_at_events_solves_its_equation(name, t0, way):
+    system, method = SHIFTED[name], co.Splitting(order=4)
+    assert decompose(system, "auto").shift
+    kind = "coadjoint" if system.representation is None else "representation"
+    x0 = 0.3 * np.random.default_rng(5).standard_normal((3, system.dim))
+    attitude, starts = initial_elements(system, kind, 3)
+    starts = np.broadcast_to(starts, (3, *starts.shape[-2:]))
+    motions = [motion_of(system, x, g, kind, way) for x, g in zip(x0, starts, strict=True)]
+    events = [plane_event(motion, way * part) for motion, part in zip(motions, (0.3, 0.9, 0.6), strict=True)]
+    span = (t0, t0 + way)
+    found = co.integrate(system, x0, span, EVENT_STEP, method, attitude=attitude, events=events).events
+    assert {(m, m) for m in range(3)} <= set(zip(found.member.tolist(), found.which.tolist(), strict=True))
+    for row, (member, t) in enumerate(zip(found.member, found.t, strict=True)):
+        x, g = motions[member](t - t0)
+        assert np.abs(found.x[row] - x).max() < EVENT_ERROR and np.abs(found.attitude[row] - g).max() < EVENT_ERROR
+    last = plane_event(motions[1], way * 0.9, terminal=True)
+    single = attitude if kind == "coadjoint" else attitude[1]
+    ended = co.integrate(system, x0[1], span, EVENT_STEP, method, attitude=single, events=last)
+    assert np.abs(ended.attitude[-1] - motions[1](ended.t[-1] - t0)[1]).max() < EVENT_ERROR
+
+
+@pytest.mark.parametrize("t0", [2.0, -7.0])
+def test_attitude_at_events_of_batches(t0):
+    systems = bodies()
+    x0 = 0.6 * np.random.default_rng(6).standard_normal((4, 3))
+    attitude, starts = initial_elements(systems[0], True, 4)
+    motions = [motion_of(s, x, g, "representation", 1.0) for s, x, g in zip(systems, x0, starts, strict=True)]
+    events = [plane_event(motion, 0.2 * (m + 1)) for m, motion in enumerate(motions)]
+    method = co.Splitting(order=4)
+    found = co.integrate(co.batch(systems), x0, (t0, t0 + 1), EVENT_STEP, method, attitude=attitude, events=events)
+    assert set(found.events.member.tolist()) == {0, 1, 2, 3}
+    for row, (member, t) in enumerate(zip(found.events.member, found.events.t, strict=True)):
+        assert np.abs(found.events.attitude[row] - motions[member](t - t0)[1]).max() < EVENT_ERROR
