@@ -146,7 +146,7 @@ def test_what_is_frozen_is_what_is_kept(name: str) -> None:
 
 def skew_systems():
     """M full, with a linear term, singular, singular with a linear term along its kernel (a heavy top), and J(x)."""
-    from verification.drawn_systems import curl_bracket
+    from verification.random_systems import curl_bracket
 
     structure, derivative = curl_bracket(5)
     e3 = co.algebras.e(3)

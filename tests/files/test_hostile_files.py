@@ -344,7 +344,7 @@ def test_sizes_and_texts_of_hdf5_are_limited(tmp_path, monkeypatch):
         check_hdf5(path)
 
 
-def change_array_metadata(change):
+def change_array(change):
     """Change the metadata of an array, but not the index."""
 
     def changed(path):
@@ -362,14 +362,14 @@ def change_both(name, **kwargs):
 
 CONTRADICTIONS = {
     "chunks in the array only": (
-        change_array_metadata(lambda about: about.update(chunks=[33, 1, 3])),
+        change_array(lambda about: about.update(chunks=[33, 1, 3])),
         "contradict each other",
     ),
     "codec in the array only": (
-        change_array_metadata(lambda about: about.update(compressor=None)),
+        change_array(lambda about: about.update(compressor=None)),
         "contradict each other",
     ),
-    "type in the array only": (change_array_metadata(lambda about: about.update(dtype="<f4")), "contradict each other"),
+    "type in the array only": (change_array(lambda about: about.update(dtype="<f4")), "contradict each other"),
     "two packers": (change_both("x", filters=[{"id": "blosc"}], compressor={"id": "zstd"}), "the codecs of"),
     "objects": (change_both("x", dtype="|O"), "neither numbers nor text"),
     "end of the type": (change_both("x", dtype="<f8,<i4"), "neither numbers nor text"),

@@ -122,7 +122,7 @@ import coadjoint as co
 from coadjoint.files.archives import stored_arrays
 from coadjoint.files.archives.store import ArchiveUnwritten
 
-stored_arrays.MOST_ROWS = 1024  # a commit for each of so many points
+stored_arrays.MAX_CHUNK_ROWS = 1024  # points between commits
 folder = sys.argv[1]
 path, run = folder + "/run.zarr", (co.systems.rigid_body(), (0.3, -1.0, 0.7), (0.0, 6250.0), 0.125, co.GaussLegendre(2))
 try:

@@ -226,7 +226,7 @@ def test_folder_with_a_store_marker_is_not_replaced(tmp_path):
     target.mkdir()
     (target / "zarr.json").write_text("{}")
     (target / "thesis.tex").write_text("precious")
-    with pytest.raises(OutputError, match="holds thesis.tex"):
+    with pytest.raises(OutputError, match=r"holds thesis\.tex"):
         write_dataset(SMALL, target)
     assert (target / "thesis.tex").read_text() == "precious"
 

@@ -1,4 +1,4 @@
-"""Nothing in a configuration file is executed, and files are read and written where the user names them."""
+"""Paths in configuration files: nothing is executed, and files are read and written where the user names them."""
 
 import os
 import pickle
@@ -20,7 +20,7 @@ class Touching:
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A folder in which the command runs, and another one with the configuration."""
+    """Return the working folder and another one with the configuration."""
     work, other = tmp_path / "work", tmp_path / "other"
     work.mkdir()
     other.mkdir()
@@ -43,31 +43,23 @@ def test_pickles_are_refused(folders, capsys, text, kind):
 
 
 @pytest.mark.parametrize(
-    "place",
-    [
-        "system.parameters.inertia",
-        "initial.x",
-        "run.step",
-        "method.name",
-        "method.order",
-        "system.name",
-    ],
+    "path", ["system.parameters.inertia", "initial.x", "run.step", "method.name", "method.order", "system.name"]
 )
-def test_text_that_is_a_program_is_text(folders, capsys, place):
+def test_code_in_text_is_not_executed(folders, capsys, path):
     work, _ = folders
-    lines, table, key = READY_MADE.splitlines(), "", place.rpartition(".")[2]
+    lines, table, key = READY_MADE.splitlines(), "", path.rpartition(".")[2]
     for number, line in enumerate(lines):
         table = line.strip("[]") if line.startswith("[") else table
-        if f"{table}.{line.partition(' =')[0]}" == place:
+        if f"{table}.{line.partition(' =')[0]}" == path:
             lines[number] = f"{key} = \"__import__('pathlib').Path('executed').touch()\""
     assert lines != READY_MADE.splitlines()
     (work / "run.toml").write_text("\n".join(lines))
     assert cli.main(["run", "run.toml"]) == 2
-    assert capsys.readouterr().err.startswith(f"run.toml: {place.partition('.')[0]}")
-    assert [path.name for path in work.iterdir()] == ["run.toml"]
+    assert capsys.readouterr().err.startswith(f"run.toml: {path.partition('.')[0]}")
+    assert [file.name for file in work.iterdir()] == ["run.toml"]
 
 
-def test_states_are_looked_for_beside_the_file_and_results_go_to_where_one_is(folders, capsys):
+def test_states_are_read_beside_the_file(folders, capsys):
     work, other = folders
     np.save(other / "states.npy", [1.0, 0.1, 0.5])
     (other / "run.toml").write_text(STATES.format("states.npy") + '[output]\nfile = "run.nc"\n')
@@ -76,7 +68,7 @@ def test_states_are_looked_for_beside_the_file_and_results_go_to_where_one_is(fo
     assert sorted(path.name for path in other.iterdir()) == ["run.toml", "states.npy"]
 
 
-def test_two_dots_lead_where_they_lead_in_other_commands(folders, capsys):
+def test_relative_paths_with_two_dots(folders, capsys):
     work, other = folders
     np.save(work / "states.npy", [1.0, 0.1, 0.5])
     (other / "run.toml").write_text(STATES.format("../work/states.npy") + '[output]\nfile = "../other/run.nc"\n')
@@ -94,7 +86,7 @@ def test_names_are_not_expanded(folders, capsys, monkeypatch, name):
     assert [path.name for path in work.iterdir()] == ["run.toml"]
 
 
-def test_a_link_is_replaced_and_what_it_leads_to_is_not_written(folders, capsys):
+def test_output_replaces_a_link(folders, capsys):
     work, other = folders
     (other / "precious").write_text("precious")
     os.symlink(other / "precious", work / "run.nc")
@@ -104,7 +96,7 @@ def test_a_link_is_replaced_and_what_it_leads_to_is_not_written(folders, capsys)
     assert not (work / "run.nc").is_symlink()
 
 
-def test_links_in_a_circle_are_refused(folders, capsys):
+def test_circular_links_are_refused(folders, capsys):
     work, _ = folders
     os.symlink("loop.npy", work / "loop.npy")
     (work / "run.toml").write_text(STATES.format("loop.npy"))
@@ -112,7 +104,7 @@ def test_links_in_a_circle_are_refused(folders, capsys):
     assert "loop.npy' cannot be read" in capsys.readouterr().err
 
 
-def test_a_header_that_promises_more_than_the_file_has(folders, capsys):
+def test_array_header_beyond_the_file_is_refused(folders, capsys):
     work, _ = folders
     np.save(work / "states.npy", np.ones((2, 3)))
     expected = (work / "states.npy").read_bytes()

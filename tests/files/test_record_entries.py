@@ -1,4 +1,4 @@
-"""Entries of records: what each kind of value accepts, and that nothing in a record is ignored, exchanged or lost."""
+"""Entries of records: accepted values of each kind; no entry is ignored, exchanged or lost."""
 
 import copy
 import json
@@ -38,8 +38,8 @@ def is_list(value, length=None):
     return isinstance(value, list) and (length is None or len(value) == length)
 
 
-# What an entry is asked for: how, and for which values and with which result it is accepted.
-ASKED = {
+# For each kind of entry: the reader, a predicate of accepted values, and the type of the result.
+READERS = {
     "a whole number": (lambda e: e.integer(), lambda v: is_whole(v) and 0 <= v <= MAX_INTEGER, int),
     "from 1 up": (lambda e: e.integer(1), lambda v: is_whole(v) and 1 <= v <= MAX_INTEGER, int),
     "from -1 to 1": (lambda e: e.integer(-1, 1), lambda v: is_whole(v) and -1 <= v <= 1, int),
@@ -57,24 +57,24 @@ ASKED = {
     ),
     "three numbers": (
         lambda e: e.numbers(3).tolist(),
-        # NumPy takes a boolean beside numbers for a number.
+        # NumPy converts a boolean among numbers to a number.
         lambda v: is_list(v, 3) and all(isinstance(k, int | float) and is_number(float(k)) for k in v), list
     ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ASKED)
-def test_what_an_entry_accepts(kind):
-    call, accepted, result = ASKED[kind]
+@pytest.mark.parametrize("kind", READERS)
+def test_entries_accept_valid_values_only(kind):
+    read, accepted, result = READERS[kind]
     for value in STRANGE:
         entry = Entry(copy.deepcopy(value), "place")
         if accepted(value):
-            found = call(entry)
+            found = read(entry)
             plain = list(value) if isinstance(value, dict) else value
             assert found == (float(plain) if result is float else plain) and type(found) is result, (kind, value)
         else:
             with pytest.raises(ValueError, match=r"^place is .*; it must be "):
-                call(entry)
+                read(entry)
 
 
 def test_exact_numbers():
@@ -85,7 +85,7 @@ def test_exact_numbers():
             Entry(value, "c").exact()
 
 
-def test_rows_have_indices_below_their_bounds():
+def test_row_indices_are_bounded():
     rows = [[0, 1, 0.5], [1, 2, -1e300], [1, 0, 2]]
     assert Entry(rows, "M").rows(2, 3).tolist() == rows
     assert Entry([], "M").rows(2, 3).shape == (0, 3)
@@ -94,9 +94,7 @@ def test_rows_have_indices_below_their_bounds():
         [0, 0, INFINITE], [0, 0, -INFINITE], [0, 0], [0, 0, 1.0, 1.0], ["a", 0, 1.0], [None, 0, 1.0],
     ):  # fmt: skip
         for arguments in ([wrong], [*rows, wrong], [wrong, *rows]):
-            with pytest.raises(
-                ValueError, match=r"^M is .*; it must be rows of 2 whole numbers below 2, 3 and a finite"
-            ):
+            with pytest.raises(ValueError, match=r"^M is .*; it must be rows of 2"):
                 Entry(arguments, "M").rows(2, 3)
     for value in (None, 0, "", {}, (), tuple(rows)):
         with pytest.raises(ValueError, match=r"^M is "):
@@ -138,7 +136,7 @@ def test_plain_values_are_unconverted():
         (MemoryError("full"), "s.a: MemoryError: full"),
     ],
 )
-def test_errors_of_the_library_have_the_place(error, message):
+def test_library_errors_have_the_path(error, message):
     with pytest.raises(ValueError) as raised, as_value_errors(Entry({}, "s.a")):
         raise error
     assert str(raised.value) == message
@@ -146,7 +144,7 @@ def test_errors_of_the_library_have_the_place(error, message):
         assert np.float64(1e308) * 10 == INFINITE
 
 
-def test_attributes_are_json():
+def test_attributes_are_parsed_as_json():
     assert parsed('{"a": [1, null]}', "s").plain() == {"a": [1, None]}
     for value in (3, None, b"{}", "{", "[" * 10**5):
         with pytest.raises(ValueError, match=r"^s is "):
@@ -206,7 +204,7 @@ def through_json(system):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_records_are_records_of_what_they_make(name):
+def test_rebuilt_systems_have_the_same_record(name):
     record = through_json(SYSTEMS[name])
     again = system_of(record)
     assert "not_stored" not in record and json.loads(json.dumps(record_of(again))) == record
@@ -218,14 +216,12 @@ def test_records_are_records_of_what_they_make(name):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_the_dimension_of_the_states_is_that_of_the_system(name):
+def test_dimension_of_states_is_checked(name):
     system, record = SYSTEMS[name], through_json(SYSTEMS[name])
     first = system[0] if name.startswith("batch") else system
     system_of(record, first.dim)
     for wrong in (1, first.dim - 1, first.dim + 1, 10**6):
-        with pytest.raises(
-            ValueError, match=rf"has dimension {first.dim}, but the stored states have dimension {wrong}$"
-        ):
+        with pytest.raises(ValueError, match=rf"dimension {first.dim}, .*dimension {wrong}$"):
             system_of(record, wrong)
 
 
@@ -233,7 +229,7 @@ NAMES = {"casimirs", "integrals", "layout", "parameters"}
 
 
 def tables_of(record, name="system"):
-    """Yield the tables of a record that have keys of a fixed set."""
+    """Yield the tables of a record that have a fixed set of keys."""
     if isinstance(record, dict):
         if name not in NAMES:
             yield name, record
@@ -245,8 +241,8 @@ def tables_of(record, name="system"):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_no_key_is_ignored(name):
-    """What a later version writes beside what is known may matter, so that it is refused."""
+def test_unknown_keys_are_refused(name):
+    """Keys of a later version may matter."""
     count = len(list(tables_of(through_json(SYSTEMS[name]))))
     for number in range(count):
         record = through_json(SYSTEMS[name])
@@ -257,23 +253,23 @@ def test_no_key_is_ignored(name):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_no_key_can_be_left_out_of_the_tables_of_a_motion(name):
+def test_missing_keys_are_refused(name):
     optional = {"casimirs", "integrals", "representation", "layout", "linear", "second_stream", "layers", "members"}
     for number, (place, table) in enumerate(tables_of(through_json(SYSTEMS[name]))):
         for key in table.keys() - optional:
             if (place == "forces" and key != "name") or (
                 name.startswith("batch") and (place, key) == ("system", "name")
             ):
-                continue  # a force may have a default, and a batch is named by its members
+                continue  # forces may have defaults, and a batch is named by its members
             record = through_json(SYSTEMS[name])
             del list(tables_of(record))[number][1][key]
             with pytest.raises(ValueError):
                 system_of(record)
 
 
-def test_functions_anywhere_in_a_system_are_named():
+def test_unstored_functions_are_named():
     class Torque(co.forces.Torque):
-        """A force of another class by the name of one that is known."""
+        """A force of another class with a known name."""
 
     class Changing(Weights):
         """A stream of another class."""
@@ -302,7 +298,7 @@ def test_functions_anywhere_in_a_system_are_named():
             system_of(record)
 
 
-def test_functions_beside_the_motion_are_named_and_left_out():
+def test_unstored_invariants_are_omitted():
     invariant = co.Invariant(lambda x: 3.0)
     casimir = co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})
     system = own(
@@ -316,7 +312,7 @@ def test_functions_beside_the_motion_are_named_and_left_out():
     again = system_of(record)
     assert list(again.casimirs) == ["C"] and list(again.integrals) == ["x3"] and again.closed_form is None
     spiral = co.algebras.get("A3,7", a=0.5)
-    assert list(spiral.casimirs_known) == ["log C"], "a function of the algebra, beside none of the system"
+    assert list(spiral.casimirs_known) == ["log C"], "a function of the algebra"
     assert through_json(co.LiePoissonSystem(spiral, Q, casimirs={}))["not_stored"] == ["casimir: log C"]
 
 
@@ -336,34 +332,34 @@ def test_sums_and_monomials_are_checked():
     with pytest.raises(ValueError, match="at least one Hamiltonian"):
         system_of(changed)
     changed["hamiltonian"] = {**record["hamiltonian"], "dim": 4}
-    with pytest.raises(ValueError, match=r"hamiltonian.dim is 4; it must be 3, the number of its coordinates"):
+    with pytest.raises(ValueError, match=r"hamiltonian.dim is 4; it must be 3"):
         system_of(changed)
     quadratic = through_json(SYSTEMS["quadratic"])
     quadratic["hamiltonian"]["M"] = [[1, 0, 0.3]]
-    with pytest.raises(ValueError, match=r"rows .i, j, value. with i up to j, each pair once"):
+    with pytest.raises(ValueError, match="each pair once"):
         system_of(quadratic)
 
 
 @pytest.mark.parametrize("kind", ["an algebra", "a representation", "matrices of"])
-def test_memory_is_asked_for_before_it_is_taken(monkeypatch, kind):
-    """A record of few letters may ask for arrays of any size."""
+def test_memory_is_checked_before_allocation(monkeypatch, kind):
+    """A short record may request arrays of any size."""
     from coadjoint.files.records import matrix_records
     from coadjoint.files.records import reconstruction as record_reading
 
-    asked = {}
+    checked = {}
 
     def check_available_memory(size, what):
-        asked[what.partition(" of ")[0] + (" of" if " of " in what else "")] = size
+        checked[what.partition(" of ")[0] + (" of" if " of " in what else "")] = size
 
     monkeypatch.setattr(record_reading, "check_available_memory", check_available_memory)
     monkeypatch.setattr(matrix_records, "check_available_memory", check_available_memory)
     system_of(through_json(SYSTEMS["matrices"]))
     system_of(through_json(SYSTEMS["quadratic"]))
     least = {"an algebra": 3 * 8, "a representation": 3 * 3 * 3 * 8, "matrices of": 3 * 3 * 8}
-    assert asked[kind] >= least[kind]
+    assert checked[kind] >= least[kind]
 
 
-def test_complex_parameters_have_both_parts():
+def test_complex_parameters_are_stored_as_parts():
     from coadjoint.files.records.records import _plain
 
     matrix = np.array([[1.0, 2.0 + 3.0j], [2.0 - 3.0j, 0.5]])

@@ -1,4 +1,4 @@
-"""A record says everything that the motion and its energy depend on: systems at random, written and made again."""
+"""Records of random systems contain everything on which motion and energy depend."""
 
 import json
 from fractions import Fraction
@@ -21,7 +21,7 @@ def polynomial(rng, n):
 
 
 def pieces(rng, n):
-    """Pieces of commuting coordinates, in no order: [e_i, e_j] = 0 among the translations of e(3)."""
+    """Return pieces of commuting coordinates in random order: [e_i, e_j] = 0 among the translations of e(3)."""
     own = [((5, 3), quadratic(rng, 2)), ((4,), polynomial(rng, 1))]
     return co.SplitHamiltonian([own[i] for i in rng.permutation(2)] + [((i,), quadratic(rng, 1)) for i in range(3)])
 
@@ -38,14 +38,14 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_system_is_made_again_from_its_record(kind, sign, seed):
+def test_random_systems_are_rebuilt(kind, sign, seed):
     rng = np.random.default_rng(seed)
     algebra = co.algebras.e(3)
     n = algebra.dim
     turn = np.eye(4) + np.triu(rng.integers(-2, 3, (4, 4)).astype(float), 1)
     rho = np.linalg.inv(turn).round() @ algebra.representation @ turn
     casimirs = {"p": co.Polynomial({tuple(2 * int(i == k) for i in range(n)): Fraction(1, 3) for k in (3, 4, 5)})}
-    # A name of a ready-made system does not make it one.
+    # The name of a ready-made system does not make it one.
     name = ("own", "rigid_body", "heavy_top")[seed]
     system = co.LiePoissonSystem(
         algebra, KINDS[kind](rng, n), sign=sign, casimirs=casimirs, representation=rho, name=name

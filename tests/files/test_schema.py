@@ -1,4 +1,4 @@
-"""The JSON Schema of configuration files: it takes what runs, and refuses nothing that would run."""
+"""The JSON Schema of configuration files accepts every file that runs."""
 
 import dataclasses
 import json
@@ -30,14 +30,14 @@ def validator():
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_every_example_fits(validator, example):
+def test_schema_accepts_the_examples(validator, example):
     text = example.read_text(encoding="utf-8")
     validator.validate(tomllib.loads(text))
     named = text.partition("\n")[0].removeprefix("#:schema ")
     assert json.loads((example.parent / named).read_text(encoding="utf-8"))["$id"] == validator.schema["$id"]
 
 
-def test_other_configurations_fit(validator):
+def test_schema_accepts_other_configurations(validator):
     for table in (tomllib.loads(OWN), tomllib.loads(READY_MADE), *bases()):
         validator.validate(table)
 
@@ -77,29 +77,29 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("what", WRONG)
-def test_wrong_ones_are_refused_by_both(validator, what, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("error", WRONG)
+def test_invalid_files_are_refused_by_schema_and_command(validator, error, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Configuration, "integrate", lambda *args, **kwargs: pytest.fail("it ran"))
-    assert WRONG[what] not in (OWN, READY_MADE)
-    (tmp_path / "run.toml").write_text(WRONG[what])
-    assert not validator.is_valid(tomllib.loads(WRONG[what]))
+    assert WRONG[error] not in (OWN, READY_MADE)
+    (tmp_path / "run.toml").write_text(WRONG[error])
+    assert not validator.is_valid(tomllib.loads(WRONG[error]))
     assert cli.main(["run", "run.toml"]) == 2
     assert capsys.readouterr().err.startswith("run.toml: ")
 
 
 @pytest.mark.long
-def test_what_the_schema_refuses_is_refused(validator, tmp_path, monkeypatch):
+def test_schema_refuses_only_invalid_files(validator, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused = 0
     for seed in range(DRAWN):
         text = draw(seed)
         try:
             table = tomllib.loads(text.decode())
-            table.pop("output", None)  # at which commands look, and `load` does not
+            table.pop("output", None)  # checked by commands, not by `load`
             fits = validator.is_valid(table)
         except (ValueError, RecursionError):
-            continue  # no TOML, or a number of more digits than Python shows
+            continue  # invalid TOML, or a number with too many digits for Python
         refused += not fits
         (tmp_path / "run.toml").write_bytes(text)
         try:
@@ -113,7 +113,7 @@ def test_what_the_schema_refuses_is_refused(validator, tmp_path, monkeypatch):
 
 
 def keys_of(value, place=()):
-    """Yield the place of every key, and its schema."""
+    """Yield the path and the schema of every key."""
     if isinstance(value, dict):
         for key, entry in value.get("properties", {}).items():
             if isinstance(entry, dict):
@@ -125,7 +125,7 @@ def keys_of(value, place=()):
             yield from keys_of(entry, (*place, number))
 
 
-def test_every_key_is_described(validator):
+def test_every_key_has_a_description(validator):
     found = dict(keys_of(validator.schema))
     assert len(found) > 300
     own = validator.schema["$defs"]
@@ -133,7 +133,7 @@ def test_every_key_is_described(validator):
     assert [place for place in found.keys() - tables if not found[place].get("description")] == []
 
 
-def test_all_names_are_in_it(validator):
+def test_schema_contains_all_names(validator):
     tables = validator.schema["$defs"]
 
     def named(table):
@@ -150,14 +150,14 @@ def test_all_names_are_in_it(validator):
     assert [name for name in algebras.names() if name not in known and not re.match(pattern, name)] == []
 
 
-def test_names_with_spaces_and_commas_are_taken(validator):
+def test_names_with_spaces_are_accepted(validator):
     table = tomllib.loads(OWN) | {"algebra": {"name": "A3, 7", "parameters": {"a": 2.0}}}
     validator.validate(table)
     table["algebra"] = {"name": "A3,7", "parameters": {"a": 2.0}}
     validator.validate(table)
 
 
-def test_schemes_of_others_are_in_it():
+def test_schema_contains_registered_schemes():
     @co.methods.register
     @dataclasses.dataclass(frozen=True)
     class Still(co.methods.StepMethod):
@@ -179,6 +179,6 @@ def test_schemes_of_others_are_in_it():
     assert tables["Nothing moves."]["properties"]["factor"]["type"] == "number"
 
 
-def test_the_command_prints_it(capsys):
+def test_command_prints_the_schema(capsys):
     assert cli.main(["schema"]) == 0
     assert json.loads(capsys.readouterr().out) == schema()

@@ -1,4 +1,4 @@
-"""A file with several mistakes is refused once, with all of them: one message, or a line for each by the command."""
+"""Files with several errors are refused with all of them: one message, or one line each from the command."""
 
 import pytest
 
@@ -19,7 +19,7 @@ t_span = [0.0, {end}]
 {step} = 0.125
 """
 RIGHT = {"name": "rigid_body", "x": "[1.0, 0.1, 0.5]", "method": "Splitting", "end": "1.0", "step": "step"}
-SAID = {
+MISTAKES = {
     "name": ("rigid_bodi", "system: unknown system"),
     "x": ("[1.0, 0.1]", "initial.x: x0 has the shape (2,)"),
     "method": ("Spliting", "method: unknown method"),
@@ -27,48 +27,45 @@ SAID = {
 }
 
 
-def refused(tmp_path, **wrong):
+def refused(tmp_path, text=FILE, **wrong):
     path = tmp_path / "run.toml"
-    path.write_text(FILE.format(**{**RIGHT, **wrong}))
+    path.write_text(text.format(**{**RIGHT, **wrong}))
     with pytest.raises(ConfigurationError) as error:
         load(path)
     return str(error.value)
 
 
-def test_three_wrong_keys_and_values_are_told_at_once(tmp_path):
+def test_three_errors_are_joined(tmp_path):
     message = refused(tmp_path, step="stepp", x='[1.0, "a", 0.5]', end='"late"')
     assert "run.stepp: unknown key; did you mean 'step'?" in message
     assert "initial.x: " in message and "run.t_span: must be a list of numbers, not [0.0, 'late']" in message
     assert "run.step: is missing" not in message and "\n" not in message and message.count("; and ") == 2
 
 
-def test_a_misspelled_key_is_not_told_as_missing_too(tmp_path):
-    path = tmp_path / "run.toml"
-    path.write_text(FILE.format(**RIGHT).replace("t_span", "t_spam"))
-    with pytest.raises(ConfigurationError) as error:
-        load(path)
-    assert str(error.value) == f"{path}: run.t_spam: unknown key; did you mean 't_span'?"
+def test_misspelled_key_is_not_reported_as_missing(tmp_path):
+    message = refused(tmp_path, FILE.replace("t_span", "t_spam"))
+    assert message.endswith("run.toml: run.t_spam: unknown key; did you mean 't_span'?")
 
 
-def test_a_wrong_system_is_told_beside_wrong_keys(tmp_path):
+def test_unknown_system_beside_wrong_keys(tmp_path):
     message = refused(tmp_path, name="rigid_bodi", step="stepp", end='"late"')
     assert "system: unknown system 'rigid_bodi'; did you mean 'rigid_body'?" in message
     assert "run.stepp: " in message and "run.t_span: " in message
 
 
 @pytest.mark.parametrize("wrong", [("x", "method", "end"), ("x", "end"), ("method", "end"), ("x", "method")])
-def test_what_the_system_refuses_is_told_at_once(tmp_path, wrong):
-    message = refused(tmp_path, **{key: SAID[key][0] for key in wrong})
-    assert all(SAID[key][1] in message for key in wrong) and message.count("; and ") == len(wrong) - 1
+def test_errors_of_the_system_are_joined(tmp_path, wrong):
+    message = refused(tmp_path, **{key: MISTAKES[key][0] for key in wrong})
+    assert all(MISTAKES[key][1] in message for key in wrong) and message.count("; and ") == len(wrong) - 1
 
 
-@pytest.mark.parametrize("wrong", SAID)
-def test_one_mistake_is_told_as_it_is(tmp_path, wrong):
-    message = refused(tmp_path, **{wrong: SAID[wrong][0]})
-    assert SAID[wrong][1] in message and "; and " not in message
+@pytest.mark.parametrize("wrong", MISTAKES)
+def test_single_error_is_reported_alone(tmp_path, wrong):
+    message = refused(tmp_path, **{wrong: MISTAKES[wrong][0]})
+    assert MISTAKES[wrong][1] in message and "; and " not in message
 
 
-def test_many_and_long_ones_stay_in_one_line():
+def test_many_long_errors_stay_in_one_line():
     message = join_messages([f"key{k}: " + "long " * 100 for k in range(7)])
     assert (
         len(message) <= MAX_LINE_LENGTH + 30
@@ -103,7 +100,7 @@ figur = "a.png"
 
 
 def lines_of(text, tmp_path, monkeypatch, capsys, *command):
-    """Return the lines that the command says when it refuses a file, without the name of the file."""
+    """Return the error lines of the command, without the name of the file."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.toml").write_text(text)
     assert cli.main([*command, "run.toml"]) == 2
@@ -113,8 +110,8 @@ def lines_of(text, tmp_path, monkeypatch, capsys, *command):
 
 
 @pytest.mark.parametrize("command", ["run", "check", "certify"])
-def test_mistakes_of_all_stages_are_told_at_once_each_in_a_line(tmp_path, monkeypatch, capsys, command):
-    message = lines_of(MANY, tmp_path, monkeypatch, capsys, command)
+def test_errors_of_all_stages_are_one_line_each(tmp_path, monkeypatch, capsys, command):
+    lines = lines_of(MANY, tmp_path, monkeypatch, capsys, command)
     wanted = [
         "system.parameters.inertai: unknown key; did you mean 'inertia'?",
         "method.odrer: unknown key; did you mean 'order'?",
@@ -126,14 +123,14 @@ def test_mistakes_of_all_stages_are_told_at_once_each_in_a_line(tmp_path, monkey
         "observe.area: ",
         "events.flip: ",
     ]
-    assert len(message) == len(wanted)
-    assert all(sum(line.startswith(one) for line in message) == 1 for one in wanted)
+    assert len(lines) == len(wanted)
+    assert all(sum(line.startswith(one) for line in lines) == 1 for one in wanted)
 
 
 @pytest.mark.parametrize(
     "line", [line for line in MANY.splitlines() if "=" in line and line[:4] not in ("name", "t_sp")]
 )
-def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
+def test_each_error_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
     right = {
         "inertai": "inertia = [1.0, 2.0, 3.0]",
         "x = [": "x = [0.3, 0.2, 3.0, 0.6, 0.0, 0.8]",
@@ -148,7 +145,7 @@ def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
     for key, mended in right.items():
         wrong = next(one for one in MANY.splitlines() if one.startswith(key))
         text = text if wrong == line else text.replace(wrong, mended)
-    # A misspelled step is read as the step, and does not divide the span: two mistakes.
+    # A misspelled step is read as the step, and does not divide the span: two errors.
     assert len(lines_of(text, tmp_path, monkeypatch, capsys, "check")) == (2 if line.startswith("stepp") else 1)
 
 
@@ -166,7 +163,7 @@ def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
         ("output", "file = 3", ["initial.x: x0", "method: unknown", "output.file: must be", "run: step"]),
     ],
 )
-def test_a_table_that_cannot_be_read_hides_no_other(tmp_path, monkeypatch, capsys, table, wrong, reported):
+def test_invalid_table_hides_no_other_error(tmp_path, monkeypatch, capsys, table, wrong, reported):
     tables = {
         "system": 'name = "rigid_body"',
         "initial": "x = [1.0, 0.1]",
@@ -174,35 +171,33 @@ def test_a_table_that_cannot_be_read_hides_no_other(tmp_path, monkeypatch, capsy
         "run": "t_span = [0, 10]\nstep = 0.3",
         table: wrong,
     }
-    message = lines_of(
-        "\n".join(f"[{key}]\n{lines}" for key, lines in tables.items()), tmp_path, monkeypatch, capsys, "run"
+    lines = lines_of(
+        "\n".join(f"[{key}]\n{content}" for key, content in tables.items()), tmp_path, monkeypatch, capsys, "run"
     )
-    assert len(message) == len(reported) and all(
-        line.startswith(one) for line, one in zip(sorted(message), reported, strict=True)
+    assert len(lines) == len(reported) and all(
+        line.startswith(one) for line, one in zip(sorted(lines), reported, strict=True)
     )
 
 
-def test_a_misspelled_key_beside_the_right_one(tmp_path, monkeypatch, capsys):
+def test_misspelled_key_beside_the_right_one(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT).replace("step = 0.125", "step = 0.3\nstepp = 0.125")
-    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    lines = lines_of(text, tmp_path, monkeypatch, capsys, "check")
     assert (
-        len(message) == 2
-        and message[0].startswith("run.stepp: ")
-        and message[1].startswith("run: step 0.3 does not divide")
+        len(lines) == 2 and lines[0].startswith("run.stepp: ") and lines[1].startswith("run: step 0.3 does not divide")
     )
 
 
-def test_all_places_of_a_sweep_and_the_rest_of_the_file(tmp_path, monkeypatch, capsys):
+def test_errors_of_a_sweep_and_of_the_file(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT).replace("Splitting", "Spliting")
     text += '[sweep.over]\n"initial.x[7]" = [1.0, 2.0]\n"initial.x[2]" = [1.0, "a"]\n"run.step" = [0.1]\n'
-    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert message[-1].startswith("method: unknown method 'Spliting'") and len(message) > 1
+    lines = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert lines[-1].startswith("method: unknown method 'Spliting'") and len(lines) > 1
     text = text.replace('[1.0, "a"]', "[1.0, 2.0]").replace('"initial.x[7]"', '"system.nam"')
-    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert [line.split(": ")[0] for line in message] == ["sweep.over.system.nam", "sweep.over.run.step", "method"]
+    lines = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert [line.split(": ")[0] for line in lines] == ["sweep.over.system.nam", "sweep.over.run.step", "method"]
 
 
-def test_more_mistakes_than_are_told(tmp_path, monkeypatch, capsys):
+def test_number_of_reported_errors_is_limited(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT) + "".join(f"key{k} = {k}\n" for k in range(30))
-    message = lines_of(text, tmp_path, monkeypatch, capsys, "check")
-    assert len(message) == 21 and message[-1] == "10 more" and len(set(message)) == 21
+    lines = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert len(lines) == 21 and lines[-1] == "10 more" and len(set(lines)) == 21

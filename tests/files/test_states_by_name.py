@@ -1,4 +1,4 @@
-"""Configuration files name initial states of systems, with their parameters."""
+"""Initial states of fluids by name and parameters in configuration files."""
 
 from types import SimpleNamespace
 
@@ -53,20 +53,20 @@ def read(tmp_path):
     ],
     ids=["random", "random-torus", "jet", "jet-torus", "rossby-haurwitz", "blobs"],
 )
-def test_a_named_state_is_that_of_the_method(read, initial, system, state):
+def test_named_state_equals_the_method(read, initial, system, state):
     configuration = read(initial, system.name, system.algebra.N)
     np.testing.assert_array_equal(configuration.x0, state)
     np.testing.assert_array_equal(configuration.integrate().x[0], state)
 
 
-def test_every_state_by_name_is_a_method_with_its_own_parameters():
+def test_named_states_are_documented_methods():
     for system in (BALL, TORUS):
         assert len(set(system.states_by_name)) == len(system.states_by_name) >= 5
         for name in system.states_by_name:
             assert callable(getattr(system, name)) and getattr(system, name).__doc__
 
 
-def test_a_path_begins_in_the_folder_of_the_file(read, tmp_path, monkeypatch):
+def test_path_is_relative_to_the_file(read, tmp_path, monkeypatch):
     W = BALL.random(5, degrees=(2, 3))
     np.save(tmp_path / "state.npy", W)
     (tmp_path / "elsewhere").mkdir()
@@ -92,13 +92,13 @@ def test_a_path_begins_in_the_folder_of_the_file(read, tmp_path, monkeypatch):
         ("seed = 1", "initial.seed: unknown key"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_key(read, initial, message):
+def test_invalid_named_state_has_the_key(read, initial, message):
     with pytest.raises(ConfigurationError) as refused:
         read(initial)
     assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_other_systems_have_no_states_by_name(read, tmp_path):
+def test_other_systems_have_no_named_states(read, tmp_path):
     body = '[system]\nname = "rigid_body"\n[initial]\nkind = "random"\nseed = 1\n[run]\nt_span = [0, 1]\nstep = 0.1\n'
     (tmp_path / "body.toml").write_text(body)
     with pytest.raises(ConfigurationError, match="rigid_body has no named initial states; give x"):
@@ -109,14 +109,14 @@ def test_other_systems_have_no_states_by_name(read, tmp_path):
         load(tmp_path / "body.toml")
 
 
-def test_fluids_with_forces_are_named_too():
-    """A system with forces has the one without them as ``system``."""
+def test_forced_fluids_have_named_states():
+    """A system with forces has the unforced one as ``system``."""
     arguments = InitialTable(kind="random", seed=1)
     np.testing.assert_array_equal(state_by_name("fluid.toml", arguments, SimpleNamespace(system=BALL)), BALL.random(1))
 
 
 @pytest.mark.long
-def test_the_command_draws_what_the_file_describes(tmp_path, monkeypatch, capsys):
+def test_command_plots_a_named_state(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fluid.toml").write_text(FLUID.format(system="torus_euler", N=9, initial='kind = "random"\nseed = 1'))
     assert cli.main(["run", "fluid.toml", "--figure", "fluid.png"]) == 0

@@ -7,7 +7,7 @@ import coadjoint as co
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from coadjoint.runs.times import Times
-from verification.carried import finished_vectors, run_with
+from verification.tangent_products import finished_vectors, run_with
 
 U = 2.0**-53
 

@@ -12,7 +12,7 @@ from coadjoint.program.table import build_program
 from coadjoint.runs.times import Times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from group_elements import random_element
-from verification.carried import run_with
+from verification.tangent_products import run_with
 
 U = 2.0**-53
 SO3 = co.algebras.so(3)

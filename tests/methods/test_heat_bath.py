@@ -87,7 +87,7 @@ def test_noises_differ_by_seed_stream_and_time():
     assert len(set(found)) == 5 and after() == found[0]
     assert after(x=[x0, x0, x0]) == (*found[0], *found[2], *found[4])
     two = [co.forces.HeatBath(0.2, temperature=0.1, seed=seed) for seed in (1, 1)]
-    with pytest.raises(ValueError, match="two forces .* the same noise"):
+    with pytest.raises(ValueError, match="two forces have the same seed and stream"):
         system.with_forces(*two)
 
 

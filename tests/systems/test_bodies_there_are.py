@@ -82,9 +82,7 @@ def test_lagrange_s_top_is_a_body_up_to_a_disk():
 @pytest.mark.parametrize("maker", [co.systems.so_n_body, co.systems.matrix_body])
 def test_second_moments_are_of_a_mass(maker):
     maker((0.0, 1.0, 2.0, 3.0))
-    with pytest.warns(
-        UserWarning, match=r"negative, which no body has; .* co.LiePoissonSystem\(co.algebras.so\(4\)"
-    ):
+    with pytest.warns(UserWarning, match=r"negative, which no body has; .* co.LiePoissonSystem\(co.algebras.so\(4\)"):
         maker((-0.5, 1.0, 2.0, 3.0))
 
 

@@ -12,9 +12,9 @@ import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
 from coadjoint.runs.times import Times
 
-from .carried import run_with
 from .schemes_under_test import schemes, serves
 from .systems_under_test import all_cases, full_matrix
+from .tangent_products import run_with
 
 CASES = (
     "so(3), diagonal",

@@ -110,7 +110,9 @@ def measured_order(method: Any, name: str, symmetric: bool | None = None) -> Mea
     case, exact = all_cases()[name], reference_states(name)
     size = float(np.linalg.norm(exact))
     counts = step_counts(method.order)
-    steps, errors = five_errors(case.time, counts, size, lambda n: np.linalg.norm(final_states(method, case, n) - exact))
+    steps, errors = five_errors(
+        case.time, counts, size, lambda n: np.linalg.norm(final_states(method, case, n) - exact)
+    )
     return order_of(steps, errors, 2 if (method.symmetric if symmetric is None else symmetric) else 1)
 
 

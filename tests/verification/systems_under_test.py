@@ -43,7 +43,7 @@ def permuted(algebra: co.LieAlgebra, order: tuple[int, ...], casimirs: dict | No
 
 
 def in_another_basis(algebra: co.LieAlgebra, T: np.ndarray, casimirs: dict) -> co.LieAlgebra:
-    """Return the algebra in the basis f_i = sum_a T_ia e_a; T is integer with determinant one, so that constants are exact."""
+    """Return the algebra in the basis f_i = sum_a T_ia e_a; T is integer, of determinant one: constants stay exact."""
     n = algebra.dim
     dense = np.array([[algebra.bracket(np.eye(n)[i], np.eye(n)[j]) for j in range(n)] for i in range(n)])
     inverse = np.round(np.linalg.inv(T))

@@ -71,7 +71,7 @@ def body(case, sign):
 
 
 def amplification(case, t):
-    """Return the growth of initial round-off up to time t: on the separatrix at the rate |x| sqrt((m1 - m2)(m2 - m3))."""
+    """Return the growth of initial round-off: on the separatrix at the rate |x| sqrt((m1 - m2)(m2 - m3))."""
     if not case["name"].startswith("separatrix"):
         return 1.0
     m1, m2, m3 = numbers(case["inverse_inertia"])

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import coadjoint as co
 from random_runs.algebras import some_algebra
 
-from .written_out import many_digits, written_out
+from .explicit_systems import many_digits, written_out
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -135,7 +135,9 @@ def assert_same(found, whole, same_work=True):
 @pytest.mark.parametrize(
     ("method", "name", "cuts", "every", "threads", "members", "direction", "attitude"), list(cases())
 )
-def test_resumed_run_equals_uninterrupted_run(tmp_path, method, name, cuts, every, threads, members, direction, attitude):
+def test_resumed_run_equals_uninterrupted_run(
+    tmp_path, method, name, cuts, every, threads, members, direction, attitude
+):
     system, x = systems()[name]
     x0 = x if members is None else np.multiply.outer(1.0 - 0.03 * np.arange(members), x)
     span = (T0, T0 + direction * STEPS * STEP)
@@ -231,7 +233,7 @@ def test_unfinished_run_gets_another_end(tmp_path):
     assert_same(found, co.integrate(system, x0, (0.0, 60 * STEP), STEP, method, save_every=3))
     assert co.resume(path, 60 * STEP).finished
     for end in (0.0, 41 * STEP, 59 * STEP, -100 * STEP):
-        with pytest.raises(ValueError, match="t = 3 .*later end"):
+        with pytest.raises(ValueError, match=r"t = 3 .*later end"):
             co.resume(path, end)
     with pytest.raises(ValueError, match="does not divide"):
         co.resume(path, 61.5 * STEP)

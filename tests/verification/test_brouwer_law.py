@@ -1,4 +1,4 @@
-"""Over 64 members round-off wanders like the square root of time, and has no sign that it prefers."""
+"""Brouwer's law: round-off of 64 members grows like a random walk, without bias."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def follows_the_law(walk):
 
 
 @pytest.mark.parametrize("name", long_where(["so(4), full"], SYSTEMS))
-def test_casimirs_of_the_compensated_splitting(name):
+def test_casimirs_of_compensated_splitting_follow_the_law(name):
     walks = round_off(ensemble(name, COMPENSATED))
     for casimir in SYSTEMS[name].casimirs:
         assert follows_the_law(walks[casimir]), (casimir, walks[casimir])
@@ -43,7 +43,7 @@ def test_casimirs_of_the_compensated_splitting(name):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["so(4), full"], SYSTEMS))
-def test_group_elements_of_the_splitting(name):
+def test_group_elements_of_splitting_follow_the_law(name):
     solution = ensemble(name, COMPENSATED, attitude=True)
     walk = orthogonality(solution, 3 if name == "heavy top" else None)
     assert follows_the_law(walk), walk
@@ -51,13 +51,13 @@ def test_group_elements_of_the_splitting(name):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["so(4), full"], SYSTEMS))
-def test_spatial_momentum_of_the_splitting(name):
+def test_spatial_momentum_of_splitting_follows_the_law(name):
     solution = ensemble(name, COMPENSATED, attitude="coadjoint")
     walk = spatial_momentum(solution)
     assert follows_the_law(walk), walk
 
 
-def test_the_law_tells_a_bias_from_a_walk():
+def test_criterion_detects_a_bias():
     steps = np.random.default_rng(2).choice([-1.0, 1.0], (10_000, MEMBERS))
     walks = [random_walk(np.cumsum(steps + bias, axis=0), 100) for bias in (0.0, 0.1)]
     assert [follows_the_law(walk) for walk in walks] == [True, False]

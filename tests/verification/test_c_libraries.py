@@ -1,4 +1,4 @@
-"""The bits of a run do not depend on the C library: not on its version, and not on the last bits of its functions."""
+"""The bits of runs do not depend on the C library."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def digests(every: int, **environment: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def other_library(tmp_path_factory):
-    """Return a library that takes the place of the elementary functions of the C library."""
+    """Return a library that replaces the elementary functions of the C library."""
     if platform.libc_ver()[0] != "glibc":
-        pytest.skip("the C library is not glibc, whose loader puts another library before it")
+        pytest.skip("the C library is not glibc, so that it cannot be replaced")
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
     library = tmp_path_factory.mktemp("other") / "other.so"
@@ -50,11 +50,8 @@ def other_library(tmp_path_factory):
 
 @pytest.mark.long
 @pytest.mark.parametrize("every", long_beyond(1, [6, 1]))
-def test_functions_of_the_c_library_reach_no_run(other_library, every):
-    """In the child they have other last bits, and AVX and FMA are not used.
-
-    Of random runs those are compared that begin with the same numbers.
-    """
+def test_runs_do_not_use_functions_of_the_c_library(other_library, every):
+    """In the child these have other last bits. Random runs are compared if their inputs are equal."""
     here, there = digests(every), digests(every, **OTHER_PATHS, LD_PRELOAD=other_library)
     assert here.keys() == there.keys()
     others = {name.split()[1] for name in here if name.startswith("given ") and here[name] != there[name]}
@@ -63,8 +60,7 @@ def test_functions_of_the_c_library_reach_no_run(other_library, every):
     assert {name for name in compared if here[name] != there[name]} == set()
 
 
-def test_the_other_library_has_other_last_bits(other_library):
-    """Of exact results it has the same bits."""
+def test_replaced_library_has_other_last_bits(other_library):
     code = "import math; print(math.sin(1.0).hex(), math.exp(2.0).hex(), math.log2(8.0))"
     found = []
     for own in ({}, {"LD_PRELOAD": other_library}):

@@ -1,4 +1,4 @@
-"""Certificates agree with what every scheme declares, on fourteen systems; and what is broken does not get one."""
+"""Certificates agree with the declared properties of every scheme, and defective schemes fail."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEP, STEPS = 0.05, 100
 
 
 def plasma() -> Case:
-    """Return moments with a quadratic energy of them."""
+    """Return moments with a quadratic energy."""
     # <pp>/2 + <pp>^2/8 + <qq>/2.5 + 0.15 <qq>^2 + <qqqq>/10
     H = co.Quadratic([0.3, 0, 0.25, 0, 0, 0, 0, 0], linear=[0.4, 0, 0.5, 0.1, 0, 0, 0, 0])
     return Case(co.LiePoissonSystem(moments(), H), np.array([1.0, 0.2, 0.9, 0.6, 0.1, 0.4, -0.1, 0.7]))
@@ -53,7 +53,7 @@ def test_every_declared_property_holds(scheme, case):
     assert found.passed and found.declares, str(found)
 
 
-def test_every_scheme_and_every_property_is_there():
+def test_all_schemes_and_systems_are_certified():
     assert {type(schemes()[s]).__name__ for s, _ in PAIRS} == schemes_in_steps()
     assert len(fourteen()) == 14
 
@@ -64,12 +64,12 @@ GAUSS = Properties(poisson=False, energy=True, casimirs="quadratic", attitude="n
 
 
 def strang(system):
-    made: dict[float, co.stepper] = {}
+    steppers: dict[float, co.stepper] = {}
 
     def step(x, h):
-        if h not in made:
-            made[h] = co.stepper(system, co.Splitting(order=2), h)
-        return made[h](x)
+        if h not in steppers:
+            steppers[h] = co.stepper(system, co.Splitting(order=2), h)
+        return steppers[h](x)
 
     return step
 
@@ -130,18 +130,18 @@ BROKEN = {
 
 @pytest.mark.thinned(18)
 @pytest.mark.parametrize("what", long_where(["backward", "time four times too slow"], BROKEN))
-def test_what_is_broken_fails_in_its_row(what):
-    made, order, symmetric, properties, row = BROKEN[what]
+def test_defects_fail_in_their_row(what):
+    make, order, symmetric, properties, row = BROKEN[what]
     system, x0, _ = fourteen()["so(4), diagonal" if row in ("poisson", "energy", "order") else "so(3), diagonal"]
     found = co.certify(
-        system, made(system), x0, STEP, steps=40, order=order, symmetric=symmetric, properties=properties
+        system, make(system), x0, STEP, steps=40, order=order, symmetric=symmetric, properties=properties
     )
     assert not found.passed
     assert found[row].verdict == "fails", str(found)
 
 
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(4), diagonal"])
-def test_the_same_functions_unbroken_pass(case):
+def test_correct_functions_pass(case):
     system, x0, _ = fourteen()[case]
     right = [
         (strang(system), 2, True, SPLIT),
@@ -154,21 +154,21 @@ def test_the_same_functions_unbroken_pass(case):
 
 
 class FalseTaylor(co.Taylor):
-    """Declares everything: its order hides that at the given step, and a larger one tells."""
+    """Declares everything; its order hides the defects at small steps, but not at large ones."""
 
     def properties(self, system):
         return EVERYTHING
 
 
 class Slow(co.GaussLegendre):
-    """Runs the motion, and the element, at a quarter of the speed."""
+    """Runs the motion and the group element at a quarter of the speed."""
 
     def coefficients(self, number=float):
         found = super().coefficients(number)
         return found._replace(scale=found.scale / 4)
 
 
-class SaidSymmetric(co.ModifiedGaussLegendre):
+class DeclaredSymmetric(co.ModifiedGaussLegendre):
     symmetric = True
 
 
@@ -178,11 +178,11 @@ class SaidSymmetric(co.ModifiedGaussLegendre):
     [
         (FalseTaylor(12, projected=False), {"poisson", "energy"}),
         (Slow(2), {"order", "reference", "attitude"}),
-        (SaidSymmetric(2, freeze="gradient"), {"symmetry"}),
+        (DeclaredSymmetric(2, freeze="gradient"), {"symmetry"}),
     ],
-    ids=["false Taylor", "slow Gauss", "said symmetric"],
+    ids=["false Taylor", "slow Gauss", "declared symmetric"],
 )
-def test_a_scheme_that_declares_falsely_fails(method, failing, case):
+def test_false_declarations_fail(method, failing, case):
     system, x0, _ = fourteen()[case]
     for step in (0.01, -0.05):
         found = co.certify(system, method, x0, step, steps=40)

@@ -1,4 +1,4 @@
-"""The bits of a run do not depend on the compiler, nor on how much it optimises."""
+"""The bits of runs do not depend on vector instructions, fused products, the compiler or its optimisation."""
 
 import importlib.util
 import json
@@ -6,23 +6,54 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+import coadjoint
 from building import Kernels
 from coadjoint.kernels import compiling
-from coadjoint.kernels.library import processor_level
-
-from .test_levels import digests
+from coadjoint.kernels.library import built_levels, processor_level
 
 ROOT = Path(__file__).parents[2]
-# Fewer orders of series are written out: that is quicker to build, and must not be seen either.
-FEW_WRITTEN_OUT = "-DCOADJOINT_UNROLLED=2"
+# Unrolling fewer orders of series is quicker to build, and must not change bits either.
+FEW_UNROLLED = "-DCOADJOINT_UNROLLED=2"
+
+
+def usable_levels() -> list[str]:
+    """Return the levels that are built and supported by this processor, highest first."""
+    highest = processor_level()
+    return [f"v{level}" for level in built_levels() if highest is not None and level <= highest]
+
+
+@cache
+def digests(level: str | None) -> dict[str, str]:
+    """Return the digests of the runs of a process with this level."""
+    environment = {name: value for name, value in os.environ.items() if name != "COADJOINT_LEVEL"}
+    environment["PYTHONPATH"] = str(Path(coadjoint.__file__).parents[1])
+    if level is not None:
+        environment["COADJOINT_LEVEL"] = level
+    command = [sys.executable, "-m", "verification.digests_of_runs"]
+    folder = Path(__file__).parents[1]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.long  # `make variants` compares levels too
+@pytest.mark.parametrize("level", [None, *usable_levels()[1:]])
+def test_levels_give_the_same_bits(level):
+    """Also twice the same level, in two processes: the bits contain nothing of a process, such as an address."""
+    expected = digests(next(iter(usable_levels()), None)) if level else digests.__wrapped__(None)
+    found = digests(level)
+    assert len(found) > 90
+    assert {name for name in expected if expected[name] != found[name]} == set()
+    assert len(set(found.values())) == len(found)
 
 
 def clang() -> list[str]:
-    """Return the command of Clang, which the package ziglang brings too; nothing where there is none."""
+    """Return the command of Clang, also of the package ziglang; empty if there is none."""
     if found := shutil.which("clang++"):
         return [found]
     if importlib.util.find_spec("ziglang") is not None:
@@ -31,7 +62,7 @@ def clang() -> list[str]:
 
 
 def digests_of_build(tree: Path, compiler: list[str], level: int, tuning: list[str]) -> dict[str, str]:
-    """Return the digests of the runs that kernels make which are built in another way, in a copy of the sources."""
+    """Return the digests of runs of kernels built in a copy of the sources."""
     for folder in ("src", "tests"):
         shutil.copytree(ROOT / folder, tree / folder, ignore=shutil.ignore_patterns("__pycache__"))
     assert Kernels(tree, compiler, level=level, tuning=tuning).build() == ""
@@ -46,7 +77,7 @@ def digests_of_build(tree: Path, compiler: list[str], level: int, tuning: list[s
 
 
 def builds() -> list[tuple[str, int]]:
-    """Return the builds to try, by compiler and level: the one farthest from the package's own, or every one."""
+    """Return the builds to test, by compiler and level: the one farthest from the package's own, or all."""
     highest = processor_level()
     if highest is None:
         return []
@@ -58,15 +89,15 @@ def builds() -> list[tuple[str, int]]:
 @pytest.mark.long
 @pytest.mark.skipif(not builds(), reason="there is no compiler here, or the processor has no levels")
 @pytest.mark.parametrize(("name", "level"), builds())
-def test_another_compiler_gives_the_same_bits(name, level, tmp_path):
-    """At the least optimisation that puts small functions into each other: that is the quickest to build."""
+def test_compilers_give_the_same_bits(name, level, tmp_path):
+    """With the least optimisation that inlines, which is the quickest to build."""
     compiler = clang() if name == "clang" else ["g++"]
-    tuning = ["-O1", *processor(level, "ziglang" in compiler), FEW_WRITTEN_OUT]
+    tuning = ["-O1", *processor(level, "ziglang" in compiler), FEW_UNROLLED]
     tuning += ["-Wno-unknown-warning-option"] if name == "clang" else []
     assert digests_of_build(tmp_path, compiler, level, tuning) == digests(None)
 
 
 def processor(level: int, zig: bool) -> list[str]:
-    """Return the option for a level, as zig's Clang calls it or as all others do."""
+    """Return the option for a level, for zig's Clang or for other compilers."""
     name = "x86_64" if level == 1 else f"x86_64_v{level}"
     return [f"-mcpu={name}"] if zig else [option for option in compiling.tuning(level) if option.startswith("-march")]

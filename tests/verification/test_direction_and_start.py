@@ -1,7 +1,6 @@
-"""Runs backward and runs that do not start at time 0: on motions that grow or die, driven by the clock, with an
-attitude, and in everything that is reported of them.
+"""Backward runs, and runs that do not start at time 0.
 
-A run backward is the run forward of the mirrored system: the other sign, and H(x, t0 - t).
+A backward run equals the forward run of the mirrored system, with the other sign and H(x, t0 - t).
 """
 
 import dataclasses
@@ -29,7 +28,7 @@ def solvable(name, **parameters):
     return algebra, co.Quadratic(np.linspace(0.5, 1.5, algebra.dim), linear=np.linspace(0.3, -0.2, algebra.dim))
 
 
-# x decays or grows like exp(t), spirals, or does so by powers of t: the last coordinates act on the first.
+# x decays or grows like exp(t), in spirals, or by powers of t.
 GROWING = {
     "A2,1": solvable("A2,1"),
     "A3,2": solvable("A3,2"),
@@ -55,7 +54,7 @@ def kind_of(method, system):
 
 
 def same_motion(one, other):
-    """Everything but the times, to the bit."""
+    """Compare all arrays except the times."""
     assert np.array_equal(one.x, other.x) and np.array_equal(one.energy, other.energy)
     for name in one.casimirs:
         assert np.array_equal(one.casimirs[name], other.casimirs[name])
@@ -70,7 +69,7 @@ def same_motion(one, other):
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", [*GROWING, *SHIFTED])
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_backward_is_forward_in_the_mirrored_system(scheme, name):
+def test_backward_equals_forward_in_the_mirrored_system(scheme, name):
     algebra, hamiltonian = (GROWING | SHIFTED)[name]
     method, x0 = schemes()[scheme], start_of(algebra)
     system, mirrored = (co.LiePoissonSystem(algebra, hamiltonian, sign=sign) for sign in (1, -1))
@@ -86,8 +85,8 @@ def test_backward_is_forward_in_the_mirrored_system(scheme, name):
 
 @pytest.mark.parametrize("time", [20.0, -20.0])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_growth_and_decay_over_ten_orders_of_magnitude(sign, time):
-    """H = x3 on A3,3, [e1, e3] = e1 and [e2, e3] = e2: x1 and x2 go like exp(sign t), and K takes them back."""
+def test_growth_and_decay_over_many_orders_of_magnitude(sign, time):
+    """H = x3 on A3,3, [e1, e3] = e1 and [e2, e3] = e2: x1 and x2 are proportional to exp(sign t)."""
     system = co.LiePoissonSystem(co.algebras.get("A3,3"), co.Quadratic(0.0 * np.eye(3), linear=[0, 0, 1.0]), sign=sign)
     x0 = np.array([0.75, -0.5, 0.25])
     expected = x0 * np.array([math.exp(sign * time)] * 2 + [1.0])
@@ -100,8 +99,7 @@ def test_growth_and_decay_over_ten_orders_of_magnitude(sign, time):
 
 @pytest.mark.parametrize("name", list(GROWING))
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 2", "Composition of Splitting"])
-def test_there_and_back(scheme, name):
-    """Symmetric schemes retrace their steps, with the attitude, however the motion grew."""
+def test_symmetric_schemes_retrace_their_steps(scheme, name):
     algebra, hamiltonian = GROWING[name]
     system, method, x0 = co.LiePoissonSystem(algebra, hamiltonian), schemes()[scheme], start_of(algebra)
     there = co.integrate(system, x0, (3.0, 4.5), H, method, attitude="coadjoint")
@@ -112,7 +110,7 @@ def test_there_and_back(scheme, name):
     assert np.abs(product - np.eye(algebra.dim)).max() <= 1e-12 * size**2
 
 
-def test_a_shifted_attitude_backward_is_the_closed_form():
+def test_backward_shifted_attitude_matches_closed_form():
     body, x0 = co.systems.rigid_body((1.0, 2.0, 3.0)), np.array([0.3, 1.0, -0.5])
     given = body.exact((1.0, 0.2, 0.4), 1.7, attitude=True)[1]
     sol = co.integrate(body, x0, (3, -7), 1 / 512, co.Splitting(order=4), attitude=given, save_every=640)
@@ -120,7 +118,7 @@ def test_a_shifted_attitude_backward_is_the_closed_form():
     assert np.abs(sol.attitude - A).max() < 1e-10 and np.abs(sol.x - x).max() < 1e-10
 
 
-# The clock.
+# Time-dependent Hamiltonians.
 
 RATE = 1.5
 
@@ -162,23 +160,23 @@ CLOCKS = {
 
 @cache
 def driven_system(name, clock, sign=1):
-    """H with sin(t) in it, by where its clock stands."""
+    """Return a system with sin(t) in H, with a shifted or mirrored clock."""
     algebra = GROWING[name][0] if name in GROWING else co.algebras.get(name)
     H = co.Separable({0: CLOCKS[clock], 2: CLOCKS[clock]}) if algebra.dim > 2 else co.Separable({0: CLOCKS[clock]})
     return co.LiePoissonSystem(algebra, H, sign=sign)
 
 
 def in_given_order(method):
-    """The scheme with parts that do not depend on the Hamiltonian: the choice looks at it at time 0."""
+    """Return the scheme with fixed parts: automatic ones depend on H at time 0."""
     if isinstance(method, co.Composition):
         return dataclasses.replace(method, base=in_given_order(method.base))
     if not isinstance(method, co.methods.FlowMethod):
         return method
     if "parts" in {field.name for field in dataclasses.fields(method)}:
         return dataclasses.replace(method, parts="coordinates")
-    same = object.__new__(type(type(method).__name__, (type(method),), {"parts": "coordinates"}))
-    vars(same).update(vars(method))
-    return same
+    copy = object.__new__(type(type(method).__name__, (type(method),), {"parts": "coordinates"}))
+    vars(copy).update(vars(method))
+    return copy
 
 
 DRIVEN = ("so(3)", "A3,5", "A3,7", "sl(2)")
@@ -187,8 +185,8 @@ CLOCKED = [(s, name) for name in DRIVEN for s in SCHEMES if serves(schemes()[s],
 
 @pytest.mark.thinned(7)
 @pytest.mark.parametrize(("scheme", "name"), CLOCKED)
-def test_a_clock_that_stands_elsewhere(scheme, name):
-    """From 7.25 on as with a clock 7.25 ahead from 0 on, and backward as mirrored."""
+def test_shifted_and_mirrored_clocks(scheme, name):
+    """From 7.25 as with a clock 7.25 ahead from 0, and backward as mirrored."""
     method, x0 = in_given_order(schemes()[scheme]), np.array([[0.7, -0.4, 0.5], [0.2, 0.3, -0.6]])
     plain = driven_system(name, "plain")
     how = {"save_every": 5, "attitude": kind_of(method, plain)}
@@ -205,13 +203,12 @@ def test_a_clock_that_stands_elsewhere(scheme, name):
         np.testing.assert_allclose(one.drift()["energy"].tenths, two.drift()["energy"].tenths, **close)
         if one.attitude is not None:
             np.testing.assert_allclose(one.attitude, two.attitude, **close)
-        # What is said of the energy is the energy at that state and that time.
-        said = [[plain.energy(x, t) for x in states] for states, t in zip(one.x, one.t, strict=True)]
-        np.testing.assert_allclose(one.energy, said, rtol=1e-14, atol=1e-15)
+        energies = [[plain.energy(x, t) for x in states] for states, t in zip(one.x, one.t, strict=True)]
+        np.testing.assert_allclose(one.energy, energies, rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize("span", [(7.25, 9.25), (7.25, 5.25), (-3.5, -1.5)], ids=str)
-def test_what_is_observed_is_so_at_its_time(span):
+def test_observables_are_evaluated_at_their_time(span):
     system = driven_system("so(3)", "plain")
     observe = {
         "of x": lambda x: x[0] * x[1] - x[2],
@@ -238,12 +235,12 @@ def test_what_is_observed_is_so_at_its_time(span):
             np.testing.assert_allclose(found, values, rtol=4e-15, atol=4e-15, err_msg=name)
 
 
-# What does not depend on the clock.
+# Autonomous systems.
 
 
 @pytest.mark.thinned(15)
 @pytest.mark.parametrize("name", [*GROWING, *SHIFTED])
-def test_the_time_at_the_start_changes_no_bit_of_an_autonomous_run(name):
+def test_start_time_does_not_change_autonomous_bits(name):
     algebra, hamiltonian = (GROWING | SHIFTED)[name]
     system, x0 = co.LiePoissonSystem(algebra, hamiltonian), np.multiply.outer([1.0, 0.5], start_of(algebra))
     for scheme in ("Splitting 2", "Splitting 4", "GaussLegendre 2", "Taylor 6", "RadauEnergy 2", "rk4"):
@@ -263,7 +260,7 @@ def test_the_time_at_the_start_changes_no_bit_of_an_autonomous_run(name):
 
 @pytest.mark.parametrize("span", [(7.25, 8.25), (7.25, 6.25)], ids=str)
 @pytest.mark.parametrize("name", ["so(4)", "A5,3", "A2,1"])
-def test_a_dataset_says_when_and_repeats_it(name, span):
+def test_dataset_stores_times_and_is_rebuilt(name, span):
     algebra, hamiltonian = (GROWING | SHIFTED)[name]
     system = co.LiePoissonSystem(algebra, hamiltonian)
     sol = co.integrate(system, start_of(algebra), span, H, attitude="coadjoint", save_every=3)
@@ -275,7 +272,7 @@ def test_a_dataset_says_when_and_repeats_it(name, span):
     assert np.array_equal(again.t, sol.t)
 
 
-def test_the_step_function_at_a_time():
+def test_stepper_at_a_time():
     for name in DRIVEN:
         system, x0 = driven_system(name, "plain"), np.array([0.7, -0.4, 0.5])
         for scheme in ("Splitting 2", "GaussLegendre 2", "rk4"):
@@ -285,8 +282,8 @@ def test_the_step_function_at_a_time():
 
 
 @pytest.mark.parametrize("span", [(7.25, 107.25), (7.25, -92.75)], ids=str)
-def test_a_failure_says_when(span):
-    """x' = -x^2 or so blows up in one direction of each sign."""
+def test_failure_names_its_time(span):
+    """The motion blows up in one direction of each sign."""
     direction = math.copysign(1.0, span[1] - span[0])
     algebra = co.algebras.get("A2,1")
     for sign in (1, -1):
@@ -297,8 +294,8 @@ def test_a_failure_says_when(span):
         except co.IntegrationError as failure:
             assert failure.time == 7.25 + direction * (failure.step - 1) * 0.25
             assert f"at t = {failure.time:g}" in str(failure)
-            kept = failure.partial.t
-            assert kept[0] == 7.25 and np.all(np.diff(kept) * direction > 0)
-            assert np.all(np.abs(kept - 7.25) <= (failure.step - 1) * 0.25) and np.isfinite(failure.partial.x).all()
+            times = failure.partial.t
+            assert times[0] == 7.25 and np.all(np.diff(times) * direction > 0)
+            assert np.all(np.abs(times - 7.25) <= (failure.step - 1) * 0.25) and np.isfinite(failure.partial.x).all()
             return
     raise AssertionError("neither sign fails")

@@ -1,6 +1,4 @@
-"""Equation (17): x' = J(x) M x with any skew J. Section 3 applies unchanged, the Jacobi identity is not needed; section
-4 does not.
-"""
+"""Equation (17), x' = J(x) M x with any skew J: section 3 applies without the Jacobi identity, section 4 does not."""
 
 import numpy as np
 import pytest
@@ -26,7 +24,7 @@ def jacobi_defect(J, dJ, x):
     return np.max(np.abs(T + T.transpose(1, 2, 0) + T.transpose(2, 0, 1)))
 
 
-def test_the_witness_violates_the_jacobi_identity():
+def test_example_violates_the_jacobi_identity():
     x = without_jacobi().x0
     assert jacobi_defect(rotation_unlike_jacobi, rotation_unlike_jacobi_derivative, x) > 0.1
     # The measure itself: zero on a Lie algebra.
@@ -36,29 +34,29 @@ def test_the_witness_violates_the_jacobi_identity():
     assert jacobi_defect(e3.structure_matrix, lambda x: c, y) <= 64 * U
 
 
-def test_which_schemes_serve():
+def test_supporting_schemes():
     assert not any(name.startswith("Splitting") or name.endswith("gradient") for name in SERVING)
     assert {"GaussLegendre 1", "Modified 1 structure", "Iterated 2", "rk4", "runge2", "RadauEnergy 2"} <= set(SERVING)
 
 
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Composition of Splitting"])
-def test_splitting_is_refused_with_the_reason(scheme):
+def test_splitting_is_refused(scheme):
     with pytest.raises(ValueError, match="Lie algebra"):
         co.integrate(without_jacobi().system, without_jacobi().x0, (0, 1), 0.1, schemes()[scheme])
 
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("scheme", SERVING)
-def test_energy_and_order(scheme):
+def test_energy_and_order_of_supporting_schemes(scheme):
     case, method = without_jacobi(), schemes()[scheme]
     assert measured_order(method, NAME).agrees_with(method.order)
     run = co.integrate(case.system, case.x0, (0.0, 50.0), 0.1, method, save_every=10)
-    kept = run.drift()["energy"] <= drift_bounds(run)["energy"]
-    assert kept or not method.properties(case.system).energy
+    preserved = run.drift()["energy"] <= drift_bounds(run)["energy"]
+    assert preserved or not method.properties(case.system).energy
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_lie_poisson_as_a_function_gives_the_same_motion(sign):
+def test_function_and_structure_constants_agree(sign):
     """e(3) given as a function J(x), and as structure constants."""
     e3, M, x0 = co.algebras.e(3), full_matrix(9, 6), np.array([1.0, 0.5, -0.4, 0.7, -1.0, 0.3])
 
@@ -94,8 +92,8 @@ def quadratic_bracket(x):
     return J
 
 
-def test_nonlinear_bracket_with_linear_hamiltonian_keeps_its_invariants():
-    """H = x1 + x2 + x3 (linear) and log(x1 x2 x3) (Casimir): Gauss methods keep the first, nothing keeps both."""
+def test_gauss_on_a_nonlinear_bracket():
+    """A linear H is preserved, the Casimir x1 x2 x3 is not."""
     casimir = co.Polynomial({(1, 1, 1): 1})
     system = co.PoissonSystem(
         quadratic_bracket, co.Polynomial({(1, 0, 0): 1, (0, 1, 0): 1, (0, 0, 1): 1}), casimirs={"x1 x2 x3": casimir}

@@ -1,4 +1,4 @@
-"""The estimated error of a run is that of the end within a factor of 10, or both are what rounding leaves."""
+"""Estimated errors of runs are within a factor of 10, or both are at the level of rounding."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 
 import coadjoint as co
 
-from .drawn_systems import ALGEBRAS, drawn
-from .written_out import LONG, many_digits, written_out
+from .explicit_systems import LONG, many_digits, written_out
+from .random_systems import ALGEBRAS, drawn
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -16,23 +16,25 @@ ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-12)
 FACTOR = 10.0
 
 
-def honest(sol: co.Solution, exact: np.ndarray, largest: float) -> None:
-    """Hold an estimate against the error; both may lie below what rounding was expected to leave."""
-    error, told = np.linalg.norm(sol.x[-1] - exact) / largest, sol.error_estimate
-    assert error / FACTOR <= told <= FACTOR * max(error, sol.choice.roundoff), (
-        f"{told:.1e} for {error:.1e}: {sol.choice}"
+def check_estimate(sol: co.Solution, exact: np.ndarray, largest: float) -> None:
+    """Compare an estimate with the error; both may lie below the expected rounding."""
+    error, estimate = np.linalg.norm(sol.x[-1] - exact) / largest, sol.error_estimate
+    assert error / FACTOR <= estimate <= FACTOR * max(error, sol.choice.roundoff), (
+        f"{estimate:.1e} for {error:.1e}: {sol.choice}"
     )
 
 
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("methods", [None, co.Splitting(order=6), co.GaussLegendre(3)], ids=str)
 @pytest.mark.parametrize("name", written_out())
-def test_it_is_honest_on_the_systems_written_out(name, methods):
+def test_estimate_on_explicit_systems(name, methods):
     case = written_out()[name]
     for x0 in case.starts:
         exact, largest = many_digits(case.field, x0, case.time)
         for accuracy in ACCURACIES[: 3 if methods else 4]:
-            honest(co.integrate(case.system, x0, (0, case.time), accuracy=accuracy, method=methods), exact, largest)
+            check_estimate(
+                co.integrate(case.system, x0, (0, case.time), accuracy=accuracy, method=methods), exact, largest
+            )
 
 
 def plain_field(system: co.LiePoissonSystem):
@@ -55,18 +57,18 @@ def plain_field(system: co.LiePoissonSystem):
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("time", [6.0, -3.0])
 @pytest.mark.parametrize("name", ALGEBRAS)
-def test_it_is_honest_on_systems_at_random(name, time):
-    """On algebras that are not unimodular motions grow and die by some orders of magnitude."""
+def test_estimate_on_random_systems(name, time):
+    """On algebras that are not unimodular, motions grow and decay by some orders of magnitude."""
     for seed in range(2):
         system, x0 = drawn(name, 10 + seed, (-1) ** seed)
         exact, largest = many_digits(plain_field(system), x0, time)
         for accuracy in ACCURACIES:
-            honest(co.integrate(system, x0, (0, time), accuracy=accuracy), exact, largest)
+            check_estimate(co.integrate(system, x0, (0, time), accuracy=accuracy), exact, largest)
 
 
 @pytest.mark.parametrize("time", [30.0, -12.0])
 @pytest.mark.parametrize("rate", [1.0, -1.0])
-def test_it_is_honest_where_the_motion_grows_and_dies(rate, time):
+def test_estimate_on_growing_and_decaying_motions(rate, time):
     """x1' = -rate x1 beside a turn of x2 and x3 that x1 drives, by 13 orders of magnitude up or down."""
     brackets = {(0, 1): {1: rate, 2: 1.0}, (0, 2): {2: rate, 1: -1.0}}
     system = co.LiePoissonSystem(
@@ -75,21 +77,21 @@ def test_it_is_honest_where_the_motion_grows_and_dies(rate, time):
     x0 = np.array([0.1, 1e-3, 2e-3])
     exact, largest = many_digits(plain_field(system), x0, time)
     for accuracy in (1e-3, 1e-6, 1e-9):
-        honest(co.integrate(system, x0, (0, time), accuracy=accuracy), exact, largest)
+        check_estimate(co.integrate(system, x0, (0, time), accuracy=accuracy), exact, largest)
     # A splitting takes a single step here, of which the error does not follow the order.
-    honest(co.integrate(system, x0, (0, time), accuracy=1e-2, method="Splitting"), exact, largest)
+    check_estimate(co.integrate(system, x0, (0, time), accuracy=1e-2, method="Splitting"), exact, largest)
 
 
 @pytest.mark.parametrize("gap", [1e-3, 1e-6])
-def test_it_is_honest_beside_a_separatrix(gap):
+def test_estimate_near_a_separatrix(gap):
     body, time = co.systems.rigid_body(inertia=(1, 2, 3)), 60.0
     exact, largest = many_digits(plain_field(body), np.array([gap, 1.0, 0.0]), time)
     for accuracy in (1e-3, 1e-6, 1e-8):
-        honest(co.integrate(body, (gap, 1.0, 0.0), (0, time), accuracy=accuracy), exact, largest)
+        check_estimate(co.integrate(body, (gap, 1.0, 0.0), (0, time), accuracy=accuracy), exact, largest)
 
 
-def test_it_is_honest_over_thousands_of_turns():
+def test_estimate_over_thousands_of_turns():
     body, x0, time = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([0.05, 1.0, 0.02]), 20000.0
     for accuracy in (1e-3, 1e-6, 1e-9):
         sol = co.integrate(body, x0, (0, time), accuracy=accuracy, save_every=10**9, watch=False)
-        honest(sol, body.exact(x0, time), float(np.linalg.norm(x0)))
+        check_estimate(sol, body.exact(x0, time), float(np.linalg.norm(x0)))

@@ -1,4 +1,4 @@
-"""Example 3.1: on so(3) J(x) y = -J(y) x, so that freezing one factor keeps the energy and freezing the other |x|^2."""
+"""Example 3.1: on so(3) J(x) y = -J(y) x, so that freezing one factor preserves the energy, the other |x|^2."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_printed_structure_matrix():
         (co.algebras.sl(2), False),
     ],
 )
-def test_antisymmetry_in_both_factors_is_special(algebra, holds):
+def test_antisymmetry_in_both_factors(algebra, holds):
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-1, 1, (2, algebra.dim))
     defect = np.max(np.abs(algebra.structure_matrix(x) @ y + algebra.structure_matrix(y) @ x))
@@ -47,7 +47,7 @@ def test_antisymmetry_in_both_factors_is_special(algebra, holds):
     ],
 )
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(4), diagonal", "e(3), full, axes permuted"])
-def test_either_or_both(case, method, keeps_energy, keeps_casimirs):
+def test_frozen_factor_decides_the_preserved_invariant(case, method, keeps_energy, keeps_casimirs):
     system, x0, _ = cases()[case]
     run = co.integrate(system, x0, (0.0, 40.0), 0.2, method)
     bounds, drift = drift_bounds(run), run.drift()
@@ -63,8 +63,8 @@ def cayley(A):
     return np.linalg.solve(one - A / 2, one + A / 2)
 
 
-def test_the_two_matrices_of_the_midpoint_rule_differ():
-    """The implicit midpoint rule is B x with an M-orthogonal B, and B' x with an orthogonal B'; no matrix is both."""
+def test_two_matrices_of_the_midpoint_rule_differ():
+    """B x with an M-orthogonal B, and B' x with an orthogonal B'."""
     body, x, h = co.systems.paper_rigid_body(), np.array([1.0, 2.0, 0.5]), 0.3
     new = co.stepper(body, co.GaussLegendre(1), h)(x)
     middle = (x + new) / 2

@@ -1,6 +1,4 @@
-"""Example 4.1: the three vector fields and rotations on so(3), the printed composition, I-orthogonality, and the
-Poisson condition.
-"""
+"""Example 4.1: vector fields, rotations and composition on so(3), orthogonality, and the Poisson condition."""
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ X = np.array([0.7, -1.2, 0.4])
 
 
 def only(i, masses=MASSES):
-    """The system with H = m_ii x_i^2 / 2 alone."""
+    """Return the system with H = m_ii x_i^2 / 2."""
     return co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.where(np.arange(3) == i, masses, 0.0)))
 
 
@@ -62,7 +60,7 @@ def test_printed_composition_is_orthogonal():
 @pytest.mark.parametrize(
     "case", ["so(3), full, axes turned", "A3,7, full", "so(4), full, another basis", "e(3), heavy top"]
 )
-def test_misprinted_poisson_condition_does_not_hold_and_the_corrected_one_does(case):
+def test_corrected_poisson_condition_holds(case):
     """Section 2 prints P^T J P = J(phi); the condition is P J P^T = J(phi)."""
     system, x, _ = cases()[case]
     step = co.stepper(system, co.Splitting(order=2), 0.1)

@@ -1,7 +1,7 @@
-"""Orders 4, 6, 8 and 10: order conditions in the free associative algebra to 40 and more digits, and slopes.
+"""Orders 4 to 10: order conditions in the free associative algebra, independent of the library, and slopes.
 
-Nothing here uses the order conditions of the library: a symmetric second-order step is exp(h Y1 + h^3 Y3 + ...) with
-free Y's, a first-order step exp(h Y1 + h^2 Y2 + ...), its adjoint the inverse of the step over -h.
+A symmetric second-order step is exp(h Y1 + h^3 Y3 + ...) with free Y's, a first-order step exp(h Y1 + h^2 Y2 + ...),
+its adjoint the inverse of the step over -h.
 """
 
 from itertools import pairwise
@@ -23,15 +23,15 @@ PROCESSED = [name for name, scheme in SCHEMES.items() if scheme.processed]
 
 
 def words(letters, highest):
-    """All words of weight at most `highest`: prefixes come before the words that they begin."""
+    """Return all words of weight at most `highest`; prefixes come first."""
     by_weight = {0: [()]}
     for weight in range(1, highest + 1):
         by_weight[weight] = [w + (k,) for k in letters if k <= weight for w in by_weight[weight - k]]
-    return [word for several in by_weight.values() for word in several]
+    return [word for group in by_weight.values() for word in group]
 
 
 def exponential(letters, highest):
-    """exp(sum_k letters[k] Y_k), word by word."""
+    """Return exp(sum_k letters[k] Y_k), by words."""
     result = {}
     for word in words(letters, highest):
         product = mpmath.mpf(1)
@@ -53,7 +53,7 @@ def product_of(factors, highest):
 
 
 def factors_of(name, highest, number=mpmath.mpf):
-    """The exponents of a whole step P^-1, K, P, from the sweeps that the library applies."""
+    """Return the exponents of a whole step P^-1, K, P, from the sweeps of the library."""
     method = co.Splitting(scheme=name)
     kernel, processor = method.sweeps(number), method.processor(number)
     undone = [sweep._replace(forward=not sweep.forward, coefficient=-sweep.coefficient) for sweep in processor[::-1]]
@@ -71,7 +71,7 @@ def factors_of(name, highest, number=mpmath.mpf):
 
 
 def defects(name, highest, number=mpmath.mpf):
-    """Largest difference from exp(Y1) among the words of each weight, and what rounding of the coefficients moves."""
+    """Return the largest difference from exp(Y1) for each weight, and the effect of rounded coefficients."""
     factors = factors_of(name, highest, number)
     product = product_of(factors, highest)
     exact = exponential({k: mpmath.mpf(k == 1) for k in factors[0]}, highest)
@@ -84,7 +84,7 @@ def defects(name, highest, number=mpmath.mpf):
 
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", SCHEMES)
-def test_order_conditions(name):
+def test_order_conditions_hold(name):
     order = SCHEMES[name].order
     with mpmath.workdps(DIGITS):
         found, bounds = defects(name, order + 1)
@@ -94,8 +94,8 @@ def test_order_conditions(name):
 
 
 @pytest.mark.parametrize("name", ["yoshida4", "blanes_moan6", "sofroniou_spaletta8"])
-def test_order_conditions_see_coefficients_that_are_only_doubles(name):
-    """The negative control: 16 digits do not pass for 49."""
+def test_order_conditions_detect_double_precision(name):
+    """The negative control: coefficients with 16 digits instead of 49."""
     with mpmath.workdps(DIGITS):
         found, bounds = defects(name, SCHEMES[name].order, lambda v: mpmath.mpf(float(v)))
         assert any(defect > bound for defect, bound in zip(found, bounds, strict=True))
@@ -140,7 +140,7 @@ def test_local_order_in_50_digits(name, make):
 
 
 @pytest.mark.parametrize("order", long_beyond(1, [4, 6, 8, 10]))
-def test_order_in_50_digits_over_several_steps(order):
+def test_global_order_in_50_digits(order):
     """n against 2 n steps over t = 1/4: h^p (1 + O(h^2)), h = 1/16 and 1/32, so within a few per cent of p."""
     with mpmath.workdps(50):
         system, x0 = body_in_four_dimensions()
@@ -169,7 +169,7 @@ def test_poisson_in_40_digits(name):
 
 @pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", long_between(3, SCHEMES))
-def test_a_step_back_undoes_a_step_unless_processed(name):
+def test_unprocessed_schemes_are_symmetric(name):
     with mpmath.workdps(40):
         system, x0 = heavy_top()
         read, x0, h = reading(system, name), numbers(x0), mpmath.mpf(1) / 4
@@ -177,7 +177,7 @@ def test_a_step_back_undoes_a_step_unless_processed(name):
         assert co.Splitting(scheme=name).symmetric == (defect < 1e-35) == (name not in PROCESSED)
 
 
-def test_a_processed_scheme_is_symmetric_to_order_plus_two():
+def test_processed_scheme_is_symmetric_to_order_plus_two():
     with mpmath.workdps(50):
         system, x0 = heavy_top()
         read, x0 = reading(system, "blanes_casas_murua8"), numbers(x0)
@@ -187,11 +187,8 @@ def test_a_processed_scheme_is_symmetric_to_order_plus_two():
 
 
 @pytest.mark.parametrize("name", [*DEFAULT_SCHEMES.values(), "blanes_moan6", *PROCESSED])
-def test_order_in_doubles_down_to_the_plateau(name):
-    """Errors fall with the order until rounding is what is left, and stay there.
-
-    Rounding is unbiased: it wanders by u for each root of a flow, and two units of time amplify it by less than 16.
-    """
+def test_order_in_double_precision_down_to_rounding(name):
+    """Rounding is unbiased: it grows like u times the root of the number of flows, and is amplified by less than 16."""
     system, x0 = body_in_four_dimensions()
     method, order, t = co.Splitting(scheme=name), SCHEMES[name].order, 2.0
     exact = co.integrate(system, x0, (0, t), t / 64, co.GaussLegendre(8), save_every=64).x[-1]

@@ -1,6 +1,4 @@
-"""Lemma 4.1: X1(h/2) ... Xn(h/2) Xn(h/2) ... X1(h/2), each X_i the flow of x_i m_ii J_i(x), is of order 2, symmetric
-and Lie-Poisson.
-"""
+"""Lemma 4.1: the symmetric product of the flows of x_i m_ii J_i(x) is of order 2, symmetric and Lie-Poisson."""
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ DIAGONAL = ("so(3), diagonal", "A3,7, diagonal", "sl(2), diagonal", "so(4), diag
 
 
 def flow(system, i, t, x):
-    """The flow of (12): x_i is constant, the vector field linear, x(t) = exp(t m_ii x_i D_i) x."""
+    """Return the flow of (12): x_i is constant, x(t) = exp(t m_ii x_i D_i) x."""
     unit = np.eye(system.dim)[i]
     rate = system.hamiltonian.gradient(x)[i]
     return expm(t * system.sign * rate * system.algebra.coadjoint(unit)) @ x
@@ -30,12 +28,12 @@ def printed_product(system, h, x):
 
 
 def roundoff(x):
-    """Two dozen matrix products of at most 6 dimensions, the scaling and squaring of expm among them."""
+    """Return the rounding of two dozen matrix products of at most 6 dimensions, those of expm included."""
     return 24 * 64 * U * np.max(np.abs(x))
 
 
 @pytest.mark.parametrize("case", DIAGONAL)
-def test_printed_product(case):
+def test_step_is_the_printed_product(case):
     system, x, _ = cases()[case]
     step = co.stepper(system, co.Splitting(order=2, parts="coordinates"), 0.1)
     for _ in range(5):
@@ -55,9 +53,9 @@ def test_first_order_sweep_and_its_adjoint(case):
         assert np.max(np.abs(step(x) - by_hand)) <= roundoff(x)
 
 
-# Where H depends on time the half steps would take it at other moments.
+# With a time-dependent H the half steps would evaluate it at other times.
 @pytest.mark.parametrize("case", [name for name, case in cases().items() if not case.system.hamiltonian.timed])
-def test_second_order_is_the_first_and_its_adjoint_at_half_the_step(case):
+def test_second_order_composes_first_order_and_adjoint(case):
     system, x, _ = cases()[case]
     half = [co.stepper(system, co.Splitting(order=1, adjoint=back), 0.05) for back in (False, True)]
     whole = co.stepper(system, co.Splitting(order=2), 0.1)
@@ -79,7 +77,6 @@ def test_second_order_symmetric_and_lie_poisson(case, parts):
 
 
 def test_error_of_one_step_is_of_order_three():
-    """The local error, against exp of a fine composition: not an accident of the final time."""
     for case in ("A3,7, full", "e(3), full, axes permuted"):
         system, x, _ = cases()[case]
         steps = [0.2 / 2 ** (k / 2) for k in range(5)]

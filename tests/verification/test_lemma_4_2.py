@@ -1,4 +1,4 @@
-"""Lemma 4.2: the splitting keeps every Casimir, quadratic or not, polynomial or not, for any sequence of steps."""
+"""Lemma 4.2: the splitting preserves every Casimir, for any sequence of steps."""
 
 import math
 
@@ -19,7 +19,7 @@ SPLITTINGS = [name for name in schemes() if name.startswith("Splitting") and "fr
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("scheme", SPLITTINGS)
 @pytest.mark.parametrize("case", list(cases()))
-def test_every_casimir_over_a_long_run(case, scheme):
+def test_every_casimir_is_preserved(case, scheme):
     system, x0, _ = cases()[case]
     # Orbits of A3,7 fall to the axis, where log C has no value, and the driven one on sl(2) goes to infinity.
     step = {"A3,7, diagonal": 0.004, "A3,7, full": 0.004, "sl(2), driven": 0.004}.get(case, 0.1)
@@ -30,19 +30,19 @@ def test_every_casimir_over_a_long_run(case, scheme):
         assert run.drift()[name] <= bounds[name], name
 
 
-def test_a_cubic_casimir_in_dimension_fifteen():
+def test_cubic_casimir_in_dimension_fifteen():
     system, x0, _ = with_cubic_casimir()
     run = co.integrate(system, x0, (0.0, 200.0), 0.1, co.Splitting(order=4), save_every=100)
     bounds = drift_bounds(run)
     assert all(run.drift()[name] <= bounds[name] for name in system.casimirs)
-    # Gauss methods keep the quadratic one only.
+    # Gauss methods preserve the quadratic one only.
     run = co.integrate(system, x0, (0.0, 200.0), 0.5, co.GaussLegendre(2), save_every=100)
     bounds = drift_bounds(run)
     assert run.drift()["|x|^2"] <= bounds["|x|^2"]
     assert run.drift()["Pfaffian"] > 1000 * bounds["Pfaffian"]
 
 
-def test_steps_that_depend_on_the_state_keep_them_too():
+def test_casimirs_with_state_dependent_steps():
     for case in ("so(4), full, another basis", "e(3), split", "A3,7, full"):
         system, x, _ = cases()[case]
         start = {name: casimir(x) for name, casimir in system.casimirs.items()}
@@ -59,8 +59,8 @@ def test_steps_that_depend_on_the_state_keep_them_too():
             assert abs(change) <= 8 * 4 * U * count * 2 * len(x) ** 3 * size[name], (case, name)
 
 
-def test_multivalued_casimir_is_followed_through_whole_turns():
-    """A rotating A3,7 orbit: theta turns several times, log C stays; its principal branch jumps by 4 pi a."""
+def test_multivalued_casimir_over_whole_turns():
+    """theta turns several times; the principal branch of log C jumps by 4 pi a."""
     a = 0.05
     algebra = co.algebras.A3_7(a)
     system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, 2.0, 1.0]))

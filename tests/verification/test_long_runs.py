@@ -1,6 +1,4 @@
-"""A million steps: invariants wander like sqrt(t) where rounding is compensated (Brouwer's law), linearly at most
-elsewhere.
-"""
+"""A million steps: invariants drift like sqrt(t) with compensated sums (Brouwer's law), else at most linearly."""
 
 import numpy as np
 import pytest
@@ -22,12 +20,12 @@ LONG = {
 
 
 def walk(run, size, per_step):
-    """Return six standard deviations of an unbiased walk with `per_step` roundings of u times size in each step."""
+    """Return six standard deviations of a random walk with `per_step` roundings of u times size in each step."""
     return 6 * U * size * np.sqrt(per_step * run.stats.steps)
 
 
 def sizes_of(run):
-    """Return |gradient| |x| for each invariant: what a relative change of x by 1 could do to it."""
+    """Return |gradient| |x| for each invariant."""
     found = {}
     for name, what in {"energy": run.system.hamiltonian, **run.system.casimirs}.items():
         found[name] = max(float(np.linalg.norm(what.gradient(x)) * np.linalg.norm(x)) for x in run.x)
@@ -35,7 +33,7 @@ def sizes_of(run):
 
 
 def turn_of_a_step(run):
-    """Return |h D_u|, u = grad H: a compensated update rounds only its increments, smaller than x by this factor."""
+    """Return |h D_u|, u = grad H: a compensated update rounds only increments, smaller than x by this factor."""
     system = run.system
     return max(run.step * np.linalg.norm(system.algebra.coadjoint(system.hamiltonian.gradient(x)), 2) for x in run.x)
 
@@ -52,26 +50,26 @@ def compensated_run(case, steps=STEPS):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("case", LONG)
-def test_compensated_splitting_follows_brouwer_in_every_casimir(case):
+def test_casimirs_of_compensated_splitting_follow_brouwer(case):
     run, allowed = compensated_run(case)
     for name in run.system.casimirs:
         assert run.drift()[name] <= allowed[name], (name, float(run.drift()[name]), allowed[name])
 
 
 @pytest.mark.parametrize("case", LONG)
-def test_plain_splitting_stays_within_the_one_sided_bound(case):
+def test_plain_splitting_stays_within_the_linear_bound(case):
     system, x0, _ = cases()[case]
     h = LONG[case]
     run = co.integrate(system, x0, (0.0, STEPS * h), h, co.Splitting(order=2), save_every=STEPS // 50)
     bounds = drift_bounds(run)
     assert all(run.drift()[name] <= bounds[name] for name in system.casimirs)
-    # The energy: no drift, its error in the last tenth is what it was in the first, up to a factor of two.
+    # The energy error does not grow from the first tenth to the last, up to a factor of two.
     assert run.drift()["energy"].growth < 2
 
 
 @pytest.mark.parametrize("stages", [2, 4])
 @pytest.mark.parametrize("case", ["so(3), full, axes turned", "so(4), diagonal"])
-def test_gauss_follows_brouwer_in_energy_and_quadratic_casimirs(case, stages):
+def test_quadratic_invariants_of_gauss_follow_brouwer(case, stages):
     system, x0, _ = cases()[case]
     count = STEPS // 4
     run = co.integrate(system, x0, (0.0, count * 0.1), 0.1, co.GaussLegendre(stages), save_every=count // 50)
@@ -82,10 +80,8 @@ def test_gauss_follows_brouwer_in_energy_and_quadratic_casimirs(case, stages):
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(3), full, axes turned"])
-def test_rotations_after_a_million_steps(case, method):
-    """The group element is always compensated: orthogonality and A x wander like sqrt(t), with the momentum's own
-    rounding on top.
-    """
+def test_rotations_follow_brouwer(case, method):
+    """Group elements are always compensated; the rounding of the momentum is added to that of A x."""
     system, x0, _ = cases()[case]
     run = co.integrate(
         system, x0, (0.0, STEPS * 0.05), 0.05, method, attitude=True, save_every=STEPS // 10, watch=False
@@ -101,7 +97,7 @@ def test_rotations_after_a_million_steps(case, method):
 
 
 @pytest.mark.parametrize("case", ["so(4), diagonal", "e(3), heavy top"])
-def test_coadjoint_matrix_after_a_million_steps(case):
+def test_coadjoint_matrix_follows_brouwer(case):
     system, x0, _ = cases()[case]
     method = co.Splitting(order=2, compensated=True)
     run = co.integrate(

@@ -1,4 +1,4 @@
-"""The tests tested: what is wrong must be refused, or caught by the same helpers that pass what is right."""
+"""Negative controls: wrong input is refused, and wrong schemes fail the helpers that correct ones pass."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_random_antisymmetric_constants_are_no_lie_algebra(n, seed):
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-12])
-def test_a_small_perturbation_of_an_algebra_is_refused_too(size):
+def test_small_perturbation_of_an_algebra_is_refused(size):
     """so(4) with one constant off by a relative 1e-12, thousands of times round-off."""
     rows = [list(row) for row in zip(*co.algebras.so(4).triples, strict=True)]
     rows[0][3] *= 1 + size
@@ -29,13 +29,13 @@ def test_a_small_perturbation_of_an_algebra_is_refused_too(size):
         co.LieAlgebra([tuple(row) for row in rows], dim=6)
 
 
-def test_rescaled_constants_of_so3_are_still_an_algebra():
-    """Why so(3) alone proves nothing."""
+def test_rescaled_constants_of_so3_are_an_algebra():
+    """So so(3) alone proves nothing."""
     rows = [(0, 1, 2, 0.3), (1, 2, 0, 1.7), (0, 2, 1, -2.5)]
     assert co.LieAlgebra(rows, dim=3).generic_rank() == 2
 
 
-class AtAnotherSpeed(co.GaussLegendre):
+class QuarterSpeed(co.GaussLegendre):
     """A scheme whose coefficients run the motion at a quarter of its speed."""
 
     def coefficients(self, number=float):
@@ -44,8 +44,8 @@ class AtAnotherSpeed(co.GaussLegendre):
 
 
 @pytest.mark.parametrize("case", ["so(4), diagonal", "e(3), heavy top"])
-def test_a_quarter_of_the_speed_passes_every_invariant_and_is_caught_by_order_and_reference(case):
-    slow = AtAnotherSpeed(3)
+def test_wrong_speed_is_detected_by_order_and_reference(case):
+    slow = QuarterSpeed(3)
     system, x0, _ = cases()[case]
     run = co.integrate(system, x0, (0.0, 100.0), 0.1, slow, save_every=20)
     bounds = drift_bounds(run)
@@ -59,7 +59,7 @@ def test_a_quarter_of_the_speed_passes_every_invariant_and_is_caught_by_order_an
 
 
 @pytest.mark.parametrize("what", ["sign", "index"])
-def test_wrong_sign_and_wrong_index_miss_the_reference(what):
+def test_wrong_sign_and_index_are_detected(what):
     for name, given in SYSTEMS.items():
         wrong = (
             {**given, "hamiltonian": [[e[1:] + e[:1], c] for e, c in given["hamiltonian"]]}
@@ -67,7 +67,7 @@ def test_wrong_sign_and_wrong_index_miss_the_reference(what):
             else given
         )
         if what == "index" and name.startswith("heisenberg"):
-            continue  # that turn of the indices is a symmetry of the ring, or nearly
+            continue  # this permutation is nearly a symmetry of the ring
         system = system_of(wrong, given["sign"] if what == "index" else -given["sign"])
         times = [given["states"][0]["t"]]
         found = states_at(system, numbers(given["x0"]), times, 1, 32, co.GaussLegendre(6))
@@ -102,8 +102,8 @@ def test_asymmetric_composition_is_not_symmetric():
     assert np.max(np.abs(back - case.x0)) > 1e6 * measures.U
 
 
-class Turned:
-    """The step of a stepper with one wrong thing done to its tangent or its state."""
+class DefectiveStep:
+    """A stepper with one defect in its tangent or its state."""
 
     def __init__(self, step, state=None, tangent=None):
         self._step, self._state, self._tangent = step, state or (lambda x: x), tangent or (lambda P: P)
@@ -117,20 +117,20 @@ class Turned:
 
 
 @pytest.mark.parametrize("case", ["A3,7, full", "so(4), full, another basis", "e(3), split"])
-def test_poisson_defect_sees_a_part_in_a_million_million(case):
+def test_poisson_defect_detects_small_errors(case):
     system, x0, _ = cases()[case]
     step = co.stepper(system, co.Splitting(order=2), 0.1)
     right = poisson_defect(step, x0)
     assert right.value <= right.bound
     wrongs: list[Defect] = [
-        poisson_defect(Turned(step, tangent=lambda P: P.T), x0),
-        poisson_defect(Turned(step, tangent=lambda P: P * (1 + 1e-9)), x0),
-        poisson_defect(Turned(step, state=lambda x: x + 1e-9), x0),
+        poisson_defect(DefectiveStep(step, tangent=lambda P: P.T), x0),
+        poisson_defect(DefectiveStep(step, tangent=lambda P: P * (1 + 1e-9)), x0),
+        poisson_defect(DefectiveStep(step, state=lambda x: x + 1e-9), x0),
     ]
     assert all(wrong.value > wrong.bound for wrong in wrongs)
 
 
-def test_drift_bound_sees_a_damping_of_a_part_in_ten_thousand_million():
+def test_drift_bound_detects_small_damping():
     case = cases()["so(4), full, another basis"]
     run = co.integrate(case.system, case.x0, (0.0, 100.0), 0.1, co.Splitting(order=2), save_every=10)
     bounds = drift_bounds(run)
@@ -139,18 +139,18 @@ def test_drift_bound_sees_a_damping_of_a_part_in_ten_thousand_million():
         assert 2e-7 * abs(casimir(case.x0)) > bounds[name]
 
 
-def test_slope_fit_tells_neighbouring_orders_apart():
+def test_slope_fit_separates_neighbouring_orders():
     h = [0.2 / 2 ** (k / 2) for k in range(5)]
     for p in (1, 2, 4, 8):
         found = order_of(h, [3 * x**p * (1 + 0.8 * x) for x in h], 1)
         assert found.agrees_with(p)
         assert not found.agrees_with(p + 1) and not found.agrees_with(p - 1)
-    # A plateau, and steps too large to say anything, agree with no order.
+    # A plateau agrees with no order.
     assert not any(order_of(h, [1e-12 * (1 + 0.3 * (-1) ** k) for k in range(5)], 1).agrees_with(p) for p in (1, 2, 4))
 
 
-def test_order_measurement_sees_an_energy_off_by_a_hundredth(monkeypatch):
-    """The reference comes from elsewhere: a system with another M than that of the reference has no order at all."""
+def test_order_measurement_detects_a_wrong_energy(monkeypatch):
+    """A system with another M than that of the reference has no order."""
     right = cases()["e(3), full, axes permuted"]
     other = co.LiePoissonSystem(right.system.algebra, co.Quadratic(full_matrix(5, 6) * 1.01))
     everything = all_cases() | {"planted": Case(other, right.x0)}

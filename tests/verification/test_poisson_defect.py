@@ -1,6 +1,4 @@
-"""P J(x) P^T = J(step(x)), to round-off with the exact tangent P, for every scheme that declares it; not for the
-others.
-"""
+"""P J(x) P^T = J(step(x)) to round-off, with the exact tangent P, exactly for the schemes that declare it."""
 
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ POISSON = [p for p in pairs(WHERE) if schemes()[p[0]].properties(WHERE[p[1]].sys
 NOT_POISSON = [s for s in schemes() if s not in {scheme for scheme, _ in POISSON}]
 
 
-def test_splitting_declares_it_on_every_algebra_and_kind_of_hamiltonian():
+def test_splitting_is_declared_poisson_on_every_system():
     assert {case for _, case in POISSON} == set(WHERE)
     everywhere = [s for s in schemes() if all((s, case) in POISSON for case in cases())]
     assert {type(schemes()[s]).__name__ for s in everywhere} == {"Splitting", "Composition"}
@@ -42,7 +40,7 @@ def test_poisson_where_declared(scheme, case):
 
 @pytest.mark.parametrize("scheme", NOT_POISSON)
 def test_not_poisson_where_not_declared(scheme):
-    """Witness: so(4) with diagonal M at a step where even a defect of size h^9 stands far above round-off."""
+    """At a step where even a defect of size h^9 is far above round-off."""
     method = schemes()[scheme]
     witness = witnesses(method, "so(4), diagonal")[0]
     found = poisson_defect(co.stepper(witness.system, method, large_step(method)), 1.5 * witness.x0)
@@ -52,7 +50,7 @@ def test_not_poisson_where_not_declared(scheme):
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize(("scheme", "case"), [p for p in pairs(all_cases()) if "separable" not in p[1]])
 def test_tangent_is_the_derivative_of_the_compiled_step(scheme, case):
-    """Central differences of the step that runs, with one Richardson extrapolation: error O(d^4) plus round-off u/d."""
+    """Central differences with one Richardson extrapolation: error O(d^4) plus round-off u/d."""
     step, x = step_on(scheme, case), all_cases()[case].x0
     d = 2.0**-9
     columns = []
@@ -69,7 +67,7 @@ def affine(*more):
     return co.LieAlgebra.from_brackets(6, {(0, 1): {1: 1.0}, **dict(more)})
 
 
-def two_steps_and_more():
+def nilpotent_and_other_algebras():
     """Return algebras whose brackets are all central, and others, by name."""
     brackets, named = co.LieAlgebra.from_brackets, co.algebras.get
     return {
@@ -86,10 +84,10 @@ def two_steps_and_more():
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("name", list(two_steps_and_more()))
-def test_gauss_legendre_is_a_poisson_map_where_brackets_are_central(name, seed):
-    """In every order of the basis: J is constant along all motions if and only if [[a, b], c] = 0."""
-    rng, algebra = np.random.default_rng([11, seed]), two_steps_and_more()[name]
+@pytest.mark.parametrize("name", list(nilpotent_and_other_algebras()))
+def test_gauss_is_poisson_where_brackets_are_central(name, seed):
+    """J is constant along all motions if and only if [[a, b], c] = 0."""
+    rng, algebra = np.random.default_rng([11, seed]), nilpotent_and_other_algebras()[name]
     n = algebra.dim
     algebra = co.algebras.change_of_basis(algebra, np.eye(n, dtype=int)[rng.permutation(n)])
     B = rng.uniform(-0.2, 0.2, (n, n))

@@ -32,10 +32,7 @@ def some_scheme(rng):
 
 
 def case_of(seed, largest=LARGEST, highest=4):
-    """Return system, scheme, the modified Hamiltonian with its leading term and the next, and a state of size one.
-
-    The algebra has at most the dimension `largest`, the scheme at most the order `highest`.
-    """
+    """Return system, scheme, modified Hamiltonian with two terms, and a state of size one."""
     rng = np.random.default_rng([8, seed])
     while True:
         algebra, sign, scheme = some_algebra(rng), (1, -1)[seed % 2], some_scheme(rng)
@@ -45,16 +42,16 @@ def case_of(seed, largest=LARGEST, highest=4):
         H = polynomial(rng, n) if rng.random() < 0.5 else co.Quadratic(matrix(rng, n), linear=rng.standard_normal(n))
         try:
             system = co.LiePoissonSystem(algebra, H, sign=sign)
-            kept = co.modified_hamiltonian(system, scheme, scheme.order + 2)
+            modified = co.modified_hamiltonian(system, scheme, scheme.order + 2)
         except ValueError:
             continue  # refused by name, as the tests of refusals see: a piece that no flow is known for
-        if sum(len(term.monomials) for term in kept.terms.values()) <= MOST_MONOMIALS:
-            return system, scheme, kept, rng.uniform(-1.0, 1.0, n)
+        if sum(len(term.monomials) for term in modified.terms.values()) <= MOST_MONOMIALS:
+            return system, scheme, modified, rng.uniform(-1.0, 1.0, n)
 
 
-def field_of(system, kept, x, h):
-    """Return sign J grad H~ where x is of any kind of number, from the constants alone."""
-    slope = kept.gradient(x, h)
+def field_of(system, modified, x, h):
+    """Return sign J grad H~ in any number type, from the structure constants."""
+    slope = modified.gradient(x, h)
     found = [0 * x[0]] * system.dim
     for i, j, k, c in zip(*(np.asarray(column).tolist() for column in system.algebra.triples), strict=True):
         found[i] = found[i] + system.sign * c * (x[k] * slope[j])
@@ -63,31 +60,33 @@ def field_of(system, kept, x, h):
 
 
 @pytest.mark.parametrize("seed", long_beyond(2, range(SEEDS)))
-def test_a_step_is_the_flow_of_the_modified_hamiltonian(seed):
-    system, scheme, kept, x0 = case_of(seed)
+def test_step_is_the_flow_of_the_modified_hamiltonian(seed):
+    system, scheme, modified, x0 = case_of(seed)
     size = max(1.0, float(np.max(np.abs(system.jacobian(x0)))), float(np.max(np.abs(system.vector_field(x0)))))
     for direction in (1, -1):
-        apart = []
+        errors = []
         with mpmath.workdps(40):
             x = np.array([mpmath.mpf(v) for v in x0], dtype=object)
             for k in (9, 10):
                 h = direction * mpmath.mpf(2) ** -k / mpmath.mpf(size)
-                end = x + sum(reversed(expand(lambda y, h=h: field_of(system, kept, y, h), x, h, kept.order + 4)))
-                apart.append(max(abs(end - scheme.step(system, x, mpmath.mpf(0), h))))
+                end = x + sum(
+                    reversed(expand(lambda y, h=h: field_of(system, modified, y, h), x, h, modified.order + 4))
+                )
+                errors.append(max(abs(end - scheme.step(system, x, mpmath.mpf(0), h))))
         # Coefficients of irrational schemes, of completed squares and of their roots are rounded to float64.
-        if apart[1] > 2.0**-50 * 2.0**-10:
-            slope = float(mpmath.log(apart[0] / apart[1], 2))
-            assert slope > kept.order + 0.6, (str(scheme), repr(system), slope, apart)
+        if errors[1] > 2.0**-50 * 2.0**-10:
+            slope = float(mpmath.log(errors[0] / errors[1], 2))
+            assert slope > modified.order + 0.6, (str(scheme), repr(system), slope, errors)
 
 
 @pytest.mark.parametrize("seed", long_beyond(2, range(SEEDS)))
-def test_the_modified_field_is_that_of_the_modified_hamiltonian(seed):
-    """Two ways that share nothing: brackets in a free algebra, and the logarithm of the series of a step."""
-    system, scheme, kept, _ = case_of(seed, largest=4, highest=2)
-    found = co.modified_field(system, scheme, kept.order, way="exact")
+def test_modified_field_and_hamiltonian_agree(seed):
+    """Two independent computations: brackets in a free algebra, and the logarithm of the series of a step."""
+    system, scheme, modified, _ = case_of(seed, largest=4, highest=2)
+    found = co.modified_field(system, scheme, modified.order, way="exact")
     ring = ExactPolynomials(system.algebra)
     for k, field in found.terms.items():
-        H = kept.terms.get(k, co.Polynomial({}, dim=system.dim))
+        H = modified.terms.get(k, co.Polynomial({}, dim=system.dim))
         wanted = [system.sign * ring.polynomial(F) for F in ring.field(ring.of(H))]
         largest = max((abs(c) for F in wanted for c in F.monomials.values()), default=0)
         for F, G in zip(field, wanted, strict=True):

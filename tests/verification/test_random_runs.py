@@ -1,6 +1,6 @@
-"""Random systems, schemes and crowds: every run has the bits that it has alone, and ends.
+"""Random systems, schemes and ensembles: the same bits in every way to run them, and no run hangs.
 
-`make long` tries twelve times as many, `make soak` thousands.
+`make long` runs twelve times as many, `make soak` thousands.
 """
 
 import os
@@ -24,7 +24,7 @@ GUARD = 600.0
 
 
 @pytest.mark.parametrize("first", long_beyond(1, range(0, SEEDS, EACH)))
-def test_random_runs_have_the_same_bits_in_any_company(first):
+def test_random_runs_have_the_same_bits(first):
     command = [sys.executable, "-m", "random_runs.soak", str(first), str(EACH)]
     done = subprocess.run(
         command,
@@ -40,22 +40,22 @@ def test_random_runs_have_the_same_bits_in_any_company(first):
 
 
 @pytest.mark.parametrize("seed", [8200055, 8200449])
-def test_seeds_that_once_differed(seed):
-    """An energy that overflowed and was subtracted from itself; a pair of crossings in the step of an end."""
+def test_seeds_of_earlier_differences(seed):
+    """An energy that overflowed and was subtracted from itself; a pair of crossings in the last step."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert list(differences(seed)) == []
 
 
 @pytest.mark.parametrize("seed", [2000018, 770000244])
-def test_states_at_which_numbers_are_too_large_are_drawn(seed):
+def test_states_that_overflow_are_drawn(seed):
     case, _ = case_of(seed)
     with pytest.raises(OverflowError):
         for x in case.x0:
             case.systems[0].vector_field(x)
 
 
-def test_a_case_that_cannot_be_drawn_does_not_end_the_soak(monkeypatch, capsys):
+def test_soak_continues_after_a_failed_draw(monkeypatch, capsys):
     def fail(seed):
         raise RuntimeError("no such case")
 
@@ -68,14 +68,13 @@ def test_a_case_that_cannot_be_drawn_does_not_end_the_soak(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("seed", long_where([770000343], [770000343, 770002335]))
-def test_failures_have_the_same_step_in_any_company(seed):
-    """A group element overflows where the momentum does not; a step of the scheme's own overflows."""
+def test_failures_have_the_same_step(seed):
+    """A group element overflows where the momentum does not; a variable step overflows."""
     assert not list(differences(seed))
     assert run(case_of(seed)[0]).failed.any()
 
 
-def test_cases_have_all_that_a_run_may_be_given():
-    """Steps of the scheme's own, events, batches, group elements, runs backward: each in some of the cases."""
+def test_cases_cover_all_options_of_runs():
     cases = [case_of(seed)[0] for seed in range(60)]
     own = {type(case.method).__name__ for case in cases if case.method.own_steps}
     assert own == {"Taylor", "ReversibleSteps"}

@@ -1,4 +1,4 @@
-"""What a run is between two steps is one object: cut anywhere, written, read and gone on from, with the same bits."""
+"""The state of a run between two steps: interrupted, stored, read and resumed with the same bits."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ SYSTEMS = {"top": (TOP, [1.0, -0.5, 1.5, 0.625, 0.25, 0.75]), "body": (BODY, [0.
 SYSTEMS |= {name: case[:2] for name, case in matrices().items()}
 
 
-def begun(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
-    """Return a run of so many steps, from the start or from a state."""
+def start_run(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
+    """Return a run of this number of steps, from the start or from a state."""
     ready = PreparedRun(system, method, 0.05, attitude=attitude)
     start = ready.start(x0)
     return Run(system, method, ready.loops(0.05), Times(0.25, 0.05, steps, EVERY), start, True, workers, state)
@@ -39,16 +39,16 @@ def begun(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
 def cases():
     for name, method in schemes().items():
         system = next(name for name, (system, _) in SYSTEMS.items() if serves(method, system))
-        kept = method.properties(SYSTEMS[system][0]).attitude
-        for attitude in (False, "coadjoint") if kept != "none" else (False,):
+        carried = method.properties(SYSTEMS[system][0]).attitude
+        for attitude in (False, "coadjoint") if carried != "none" else (False,):
             for members in (1, 7):
                 yield pytest.param(
                     method, system, attitude, members, id=f"{name}, {attitude or 'momentum'}, {members} members"
                 )
 
 
-def written_and_read(state):
-    """A copy by way of bytes, as a file would hold it."""
+def stored_copy(state):
+    """Copy a state through bytes, as a file would store it."""
     mapping = state.to_mapping()
     plain = {name: value for name, value in mapping.items() if isinstance(value, int)}
     stored = {
@@ -68,22 +68,22 @@ def parts_of(solution):
 
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize(("method", "name", "attitude", "members"), list(cases()))
-def test_a_run_goes_on_from_a_state_with_the_bits_of_one_that_was_never_cut(method, name, attitude, members):
+def test_resumed_run_has_the_bits_of_the_whole_run(method, name, attitude, members):
     system, x = SYSTEMS[name]
     x0 = np.array(x) if members == 1 else np.multiply.outer(1.0 - 0.03 * np.arange(members), x)
-    whole = begun(system, method, x0, attitude)
+    whole = start_run(system, method, x0, attitude)
     whole.advance()
     expected = whole.solution(None)
     pieces, state = [], None
     for number in (*CUTS, STEPS):
-        # A run that knows nothing of the one before but its state.
-        piece = begun(system, method, x0, attitude, state=state)
+        # A new run, with nothing but the state of the one before.
+        piece = start_run(system, method, x0, attitude, state=state)
         before = None if state is None else state.copy()
         piece.advance(until=number)
         assert state == before
         held = len(piece.times.saved[piece.times.saved <= number])
         pieces.append({part: values[:held] for part, values in parts_of(piece.solution(None)).items()})
-        state = written_and_read(piece.state)
+        state = stored_copy(piece.state)
         assert state == piece.state and state is not piece.state
     assert state == whole.state and state.number == STEPS
     for part, values in parts_of(expected).items():
@@ -91,10 +91,10 @@ def test_a_run_goes_on_from_a_state_with_the_bits_of_one_that_was_never_cut(meth
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(6)], ids=str)
-def test_one_run_is_taken_in_pieces(method):
-    """Where one stops to look: the momenta of a flow method are unfinished there, and it goes on with them."""
+def test_run_in_pieces_equals_the_whole_run(method):
+    """The momenta of a flow method are unfinished between pieces."""
     x0 = np.array(SYSTEMS["top"][1])
-    whole, piecewise = (begun(TOP, method, x0, False) for _ in range(2))
+    whole, piecewise = (start_run(TOP, method, x0, False) for _ in range(2))
     whole.advance()
     for _, until in pairwise((0, *CUTS, STEPS)):
         piecewise.advance(until=until)
@@ -102,48 +102,46 @@ def test_one_run_is_taken_in_pieces(method):
     assert piecewise.state == whole.state and np.array_equal(piecewise.saved["x"], whole.saved["x"])
 
 
-def test_members_of_several_groups_stay_in_the_order_in_which_they_were_given():
-    """A batch whose members have tables of different structures, so that the loops hold them in another order."""
+def test_members_of_several_groups_keep_their_order():
+    """The loops hold members of different structures in another order."""
     bodies = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 2.5), (3, 1, 2.5), (3, 4, 5))]
     states = np.multiply.outer(np.linspace(1.0, 1.4, 5), [0.3, -1.0, 0.7])
     batch, method = co.batch(bodies), co.Splitting(order=2)
-    whole = begun(batch, method, states, "coadjoint", workers=2)
+    whole = start_run(batch, method, states, "coadjoint", workers=2)
     assert whole.loops.order is not None and whole.loops.order.tolist() != list(range(5))
     whole.advance()
-    first = begun(batch, method, states, "coadjoint")
+    first = start_run(batch, method, states, "coadjoint")
     first.advance(until=6)
     for m, body in enumerate(bodies):
-        alone = begun(body, method, states[m], "coadjoint")
+        alone = start_run(body, method, states[m], "coadjoint")
         alone.advance(until=6)
         for name in ("momenta", "groups", "worst", "evaluations"):
             assert np.array_equal(first.state[name][m], alone.state[name][0]), name
-    second = begun(batch, method, states, "coadjoint", state=written_and_read(first.state))
+    second = start_run(batch, method, states, "coadjoint", state=stored_copy(first.state))
     second.advance()
     assert second.state == whole.state
     assert np.array_equal(second.solution(None).attitude, whole.solution(None).attitude[2:])
 
 
-def test_a_run_that_failed_stays_failed():
+def test_resumed_run_stays_failed():
     system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, -1.0, 2.0]))
     x0 = np.array([[1.0, 1.0, 0.0], [1.0, 0.5, 0.25]])
-    first = begun(system, co.RadauEnergy(2), x0, False)
+    first = start_run(system, co.RadauEnergy(2), x0, False)
     first.advance(until=3)
-    second = begun(system, co.RadauEnergy(2), x0, False, state=written_and_read(first.state))
+    second = start_run(system, co.RadauEnergy(2), x0, False, state=stored_copy(first.state))
     second.advance()
-    with pytest.raises(
-        co.IntegrationError, match=r"in step 1, at t = 0.25, x \. grad H.* for 1 of 2 members"
-    ) as failure:
+    with pytest.raises(co.IntegrationError, match=r"step 1, at t = 0.25, .* 1 of 2 members") as failure:
         second.solution(None)
     assert failure.value.partial.failed.tolist() == [True, False]
 
 
 def some_state():
-    run = begun(TOP, co.GaussLegendre(2), np.array(SYSTEMS["top"][1]), False)
+    run = start_run(TOP, co.GaussLegendre(2), np.array(SYSTEMS["top"][1]), False)
     run.advance(until=5)
     return run.state
 
 
-def test_states_are_equal_where_all_bits_are():
+def test_states_are_compared_bitwise():
     state = some_state()
     other = state.copy()
     assert state == other and not state != other and state != "state"
@@ -171,9 +169,9 @@ def changed(**parts):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"version": limit("STATE_VERSION") + 1}, r"of version 2, and this library resumes from version 1"),
-        ({"version": None}, "the state of a run has no version"),
-        ({"number": 2.5}, "number of the state is 2.5; it must be a whole number"),
+        ({"version": limit("STATE_VERSION") + 1}, r"version \d+.* version \d+"),
+        ({"version": None}, "no version"),
+        ({"number": 2.5}, "number of the state is 2.5"),
         ({"number": -1}, "number of the state is -1"),
         ({"worst": None}, "missing: worst; unknown: none"),
         ({"mood": 1.0}, "missing: none; unknown: 'mood'"),
@@ -189,16 +187,16 @@ def changed(**parts):
         ({"last": np.zeros(4)}, r"last of the state is float64 of shape \(4,\)"),
     ],
 )
-def test_what_is_no_state_is_refused(parts, message):
+def test_invalid_states_are_refused(parts, message):
     with pytest.raises(ValueError, match=message):
         RunState.from_mapping(changed(**parts))
 
 
-def test_a_state_of_another_run_is_refused():
+def test_state_of_another_run_is_refused():
     state = some_state()
-    with pytest.raises(ValueError, match=r"has momenta of shape \(1, 6\), and this run needs \(1, 3\)"):
-        begun(BODY, co.GaussLegendre(2), SYSTEMS["body"][1], False, state=state)
-    with pytest.raises(ValueError, match=r"has memory of shape \(1, 14\), and this run needs \(1, 0\)"):
-        begun(TOP, co.ExplicitRungeKutta("rk4"), SYSTEMS["top"][1], False, state=state)
-    with pytest.raises(ValueError, match="after step 5; a run of 3 steps cannot resume there"):
-        begun(TOP, co.GaussLegendre(2), SYSTEMS["top"][1], False, state=state, steps=3)
+    with pytest.raises(ValueError, match=r"momenta of shape \(1, 6\).*\(1, 3\)"):
+        start_run(BODY, co.GaussLegendre(2), SYSTEMS["body"][1], False, state=state)
+    with pytest.raises(ValueError, match=r"memory of shape \(1, 14\).*\(1, 0\)"):
+        start_run(TOP, co.ExplicitRungeKutta("rk4"), SYSTEMS["top"][1], False, state=state)
+    with pytest.raises(ValueError, match=r"after step 5.* 3 steps"):
+        start_run(TOP, co.GaussLegendre(2), SYSTEMS["top"][1], False, state=state, steps=3)

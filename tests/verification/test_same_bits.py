@@ -1,4 +1,4 @@
-"""The same inputs give the same bits, however they are run; the plain reading agrees with the compiled loop."""
+"""The same inputs give the same bits in every way to run them; the interpreter agrees with compiled loops."""
 
 import mpmath
 import numpy as np
@@ -34,7 +34,7 @@ def crowd_around(x0, members):
 
 @pytest.mark.thinned(11)
 @pytest.mark.parametrize(("scheme", "case"), SOME)
-def test_same_bits_however_it_is_run(scheme, case):
+def test_options_members_and_threads_do_not_change_bits(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
     attitude = attitude_of(method, system)
 
@@ -64,7 +64,7 @@ def test_same_bits_however_it_is_run(scheme, case):
 
 
 @pytest.mark.parametrize(("scheme", "case"), SOME)
-def test_step_function_is_the_first_step_of_a_run(scheme, case):
+def test_stepper_equals_the_first_step_of_a_run(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
     run = co.integrate(system, x0, (0.0, 2 * STEP), STEP, method)
     step = co.stepper(system, method, STEP)
@@ -73,7 +73,7 @@ def test_step_function_is_the_first_step_of_a_run(scheme, case):
 
 
 def read_plainly(method, system, x, h, count, number=float):
-    """Take steps by the plain reading of a scheme, in any number type."""
+    """Take steps by the interpreter, in any number type."""
     point = np.array([number(v) for v in x], dtype=object if number is not float else float)
     h = number(h)
     t = number(0)
@@ -84,7 +84,7 @@ def read_plainly(method, system, x, h, count, number=float):
 
 @pytest.mark.thinned(13)
 @pytest.mark.parametrize(("scheme", "case"), pairs(all_cases()))
-def test_plain_reading_agrees_with_the_compiled_loop(scheme, case):
+def test_interpreter_agrees_with_the_compiled_loop(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
     count = 8
     run = co.integrate(system, x0, (0.0, count * STEP), STEP, method, save_every=count)
@@ -97,11 +97,11 @@ def test_plain_reading_agrees_with_the_compiled_loop(scheme, case):
 @pytest.mark.thinned(38)
 @pytest.mark.parametrize("scheme", list(schemes()))
 def test_compiled_loop_agrees_with_forty_digits(scheme):
-    """Systems that need no Python functions, so that every scheme reads them in multiprecision."""
+    """On systems without Python functions, which can be evaluated in multiprecision."""
     method = schemes()[scheme]
     for system, x0, _ in witnesses(method, "A3,7, full", "e(3), heavy top"):
         if isinstance(system, co.MatrixSystem):
-            continue  # NumPy has no products of complex matrices in more digits; the plain reading is in float64
+            continue  # the interpreter is in float64 for matrices
         with mpmath.workdps(40):
             exact = read_plainly(method, system, x0, 0.125, 2, mpmath.mpf)
         run = co.integrate(system, x0, (0.0, 0.25), 0.125, method)

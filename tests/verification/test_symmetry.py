@@ -1,4 +1,4 @@
-"""A step back undoes a step where a scheme is declared symmetric, and by O(h^(p+1 or +2)) only where it is not."""
+"""Schemes declared symmetric are undone by backward steps; others by O(h^(p+1)) or O(h^(p+2))."""
 
 import mpmath
 import numpy as np
@@ -51,10 +51,10 @@ def there_and_back_in_forty_digits(method, case, h):
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("scheme", LOPSIDED)
 @pytest.mark.parametrize("case", ["so(3), diagonal", "e(3), full, axes permuted"])
-def test_what_is_missing_to_symmetry(scheme, case):
+def test_order_of_the_asymmetry(scheme, case):
     """psi_(-h) psi_h - 1 = O(h^k): k = p + 1, or p + 2 where p is even and the leading term, odd in h, cancels."""
     method = schemes()[scheme]
-    # Order 8 leaves no room in double precision between the first steps that tell and round-off.
+    # High orders reach round-off in double precision too soon.
     precise = method.order >= 5 and hasattr(method, "step")
     measure = there_and_back_in_forty_digits if precise else there_and_back
     steps = [(0.05 if precise else 0.1) / 2 ** (k / 2) for k in range(5)]
@@ -63,7 +63,7 @@ def test_what_is_missing_to_symmetry(scheme, case):
     assert found.agrees_with(expected), found
 
 
-def test_adjoint_of_first_order_splitting_is_its_other_direction():
+def test_adjoint_of_first_order_splitting_is_its_inverse():
     for case in cases().values():
         forward = co.stepper(case.system, co.Splitting(order=1), 0.2)
         back = co.stepper(case.system, co.Splitting(order=1, adjoint=True), -0.2)

@@ -1,4 +1,4 @@
-"""Tangent vectors in the compiled loops: the products of exact tangents, and not a bit of the state changed."""
+"""Tangent vectors in compiled loops equal products of exact tangents, and do not change the states."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tangents import Frame
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
@@ -18,10 +19,10 @@ from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
 from long import long_between, long_beyond
 
-from .carried import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
-from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
+from .random_systems import ALGEBRAS, drawn, drawn_bracket
 from .schemes_under_test import large_step, schemes, serves, witnesses
 from .systems_under_test import all_cases, full_matrix
+from .tangent_products import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
 from .test_catalogue import EXAMPLES, NAMES
 
 pytestmark = pytest.mark.thinned(6)
@@ -42,7 +43,7 @@ def wave_curvature(y, t):
 
 
 def check(system, method, x0, h, t0=0.25, steps=STEPS):
-    """Compare the vectors with the product of tangents, and the states with those of a run without vectors."""
+    """Compare the vectors with the product of tangents, and the states with a run without vectors."""
     times = Times(t0, h, steps, steps).with_saved_steps([1, steps])
     units = np.eye(system.dim)
     run = run_with(system, method, x0, times, units)
@@ -57,7 +58,7 @@ def has_loop(method):
 
 
 def carrying():
-    """Return the pairs of a scheme whose loop carries vectors and a system."""
+    """Return the pairs of systems and schemes whose loops move tangent vectors."""
     found = []
     for c, case in all_cases().items():
         for s, method in schemes().items():
@@ -68,15 +69,14 @@ def carrying():
 
 @pytest.mark.thinned(28)
 @pytest.mark.parametrize(("scheme", "case"), carrying())
-def test_every_scheme_on_every_kind_of_system(scheme, case):
+def test_tangents_of_every_scheme_and_system(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
     h = large_step(method) / 4
     check(system, method, x0, h)
     check(system, method, x0, -h)
 
 
-def test_which_schemes_have_a_loop():
-    """The others are those of `carrying`, and those that bring their own step."""
+def test_schemes_with_tangent_loops():
     for name, method in schemes().items():
         system = witnesses(method, "e(3), heavy top")[0].system
         loop = method.tangent_loop(system, 0.1, Frame(np.eye(system.dim), 1))
@@ -88,8 +88,8 @@ TRIED = (co.Splitting(order=2), co.Splitting(order=2, parts="coordinates"), co.G
 
 @pytest.mark.thinned(22)
 @pytest.mark.parametrize("name", long_between(6, NAMES))
-def test_the_whole_catalogue(name):
-    """Quadratic, polynomial, and driven functions; with every kind of flow that an algebra of dimension 5 has."""
+def test_tangents_on_the_catalogue(name):
+    """Quadratic, polynomial and driven Hamiltonians, with all kinds of flows up to dimension 5."""
     algebra = co.algebras.get(name, **EXAMPLES.get(name, {}))
     n, rng = algebra.dim, np.random.default_rng(len(name))
     x0 = rng.uniform(0.3, 0.8, n)
@@ -110,7 +110,7 @@ def test_the_whole_catalogue(name):
 @pytest.mark.thinned(16)
 @pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
 @pytest.mark.parametrize("name", ALGEBRAS)
-def test_drawn_systems(name, sign):
+def test_tangents_on_random_systems(name, sign):
     for seed in range(3):
         system, x0 = drawn(name, 100 + seed, sign)
         for method in (co.Splitting(order=4), co.GaussLegendre(3), co.ModifiedGaussLegendre(2)):
@@ -119,23 +119,23 @@ def test_drawn_systems(name, sign):
 
 @pytest.mark.long
 @pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
-def test_structure_matrices_that_are_functions(sign):
+def test_tangents_where_j_is_a_function(sign):
     system, x0 = drawn_bracket(7, sign)
     for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), co.ModifiedGaussLegendre(2, freeze="structure")):
         check(system, method, x0, 0.1)
 
 
 @pytest.mark.parametrize("compensated", [False, True])
-def test_rational_rotations_and_large_angles(compensated):
-    """Angles of some radians: d of 2 atan(phi/2) is far from 1, and the other formulas of a sine are used."""
+def test_tangents_of_rotations_by_large_angles(compensated):
+    """Angles of some radians, where d of 2 atan(phi/2) is far from 1."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     for rotation in ("rational", "exact"):
         method = co.Splitting(order=2, parts="coordinates", rotation=rotation, compensated=compensated)
         check(body, method, np.array([3.0, -2.0, 1.0]), 1.5)
 
 
-def test_many_rotations_at_once_and_series():
-    """so(6) has runs of eight angles and more, and a full M on sl(3) flows that are series."""
+def test_tangents_of_many_rotations_and_series():
+    """so(6) has runs of eight angles and more; a full M on sl(3) has flows that are series."""
     rng = np.random.default_rng(3)
     for algebra, H in (
         (co.algebras.so(6), co.Quadratic(rng.uniform(0.5, 1.5, 15))),
@@ -147,10 +147,8 @@ def test_many_rotations_at_once_and_series():
             check(system, method, rng.uniform(-0.5, 0.5, algebra.dim), 0.1)
 
 
-def test_a_large_state_is_watched_alone():
-    """Beyond the dimension up to which steps go side by side the same loop runs with one number at a time."""
-    from coadjoint.kernels.interface import limit
-
+def test_tangents_of_large_states():
+    """Beyond the largest dimension of lanes the loop takes one member at a time."""
     spins = limit("WIDEST") // 3 + 2
     algebra = co.algebras.copies(co.algebras.so(3), spins)
     n = algebra.dim
@@ -179,8 +177,8 @@ TOGETHER = (
 
 @pytest.mark.thinned(18)
 @pytest.mark.parametrize("case", all_cases())
-def test_members_side_by_side_have_the_bits_of_each(case):
-    """With more vectors than go side by side as well, and a member at rest beside those that move."""
+def test_members_in_lanes_have_the_bits_of_single_runs(case):
+    """Also with more vectors than lanes, and a member at rest."""
     system, x0, _ = all_cases()[case]
     crowd = x0 * np.array([1.0, 0.9, 0.0, -0.8, 0.7])[:, None]
     for scheme in TOGETHER:
@@ -196,7 +194,7 @@ def test_members_side_by_side_have_the_bits_of_each(case):
             ), (scheme, m)
 
 
-def test_many_vectors_of_many_members_go_one_after_the_other():
+def test_leading_stretches_do_not_depend_on_vector_count():
     system = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.linspace(0.5, 1.5, 28)), casimirs={})
     crowd = np.random.default_rng(9).uniform(-0.3, 0.3, (4, 28))
     every, few = (co.lyapunov(system, crowd, (0, 2), 0.125, exponents=k) for k in (28, 2))
@@ -204,8 +202,8 @@ def test_many_vectors_of_many_members_go_one_after_the_other():
 
 
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 2 compensated", "GaussLegendre 2", "rk4"])
-def test_a_run_with_vectors_goes_on_from_its_state(scheme):
-    """The state holds the vectors and their stretches, as plain arrays: cut anywhere, also between renewals."""
+def test_run_with_tangents_resumes_from_its_state(scheme):
+    """Also between two orthonormalizations."""
     method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
     times, crowd = Times(0.25, 0.1, 12, 12).with_saved_steps([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
     loop = method.tangent_loop(system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
@@ -214,8 +212,8 @@ def test_a_run_with_vectors_goes_on_from_its_state(scheme):
     whole.advance()
     first = Run(system, method, loops, times, start, False)
     first.advance(until=7)
-    kept = RunState.from_mapping(first.state.to_mapping())
-    second = Run(system, method, loops, times, start, False, state=kept)
+    copied = RunState.from_mapping(first.state.to_mapping())
+    second = Run(system, method, loops, times, start, False, state=copied)
     second.advance()
     assert second.state == whole.state and np.array_equal(second.saved["x"], whole.saved["x"])
 
@@ -231,8 +229,8 @@ STRETCHED = (
 
 
 @pytest.mark.parametrize("scheme", STRETCHED)
-def test_stretches_are_those_of_the_product(scheme):
-    """The diagonal of R in P V = Q R, whether the vectors were made orthonormal on the way or not; both directions."""
+def test_stretches_equal_those_of_the_product(scheme):
+    """The diagonal of R in P V = Q R, with or without intermediate orthonormalization."""
     method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
     vectors = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 6)))[0]
     for h in (0.1, -0.1):
@@ -247,8 +245,8 @@ def test_stretches_are_those_of_the_product(scheme):
             assert np.array_equal(run.saved["x"][0, 0], co.integrate(system, x0, (0, 12 * h), 0.1, method).x[-1])
 
 
-def test_stretches_lose_nothing_over_many_steps():
-    """x' = x on one coordinate: each step stretches by one float, whose power has the digits of two."""
+def test_stretches_are_accurate_over_many_steps():
+    """x' = x: each step stretches by one float, whose power is computed in 60 digits."""
     line = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic([0, 0], linear=[1.0, 0.0]))
     method, h = co.Splitting(order=1), 2.0**-10
 
@@ -262,7 +260,7 @@ def test_stretches_lose_nothing_over_many_steps():
     with mpmath.workdps(60):
         wanted = (mpmath.mpf(step) * mpmath.mpf(2) ** exponent) ** steps
         found = (mpmath.mpf(grown[0]) + mpmath.mpf(grown[1])) * mpmath.mpf(2) ** grown[2]
-        # Of each product what is left of the rest is rounded to a float.
+        # The low part of each product is rounded to a float.
         assert abs(found / wanted - 1) <= 4 * steps * UNIT_ROUNDOFF**2
         assert logarithms[0] == 0.0
         assert abs(logarithms[1] - abs(mpmath.log(wanted))) <= 4 * UNIT_ROUNDOFF * logarithms[1]

@@ -7,8 +7,7 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices import spherical_modes
-from coadjoint.systems.matrices.spherical_modes import generators
-from coadjoint.systems.matrices.spherical_modes import harmonics_of_matrix, matrix_of_harmonics, scale
+from coadjoint.systems.matrices.spherical_modes import generators, harmonics_of_matrix, matrix_of_harmonics, scale
 from coadjoint.systems.matrices.streams import DiagonalSolve
 from long import long_beyond
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.matrices.spherical_modes import laplacian
 from coadjoint.systems.matrices.mode_basis import Harmonics, Waves, mode_basis_of, stream_values
+from coadjoint.systems.matrices.spherical_modes import laplacian
 from coadjoint.systems.matrices.streams import DiagonalSolve, Inverse, Weights
 
 SHIFT = 2.5

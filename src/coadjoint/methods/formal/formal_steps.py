@@ -40,7 +40,7 @@ class FormalInterpreter(Interpreter):
         """Return whether the next term has a power of h beyond the truncation."""
         return len(terms) >= type(terms[0].x[0]).count
 
-    def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:
+    def _converted(self, values: NDArray[Any]) -> NDArray[Any]:
         return values.copy()
 
     def _rational_angles(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:

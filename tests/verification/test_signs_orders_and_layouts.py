@@ -1,4 +1,4 @@
-"""What has two cases is tried with both: signs, directions, orders of pairs, of axes and of members, C and Fortran."""
+"""Compiled loops against the interpreter for both signs and directions, all orders of axes and members, and layouts."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from coadjoint.runs import run as run_module
 from coadjoint.systems.bodies.rigid_body import so3_body
 from group_elements import random_element
 
-from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
 from .measures import U
+from .random_systems import ALGEBRAS, drawn, drawn_bracket
+from .schemes_under_test import serves
 from .systems_under_test import cases
 
 pytestmark = pytest.mark.thinned(6)
@@ -41,68 +42,59 @@ SCHEMES = {
     "RadauEnergy": co.RadauEnergy(2),
     "Taylor": co.Taylor(5),
     "Composition": co.Composition(co.GaussLegendre(1), (0.75, -0.5, 0.75)),
-    # Its first and its last flow are not the same part of a step.
+    # Its first and last flows are different fractions of a step.
     "lopsided": co.Composition(co.Splitting(order=2), (0.25, 0.75)),
 }
-# What a Poisson system without a Lie algebra is served by, too.
+# Schemes that support Poisson systems without a Lie algebra.
 WITHOUT_ALGEBRA = [n for n in SCHEMES if not n.startswith(("Splitting", "Taylor", "Modified gradient", "lopsided"))]
 
 
-def served(method, system):
-    """Whether a scheme takes a system, with a linear term in H or without."""
-    try:
-        method.properties(system)
-    except ValueError:
-        return False
-    return True
-
-
 def without_linear(system):
-    """The same system with a homogeneous energy, where a scheme needs one."""
+    """Return the system with a homogeneous energy."""
     M = system.hamiltonian.hessian(np.zeros(system.dim))
     return co.LiePoissonSystem(system.algebra, co.Quadratic(M), sign=system.sign, casimirs={})
 
 
 def pairs():
-    """Names of schemes and of algebras; every scheme on four of them, every algebra with half of the schemes."""
+    """Return pairs of schemes and algebras: each scheme with half of the algebras."""
     algebras = list(ALGEBRAS)
     return [(s, a) for i, s in enumerate(SCHEMES) for j, a in enumerate(algebras) if (i + j) % 2 == 0]
 
 
 def system_for(scheme, algebra, sign, seed=1):
     system, x0 = drawn(algebra, seed, sign)
-    return (system if served(SCHEMES[scheme], system) else without_linear(system)), x0
+    return (system if serves(SCHEMES[scheme], system) else without_linear(system)), x0
 
 
 def read_steps(method, system, x, t, h):
-    """Some steps by the plain reading in floats, each of them begun and finished: nothing is joined to the next."""
+    """Take single steps by the interpreter; no flows are joined between steps."""
     for k in range(COUNT):
         x = method.step(system, np.array(x), t + k * h, h)
     return x
 
 
 def check_steps(method, system, x0, h):
-    """One state, and two of five at once, against the plain reading; return where the first ends."""
+    """Compare runs of one state and of five with the interpreter; return the end of the first."""
     span = (T0, T0 + COUNT * h)
     crowd = x0 * np.array([[1.0], [0.75], [-1.0], [0.5], [1.25]])
     x, ends = (co.integrate(system, start, span, abs(h), method).x[-1] for start in (x0, crowd))
     for start, end in ((x0, x), (crowd[1], ends[1]), (crowd[4], ends[4])):
         expected = read_steps(method, system, start, T0, h)
         np.testing.assert_allclose(end, expected, rtol=0, atol=rounding(system, expected))
-    # It moves the way the field says: the rest is of order t^2, with derivatives of size one in these systems.
+    # The motion follows the field: the rest is of order t^2, with derivatives of size one in these systems.
     moved = system.vector_field(x0, T0)
     assert (x - x0) @ moved * h > 0.25 * COUNT * h * h * (moved @ moved)
     return x
 
 
 def rounding(system, x):
-    """Some hundred operations on each component, in systems and over a time of size one."""
+    """Return the rounding of some hundred operations on each component, in systems of size one."""
     return 2.0**10 * system.dim * U * np.max(np.abs(x))
 
 
 @pytest.mark.thinned(32)
 @pytest.mark.parametrize(("scheme", "algebra"), pairs())
-def test_the_compiled_step_is_the_plain_one_for_both_signs_and_directions(scheme, algebra):
+def test_compiled_steps_for_both_signs_and_directions(scheme, algebra):
     ends = []
     for sign, direction in DIRECTIONS:
         system, x0 = system_for(scheme, algebra, sign)
@@ -113,15 +105,14 @@ def test_the_compiled_step_is_the_plain_one_for_both_signs_and_directions(scheme
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("scheme", WITHOUT_ALGEBRA)
 @pytest.mark.parametrize("seed", range(2))
-def test_the_compiled_step_is_the_plain_one_where_j_is_a_function(scheme, seed):
+def test_compiled_steps_where_j_is_a_function(scheme, seed):
     for sign, direction in DIRECTIONS:
         check_steps(SCHEMES[scheme], *drawn_bracket(seed, sign), direction * STEP)
 
 
 @pytest.mark.thinned(7)
-@pytest.mark.parametrize("scheme", [s for s, m in SCHEMES.items() if served(m, cases()["sl(2), driven"].system)])
-def test_the_compiled_step_is_the_plain_one_at_any_time(scheme):
-    """A driven system, from a time that is not zero, forward and backward."""
+@pytest.mark.parametrize("scheme", [s for s, m in SCHEMES.items() if serves(m, cases()["sl(2), driven"].system)])
+def test_compiled_steps_of_a_driven_system(scheme):
     system, x0, _ = cases()["sl(2), driven"]
     ends = [check_steps(SCHEMES[scheme], system, x0, direction * STEP) for direction in (1, -1)]
     assert np.max(np.abs(ends[0] - ends[1])) > 0.05 * STEP
@@ -129,21 +120,21 @@ def test_the_compiled_step_is_the_plain_one_at_any_time(scheme):
 
 @pytest.mark.parametrize("algebra", ["so(4)", "A4,7"])
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_every_scheme_follows_the_motion_for_both_signs_and_directions(scheme, algebra):
-    """Against 16 digits of it: what the compiled step and the plain reading have in common is tried as well."""
+def test_schemes_follow_the_motion_for_both_signs(scheme, algebra):
+    """Against 16 digits, independent of what the compiled step and the interpreter share."""
     method, h = SCHEMES[scheme], 2.0**-5
     for sign, direction in DIRECTIONS:
         system, x0 = system_for(scheme, algebra, sign)
         span = (T0, T0 + direction)
         exact = co.integrate(system, x0, span, h, co.GaussLegendre(8)).x[-1]
         found = co.integrate(system, x0, span, h, method).x[-1]
-        # Of size one: a step of order p is off by about h^p, with derivatives that grow like 2^p at most.
+        # Of size one: the error of order p is about h^p, with derivatives that grow like 2^p at most.
         bound = (2.0 * h) ** min(method.order, 6) + 2.0**6 * rounding(system, exact)
         np.testing.assert_allclose(found, exact, rtol=0, atol=bound)
 
 
 def check_tangent(method, system, x0, h):
-    """Central differences of the compiled step, e = 2^-17: off by e^2 psi'''/6, psi''' below 2^5 here, and by u/e."""
+    """Compare with central differences, e = 2^-17: errors e^2 psi'''/6 with psi''' below 2^5, and u/e."""
     step, e = co.stepper(system, method, h), 2.0**-17
     P = step.tangent(x0, T0)
     columns = [(step(x0 + e * d, T0) - step(x0 - e * d, T0)) / (2 * e) for d in np.eye(system.dim)]
@@ -167,7 +158,7 @@ def test_tangents_where_j_is_a_function(scheme, seed):
 
 
 def attitudes(method, system):
-    """What a scheme carries on a system."""
+    """Return the kinds of group elements of a scheme on a system."""
     kind = method.properties(system).attitude
     if kind == "none":
         return [False]
@@ -177,7 +168,7 @@ def attitudes(method, system):
 
 
 @pytest.mark.parametrize(("scheme", "algebra"), pairs())
-def test_the_other_sign_is_the_other_direction(scheme, algebra):
+def test_other_sign_equals_backward_run(scheme, algebra):
     """x' = -J grad H is x' = J grad H run backward, with its group element, in the same bits."""
     method = SCHEMES[scheme]
     (one, x0), (other, _) = (system_for(scheme, algebra, sign) for sign in (1, -1))
@@ -193,22 +184,22 @@ CARRIED = [(s, a) for s, a in pairs() if SCHEMES[s].properties(system_for(s, a, 
 
 
 @pytest.mark.parametrize(("scheme", "algebra"), CARRIED)
-def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(scheme, algebra):
-    """K x is constant, and g^-1 rho(e_i) g = sum_j K_ij rho(e_j), from any element at the start and any t0."""
+def test_group_elements_for_both_signs_and_directions(scheme, algebra):
+    """K x is constant, and g^-1 rho(e_i) g = sum_j K_ij rho(e_j), from any initial element and any t0."""
     method, (system, x0) = SCHEMES[scheme], system_for(scheme, algebra, 1)
     for sign, direction in DIRECTIONS:
         system, x0 = system_for(scheme, algebra, sign)
-        span, kept = (T0, T0 + direction * 4 * STEP), method.properties(system).attitude
-        # Alone, and the last of three that go side by side.
+        span, kind = (T0, T0 + direction * 4 * STEP), method.properties(system).attitude
+        # Alone, and as the last of three members in lanes.
         run, crowd = (
             co.integrate(system, start, span, STEP, method, attitude="coadjoint")
             for start in (x0, np.array([-0.5 * x0, 1.25 * x0, x0]))
         )
         size = np.linalg.norm(run.attitude[-1]) * np.linalg.norm(run.x[-1])
         ends = ((run.attitude[-1], run.x[-1]), (crowd.attitude[-1, 2], crowd.x[-1, 2]))
-        for K, x in ends if kept in ("every representation", "coadjoint") else ():
+        for K, x in ends if kind in ("every representation", "coadjoint") else ():
             np.testing.assert_allclose(K @ x, x0, rtol=0, atol=2.0**4 * rounding(system, size))
-        if True not in attitudes(method, system) or kept == "integrated":
+        if True not in attitudes(method, system) or kind == "integrated":
             continue
         rho = system.representation
         first = random_element(rho, 5)
@@ -220,8 +211,8 @@ def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(s
 
 
 @pytest.mark.parametrize("n", range(2, 10))
-def test_rotations_of_every_number_of_planes(n):
-    """so(n), its elements n x n: n - 2 planes turn by one angle, and n rows are carried in vectors of four."""
+def test_rotations_in_any_number_of_planes(n):
+    """so(n): n - 2 planes turn by one angle, and n rows are moved in vectors of four."""
     algebra, rng = co.algebras.so(n), np.random.default_rng(n)
     method = co.Splitting(order=2, parts="coordinates")
     x0 = rng.uniform(0.5, 1.0, algebra.dim) * rng.choice([-1.0, 1.0], algebra.dim)
@@ -240,8 +231,8 @@ def test_rotations_of_every_number_of_planes(n):
 
 @pytest.mark.parametrize("count", [3, 8, 9, 17])
 @pytest.mark.parametrize("compensated", [False, True])
-def test_planes_with_frequencies_of_their_own(count, compensated):
-    """Copies of so(3), each with brackets of another size: angles of one part turn side by side, eight at a time."""
+def test_rotations_with_different_frequencies(count, compensated):
+    """Copies of so(3) with brackets of different sizes: eight angles of one part are computed at a time."""
     rng = np.random.default_rng(count)
     sizes = rng.uniform(0.5, 1.5, count) * rng.choice([-1.0, 1.0], count)
     rows = [(3 * k + i, 3 * k + (i + 1) % 3, 3 * k + (i + 2) % 3, w) for k, w in enumerate(sizes) for i in range(3)]
@@ -258,8 +249,8 @@ def test_planes_with_frequencies_of_their_own(count, compensated):
 
 @pytest.mark.parametrize("freeze", ["structure", "gradient"])
 @pytest.mark.parametrize("stages", [1, 2])
-def test_linear_stages_exchange_rows_for_each_member(stages, freeze):
-    """From small states, whose matrices are near one, to large ones, in any order: each by its own pivots."""
+def test_linear_stages_pivot_for_each_member(stages, freeze):
+    """From small states, with matrices near one, to large ones, in any order."""
     system, method = (
         without_linear(drawn("so(4)", 7, -1)[0]),
         co.ModifiedGaussLegendre(stages, iterations=1, freeze=freeze),
@@ -276,8 +267,8 @@ def test_linear_stages_exchange_rows_for_each_member(stages, freeze):
 
 @pytest.mark.parametrize("algebra", ["so(3)", "so(4)", "A4,7", "sl(2)"])
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
-    """Cut after every step, of one member and of five: what is done at the start alone is not done again."""
+def test_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
+    """Interrupted after every step: initialization is not repeated."""
     method, (system, x0) = SCHEMES[scheme], system_for(scheme, algebra, -1)
     for start in (x0, x0 * np.array([[1.0], [0.75], [-1.0], [0.5], [1.25]])):
         for attitude in {False, attitudes(method, system)[0]}:
@@ -292,8 +283,8 @@ def test_a_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.ExplicitRungeKutta("rk4"), co.GaussLegendre(2)], ids=str)
-def test_a_member_that_fails_keeps_what_it_deviated_until_then(method):
-    """Alone or among others, in the tenths before its end; the others are not told of it."""
+def test_failed_member_keeps_its_drifts(method):
+    """In the tenths before its failure, alone or among others."""
     # x1' = -x1 x2, x2' = -x1^2: beyond x2 = -c, c^2 = x2^2 - x1^2, it blows up, elsewhere x2 goes to c.
     system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}}), co.Quadratic([1.0, -1.0]))
     states = np.column_stack([np.linspace(0.1, 0.2, 9), np.where(np.arange(9) % 4 == 1, -1.0, 0.5)])
@@ -314,8 +305,8 @@ def test_a_member_that_fails_keeps_what_it_deviated_until_then(method):
 
 
 @pytest.mark.parametrize("compensated", [False, True])
-def test_series_of_every_length_side_by_side(compensated):
-    """Small angles take fewer terms and substeps: none of a neighbour's, of which a few in 2^12 would change a bit."""
+def test_series_of_different_lengths_in_lanes(compensated):
+    """Small angles take fewer terms and substeps, independently of neighbouring lanes."""
     system, x0 = drawn("so(4)", 1, -1)
     method = co.Splitting(order=2, compensated=compensated)
     assert Kind.SERIES in method.program(system).state.kind
@@ -332,8 +323,8 @@ AXES = [sense * axis for axis in np.eye(3) for sense in (1.0, -1.0)]
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("x0", [*AXES, np.array([0.6, 0.0, -0.8]), np.array([0.5, -0.75, 0.25])], ids=str)
-def test_a_shifted_run_turns_about_every_axis_in_both_senses(x0, sign):
-    """What a Casimir shift takes off turns the body about its momentum: against the closed form, both ways in time."""
+def test_shifted_runs_about_every_axis(x0, sign):
+    """The Casimir shift turns the body about its momentum: against the closed form, both ways in time."""
     system = so3_body(np.array([1.0, 0.5, 0.25]), sign=sign, name="body", parameters={})
     method = co.Splitting(order=8)
     assert method.program(system).shift
@@ -348,8 +339,8 @@ def test_a_shifted_run_turns_about_every_axis_in_both_senses(x0, sign):
 
 
 @pytest.mark.parametrize("make", [lambda: co.algebras.so(4), lambda: co.algebras.so(5), lambda: co.algebras.su(3)])
-def test_a_shift_is_taken_back_in_every_block(make):
-    """Generators of several frequencies, and sparse ones: against the same run without a shift."""
+def test_shift_is_undone_in_every_block(make):
+    """Generators with several frequencies, and sparse ones, against the run without a shift."""
     algebra, rng = make(), np.random.default_rng(6)
     n = algebra.dim
     M = rng.uniform(0.5, 1.5, n)
@@ -372,7 +363,7 @@ def test_a_shift_is_taken_back_in_every_block(make):
 
 
 @pytest.mark.parametrize("name", list(ALGEBRAS))
-def test_pairs_may_be_given_in_either_order(name):
+def test_brackets_in_either_order_of_the_pair(name):
     """[e_j, e_i] in place of [e_i, e_j], rows shuffled: the same algebra, the same bits."""
     algebra, rng = ALGEBRAS[name](), np.random.default_rng(3)
     i, j, k, c = (column.copy() for column in algebra.triples)
@@ -393,7 +384,7 @@ def test_pairs_may_be_given_in_either_order(name):
         assert co.LieAlgebra(layout(dense)) == algebra
 
 
-def test_arrays_may_have_any_layout():
+def test_arrays_of_any_memory_layout():
     """C, Fortran, and every other row of a larger array: the same bits."""
     system, x0 = drawn("so(4)", 2, -1)
     rng = np.random.default_rng(7)
@@ -425,8 +416,8 @@ def test_arrays_may_have_any_layout():
         assert np.array_equal(alone.attitude, runs[0].attitude[:, m])
 
 
-def test_a_function_may_return_either_layout():
-    """J as it is, and as the transpose of its negative: the same numbers in Fortran order."""
+def test_functions_returning_either_layout():
+    """J, and the same numbers in Fortran order."""
     system, x0 = drawn_bracket(4, -1)
     structure = system.structure_function
 
@@ -449,8 +440,8 @@ def test_a_function_may_return_either_layout():
 
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("seed", range(4))
-def test_members_of_a_batch_in_any_order(seed):
-    """Members of several structures (a shift, other parts, a diagonal M), with attitudes: each has its own bits."""
+def test_batch_members_in_any_order(seed):
+    """Members of several structures (shifted, other parts, diagonal M), with attitudes."""
     rng = np.random.default_rng(seed)
     so4 = co.algebras.so(4)
     energies = [co.Quadratic(rng.uniform(0.5, 1.5, 6)) for _ in range(3)]
@@ -464,9 +455,9 @@ def test_members_of_a_batch_in_any_order(seed):
         run = co.integrate(
             co.batch([systems[m] for m in order]), x0[order], (T0, T0 - 1.0), STEP, attitude=first[order]
         )
-        for place, m in enumerate(order):
-            kept = run.x[:, place], run.attitude[:, place], run.energy[:, place]
-            for one, two in zip(kept, runs.setdefault(int(m), kept), strict=True):
+        for column, m in enumerate(order):
+            found = run.x[:, column], run.attitude[:, column], run.energy[:, column]
+            for one, two in zip(found, runs.setdefault(int(m), found), strict=True):
                 assert np.array_equal(one, two)
     for m, (x, attitude, energy) in runs.items():
         alone = co.integrate(systems[m], x0[m], (T0, T0 - 1.0), STEP, attitude=first[m])
@@ -475,8 +466,8 @@ def test_members_of_a_batch_in_any_order(seed):
 
 
 @pytest.mark.parametrize("method", [co.GaussLegendre(1), co.GaussLegendre(2), co.RadauEnergy(2), co.Taylor(6)], ids=str)
-def test_members_of_a_batch_that_are_sought_alone(method):
-    """Where iterating fails Newton's method has the constants of its member, and so have schemes without lanes."""
+def test_batch_members_solved_by_newtons_method(method):
+    """Newton's method uses the constants of its member, and so do schemes without lanes."""
     systems = [drawn("so(4)", seed, -1)[0] for seed in range(1, 8)]
     systems = [without_linear(system) for system in systems]
     states = np.array([drawn("so(4)", seed, -1)[1] for seed in range(1, 8)])
@@ -486,7 +477,7 @@ def test_members_of_a_batch_that_are_sought_alone(method):
     for m, (system, x0) in enumerate(zip(systems, states, strict=True)):
         alone = co.integrate(system, x0, (0.0, 6 * STEP), STEP, method)
         assert np.array_equal(alone.x, together.x[:, m]) and np.array_equal(alone.energy, together.energy[:, m])
-    # Implicit schemes remember first for how many steps they still take Newton's method.
+    # The first number in the memory of implicit schemes counts the remaining steps by Newton's method.
     runs = [short_run(s, method, x0[None], 0.0, 6 * STEP, 6) for s, x0 in zip(systems, states, strict=True)]
     assert not newton or any(run.state["memory"][0, 0] > 0.0 for run in runs)
 
@@ -500,8 +491,8 @@ PERMUTED = [
 
 
 @pytest.mark.parametrize("name", list(ALGEBRAS))
-def test_axes_in_any_order(name):
-    """Even and odd permutations of the basis: the same motion and coadjoint matrix, in other coordinates."""
+def test_permuted_axes_give_the_permuted_motion(name):
+    """Even and odd permutations: the same motion and coadjoint matrix."""
     system, x0 = drawn(name, 3, -1)
     n, rng = system.dim, np.random.default_rng(11)
     i, j, k, c = system.algebra.triples
@@ -509,8 +500,8 @@ def test_axes_in_any_order(name):
     orders = [rng.permutation(n) for _ in range(4)]
     orders.append(np.r_[orders[0][1::-1], orders[0][2:]])  # of the other parity
     for order in orders:
-        place = np.argsort(order)
-        rows = np.stack([place[i], place[j], place[k], c], axis=1)
+        inverse = np.argsort(order)
+        rows = np.stack([inverse[i], inverse[j], inverse[k], c], axis=1)
         H = co.Quadratic(M[np.ix_(order, order)], linear=linear[order])
         other = co.LiePoissonSystem(co.LieAlgebra(rows, dim=n), H, sign=-1, casimirs={})
         for method in PERMUTED:

@@ -1,4 +1,4 @@
-"""Members of ensembles alone and together: elements, observed quantities, own steps, branches; odd matrices."""
+"""Members of ensembles equal their single runs: group elements, observables, variable steps, branches and matrices."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ def same(found, wanted):
 
 @pytest.mark.parametrize("units", [{0}, {1}, {0, 2}, {1, 2}, set()], ids=str)
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.Taylor(order=8)], ids=str)
-def test_elements_that_begin_at_the_unit_and_elsewhere(units, method):
+def test_initial_elements_at_and_off_the_unit(units, method):
     turned = [expm(0.3 * (m + 1) * BODY.representation[m % 3]) for m in range(3)]
     start = np.stack([np.eye(3) if m in units else g for m, g in enumerate(turned)])
     whole = co.integrate(BODY, STARTS[:3], (1.0, 3.0), 0.125, method, attitude=start, save_every=5)
@@ -33,7 +33,7 @@ def test_elements_that_begin_at_the_unit_and_elsewhere(units, method):
 
 @pytest.mark.parametrize("span", [(0.0, 2.0), (1.5, 3.5), (1.5, -0.5)])
 @pytest.mark.parametrize("members", [1, 2, 5, 11])
-def test_observed_quantities_that_depend_on_time(members, span):
+def test_time_dependent_observables_of_members(members, span):
     def clock(x, t):
         return x[0] + 10.0 * t
 
@@ -48,8 +48,8 @@ def test_observed_quantities_that_depend_on_time(members, span):
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["so(3)", "so(4)", "e(3)"])
 @pytest.mark.parametrize("members", [2, 5, 9])
-def test_schemes_with_own_steps_in_pieces(tmp_path, name, members):
-    """Between two pieces of one member the loop takes the steps of others; an archive has several pieces here."""
+def test_variable_steps_in_pieces(tmp_path, name, members):
+    """Between two pieces of a member the loop advances others; the archive has several pieces."""
     g = {"so(3)": co.algebras.so(3), "so(4)": co.algebras.so(4), "e(3)": co.algebras.e(3)}[name]
     system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(0.4, 1.7, g.dim)), sign=-1)
     x0 = np.random.default_rng(3).uniform(-1.0, 1.0, (members, g.dim)) * (1 + np.arange(members) / 8)[:, None]
@@ -74,7 +74,7 @@ def test_schemes_with_own_steps_in_pieces(tmp_path, name, members):
 
 @dataclass(frozen=True)
 class Euler(co.methods.StepMethod):
-    """Steps that keep nothing."""
+    """Explicit Euler steps, which preserve no invariant."""
 
     order, explicit, symmetric = 1, True, False
 
@@ -90,8 +90,8 @@ class Euler(co.methods.StepMethod):
 @pytest.mark.parametrize(
     ("method", "step"), [(Euler(), 0.25), (co.Taylor(order=2), 0.5), (co.GaussLegendre(1), 0.5)], ids=str
 )
-def test_values_of_many_branches_in_pieces(tmp_path, members, method, step):
-    """The angle in a Casimir winds: in whichever pieces a run is taken, it goes on from the branch that it had."""
+def test_multivalued_casimirs_in_pieces(tmp_path, members, method, step):
+    """The angle in a Casimir winds; each piece continues on the branch of the one before."""
     system = co.LiePoissonSystem(co.algebras.get("A4,6", a=1.0, b=0.0), co.Quadratic((0.0,) * 4, linear=(0, 0, 0, 1.0)))
     [(name, casimir)] = [one for one in system.casimirs.items() if getattr(one[1], "period", 0.0)][:1]
     x0 = np.random.default_rng(9).uniform(0.2, 0.8, (members, 4))
@@ -103,7 +103,7 @@ def test_values_of_many_branches_in_pieces(tmp_path, members, method, step):
     for other in (archived, shown):
         same(other.casimirs[name], plain.casimirs[name])
     same(sparse.casimirs[name], plain.casimirs[name][::16])
-    # Without memory of its branch, it would jump as soon as it has changed by half a period.
+    # Without its branch, it would jump after half a period.
     changes = np.diff(plain.casimirs[name], axis=0)
     assert np.abs(changes).max() < casimir.period / 8
     assert np.abs(plain.casimirs[name][-1] - plain.casimirs[name][0]).min() > 2 * casimir.period
@@ -112,13 +112,13 @@ def test_values_of_many_branches_in_pieces(tmp_path, members, method, step):
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(3), co.Taylor(order=12)], ids=str)
 @pytest.mark.parametrize("direction", [-1, 0, 1])
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_a_function_that_is_zero_at_a_step_has_crossed_once(method, direction, sense):
-    """x1 goes by 1/4 a step, exactly: it is zero to the bit after four of eight steps."""
+def test_zero_at_a_step_is_one_crossing(method, direction, sense):
+    """x1 moves by exactly 1/4 in a step: it is zero after four of eight steps."""
     line = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}})
     system = co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[0.0, sense, 0.0]))
     x0 = np.array([-sense, 0.0, 1.0])
     run = co.integrate(system, x0, (0.0, 2.0), 0.25, method, events=[co.Event(0, direction=direction)])
-    assert run.x[4, 0] == 0.0, "the case must be one that meets the step"
+    assert run.x[4, 0] == 0.0, "this case must be zero at the step"
     wanted = [] if direction == -sense else [1.0]
     assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)
 
@@ -126,8 +126,8 @@ def test_a_function_that_is_zero_at_a_step_has_crossed_once(method, direction, s
 @pytest.mark.thinned(7)
 @pytest.mark.parametrize("N", [31, 32, 33, 34, 35, 47, 64, 65, 66, 67, 70])
 @pytest.mark.parametrize("kind", ["so", "u"])
-def test_steps_of_matrices_of_odd_sizes(kind, N):
-    """Against dense linear algebra, in the algebra and with the spectrum of the start."""
+def test_matrix_steps_of_odd_sizes(kind, N):
+    """Against dense linear algebra."""
     rng = np.random.default_rng(N)
     weights = rng.uniform(0.5, 1.5, (N, N))
     algebra = co.MatrixAlgebra(kind, N)
@@ -145,8 +145,8 @@ def test_steps_of_matrices_of_odd_sizes(kind, N):
 @pytest.mark.parametrize("kind", ["so", "su", "u"])
 @pytest.mark.parametrize("N", [3, 5, 8])
 @pytest.mark.parametrize("stream", ["none", "function", "weights"])
-def test_a_constant_part_of_the_stream(kind, N, stream):
-    """It rotates the matrix by its exponential; a stream that commutes with the matrix adds nothing."""
+def test_constant_part_of_the_stream(kind, N, stream):
+    """It rotates the matrix by its exponential; a stream that commutes with the matrix has no effect."""
     rng, algebra = np.random.default_rng(N), co.MatrixAlgebra(kind, N)
     drawn = rng.standard_normal((2, N, N)) + (1j * rng.standard_normal((2, N, N)) if kind != "so" else 0.0)
     W, field = algebra.projected(drawn)
@@ -163,7 +163,7 @@ def test_a_constant_part_of_the_stream(kind, N, stream):
 
 
 class Explicit(co.methods.StepMethod):
-    """A step from the structure matrix itself; it declares more than it is, so that it can be composed."""
+    """Steps with the structure matrix itself, falsely declared symmetric so that they can be composed."""
 
     order, explicit, symmetric = 2, True, True
 
@@ -177,8 +177,7 @@ class Explicit(co.methods.StepMethod):
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("g", [co.algebras.so(3), co.algebras.e(3), co.algebras.get("A5,3")], ids=str)
 @pytest.mark.parametrize("composed", [False, True])
-def test_compiled_steps_have_the_structure_matrix_and_the_time_of_python(g, sign, composed):
-    """Alone, and as the steps of a composition, each at its own time."""
+def test_compiled_python_steps_use_structure_matrix_and_time(g, sign, composed):
     system = co.LiePoissonSystem(g, co.Quadratic(1.0), sign=sign)
     base, x0, h = Explicit(), np.linspace(0.3, 0.8, g.dim), 0.125
     method = co.Composition(base, (0.25, 0.5, 0.25)) if composed else base

@@ -1,4 +1,4 @@
-"""A part of a step is a step of the same scheme, of its own length: for every scheme, beside any others."""
+"""Partial steps equal full steps of that length, for every scheme and any other members."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def parts_of(system, method, step, attitude=False):
 
 
 def rows_at(ready, step, crowd):
-    """The states of a crowd after the first step of a run, as the loops hold them."""
+    """Return the initial states of an ensemble as rows of the loops."""
     start = ready.start(crowd)
     return start.momenta, ready.loops(step).initial_groups(start.groups) * np.ones((len(crowd), 1))
 
@@ -33,7 +33,7 @@ def rows_at(ready, step, crowd):
 @pytest.mark.thinned(18)
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(("scheme", "case"), SOME)
-def test_part_of_a_step_is_a_step_of_its_length(scheme, case, direction):
+def test_partial_step_equals_a_step_of_its_length(scheme, case, direction):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
     attitude = attitude_of(method, system)
     parts, ready = parts_of(system, method, direction * STEP, attitude)
@@ -47,13 +47,11 @@ def test_part_of_a_step_is_a_step_of_its_length(scheme, case, direction):
             continue
         own, _ = parts_of(system, method, length, attitude)
         whole, element = own.take(momenta[i : i + 1], groups[i : i + 1], times[i : i + 1], lengths[i : i + 1])
-        # Of flows each angle, at most four of a step of this length, is rounded three times more; a step has at most
-        # some hundred of them.
+        # Each angle of a flow, at most four, is rounded three times more; a step has at most some hundred flows.
         bound = 0.0 if abs(length) == STEP else 100 * 3 * 4 * U
         assert np.abs(moved[i] - whole[0]).max() <= bound * size
         if groups.size:
             assert np.abs(turned[i] - element[0]).max() <= bound * (1 + np.abs(element[0]).max())
-        # Alone it has the bits that it has among others.
         alone, there = parts.take(momenta[i : i + 1], groups[i : i + 1], times[i : i + 1], lengths[i : i + 1])
         assert np.array_equal(alone[0], moved[i]) and np.array_equal(there[0], turned[i])
     span = (FROM, FROM + direction * STEP)
@@ -63,7 +61,7 @@ def test_part_of_a_step_is_a_step_of_its_length(scheme, case, direction):
 
 @pytest.mark.thinned(10)
 @pytest.mark.parametrize("scheme", OWNED)
-def test_owners_choose_the_constants(scheme):
+def test_owners_select_the_constants(scheme):
     method = schemes()[scheme]
     bodies = [co.systems.rigid_body((1.0, 2.0, 2.0 + m / 64)) for m in range(40)]
     rng = np.random.default_rng(5)
@@ -77,7 +75,7 @@ def test_owners_choose_the_constants(scheme):
         assert np.array_equal(alone[0], moved[i])
 
 
-def test_members_of_another_structure_and_inputs():
+def test_members_of_other_structures_and_inputs():
     other = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.array([[1.0, 0.1, 0], [0.1, 2.0, 0], [0, 0, 3.0]])))
     plain = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.diag([1.0, 2.0, 3.5])))
     parts, _ = parts_of(co.batch([plain, other, plain]), co.Splitting(order=2), 0.1)
@@ -99,9 +97,7 @@ def test_members_of_another_structure_and_inputs():
         assert np.array_equal(alone[0], moved[row])
 
 
-def test_threads_and_chunks_change_no_bit(monkeypatch):
-    from coadjoint.runs import partial_steps as parts_of_steps
-
+def test_threads_and_chunks_do_not_change_bits(monkeypatch):
     system, method = co.systems.kovalevskaya_top(), co.Splitting(order=4)
     rng = np.random.default_rng(3)
     x, lengths = rng.standard_normal((1000, 6)), rng.uniform(0, 0.1, 1000)
@@ -110,13 +106,13 @@ def test_threads_and_chunks_change_no_bit(monkeypatch):
     none, times = np.empty((1000, 0)), np.zeros(1000)
     once, _ = parts.take(x, none, times, lengths)
     assert np.isnan(once[17]).all() and np.isfinite(np.delete(once, 17, 0)).all()
-    monkeypatch.setattr(parts_of_steps, "MAX_NUMBERS", 1000)
+    monkeypatch.setattr("coadjoint.runs.partial_steps.MAX_NUMBERS", 1000)
     again, _ = parts.take(x, none, times, lengths)
     several, _ = PartialSteps(system, method, ready.loops(0.1), workers=3).take(x, none, times, lengths)
     assert np.array_equal(once, again, equal_nan=True) and np.array_equal(once, several, equal_nan=True)
 
 
-def test_forces_come_along_and_noise_does_not():
+def test_partial_steps_with_forces_and_noise():
     body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
     parts, ready = parts_of(body, co.GaussLegendre(2), 0.1)
     x = np.array([[1.0, 0.2, 0.1]])
@@ -127,20 +123,20 @@ def test_forces_come_along_and_noise_does_not():
     assert np.array_equal(moved[0, :3], run.x[-1]) and moved[0, 3] == run.work["LinearDamping"]["energy"][-1]
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
     bath = spin.with_forces(co.forces.HeatBath(0.1, 0.5, seed=1))
-    with pytest.raises(ValueError, match=r"HeatBath of .* is a noise, drawn once for a step"):
+    with pytest.raises(ValueError, match=r"HeatBath .* noise"):
         parts_of(bath, co.Splitting(), 0.1)
 
 
-def test_a_part_that_fails_says_which():
+def test_failed_partial_step_is_named():
     grows = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0 + np.arange(3.0)))
     parts, _ = parts_of(grows, co.GaussLegendre(2), 0.1)
     x = np.full((2, grows.dim), 1e200)
-    with pytest.raises(co.IntegrationError, match=r"in a part of a step, of length 0.05 from t = 0, .* for member 0"):
+    with pytest.raises(co.IntegrationError, match=r"length 0.05 from t = 0, .*member 0"):
         parts.take(x, np.empty((2, 0)), np.zeros(2), np.full(2, 0.05))
 
 
-def test_bonds_go_alone_and_together():
-    # A whole run turns the bonds of a lattice side by side; a part of a step turns them by their blocks.
+def test_partial_steps_of_bonds():
+    # Full steps turn the bonds of a lattice in lanes, partial steps by blocks.
     lattice = co.systems.spin_lattice("square", (3, 2))
     rng = np.random.default_rng(2)
     x = rng.standard_normal((5, lattice.dim))

@@ -1,4 +1,4 @@
-"""Members side by side have the bits they have alone: states, invariants, largest deviations, failures."""
+"""Members in lanes have the bits of single runs: states, invariants, drifts and failures."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ PAIRS = [(m, c) for m in METHODS for c in cases() if serves(METHODS[m], *cases()
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize(("method", "case"), PAIRS)
 @pytest.mark.parametrize("watch", [True, False])
-def test_a_member_of_a_crowd_is_what_it_is_alone(method, case, watch):
+def test_member_in_lanes_equals_its_single_run(method, case, watch):
     system, x0, _ = all_cases()[case]
     attitude = METHODS[method].properties(system).attitude != "none" and "coadjoint"
 
@@ -68,7 +68,7 @@ def test_a_member_of_a_crowd_is_what_it_is_alone(method, case, watch):
 
 
 @pytest.mark.parametrize("members", [1, 2, 3, 4, 31, 32, 33, 64, 67])
-def test_every_size_of_a_crowd(members):
+def test_ensembles_of_any_size(members):
     system, x0, _ = cases()["e(3), heavy top"]
     states = crowd_around(x0, members)
     span = (0.0, STEPS * STEP)
@@ -77,7 +77,7 @@ def test_every_size_of_a_crowd(members):
         assert_same(crowd, member, co.integrate(system, states[member], span, STEP, save_every=EVERY))
 
 
-def test_angles_of_any_size_side_by_side():
+def test_angles_of_any_size_in_lanes():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     sizes = np.array([1e-200, 1e-9, 0.1, 1.0, 8.0, 1e3, 1e7, 1e12])
     states = np.multiply.outer(np.repeat(sizes, 5), [0.3, -1.0, 0.7])
@@ -86,7 +86,7 @@ def test_angles_of_any_size_side_by_side():
         assert_same(crowd, member, co.integrate(body, states[member], (0.0, 20.0), 1.0))
 
 
-def test_a_member_that_fails_disturbs_no_other():
+def test_failed_member_does_not_affect_others():
     # x1' = -x1 x2, x2' = -x1^2: beyond x2 = -c, c^2 = x2^2 - x1^2, it blows up, elsewhere x2 goes to c.
     algebra = co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}})
     system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, -1.0]))
@@ -114,7 +114,7 @@ def test_a_member_that_fails_disturbs_no_other():
 
 
 @pytest.mark.parametrize("compensated", [False, True])
-def test_a_batch_of_more_members_than_lanes(compensated):
+def test_batch_with_more_members_than_lanes(compensated):
     inertias = [(1.5, 2.0 + 0.01 * k, 3.5) for k in range(70)]
     bodies = [co.systems.rigid_body(inertia=inertia) for inertia in inertias]
     states = crowd_around(np.array([0.3, 1.0, -0.4]), len(bodies))
@@ -125,62 +125,45 @@ def test_a_batch_of_more_members_than_lanes(compensated):
         assert_same(together, member, alone)
 
 
-@pytest.mark.parametrize(
-    "method", [co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(3), co.Taylor(12)], ids=str
-)
-def test_a_group_element_that_overflows_names_its_step_wherever_states_are_saved(method):
-    """The momentum stands still; the step is the first whose element, with every one saved, is not finite."""
+def growing_element():
+    """Return a system and a state at rest, of which the group element grows."""
     g = co.algebras.get("so(2,1)")
     boost = np.eye(3)[int(np.argmax([np.abs(np.linalg.eigvals(g.coadjoint(e)).real).max() for e in np.eye(3)]))]
     system = co.LiePoissonSystem(g, co.Quadratic(0.0, linear=boost))
-    still = next(e for e in np.eye(3) if not np.any(system.vector_field(e)))
+    return system, next(e for e in np.eye(3) if not np.any(system.vector_field(e)))
+
+
+def overflow_of(system, x0, method, **options):
+    with pytest.raises(co.IntegrationError, match="overflowed") as raised:
+        co.integrate(system, x0, (0, 800), 1.0, method, attitude="coadjoint", **options)
+    return raised.value
+
+
+@pytest.mark.parametrize(
+    "method", [co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(3), co.Taylor(12)], ids=str
+)
+def test_overflow_of_a_group_element_names_its_step(method):
+    system, still = growing_element()
     seen = set()
     for save_every, watch, members in ((1, True, 1), (1, False, 5), (7, True, 5), (50, False, 1), (10**6, True, 5)):
-        with pytest.raises(co.IntegrationError, match="overflowed") as raised:
-            co.integrate(
-                system,
-                np.tile(still, (members, 1)),
-                (0, 800),
-                1.0,
-                method,
-                attitude="coadjoint",
-                save_every=save_every,
-                watch=watch,
-            )
-        seen.add(raised.value.step)
+        options = {"save_every": save_every, "watch": watch}
+        seen.add(overflow_of(system, np.tile(still, (members, 1)), method, **options).step)
     assert len(seen) == 1 and 700 < seen.pop() < 720  # log of the largest float64 is 709.8
 
 
 @pytest.mark.parametrize("save_every", [1, 3, 50])
 @pytest.mark.parametrize("watch", [True, False])
-def test_a_group_element_that_overflows_is_not_saved(save_every, watch):
-    """The momentum stands still and its group element grows: alone and in a crowd, nothing is saved of that step."""
-    g = co.algebras.get("so(2,1)")
-    boost = np.eye(3)[int(np.argmax([np.abs(np.linalg.eigvals(g.coadjoint(e)).real).max() for e in np.eye(3)]))]
-    system = co.LiePoissonSystem(g, co.Quadratic(0.0, linear=boost))
-    still = next(e for e in np.eye(3) if not np.any(system.vector_field(e)))
+def test_overflowing_group_element_is_not_saved(save_every, watch):
+    system, still = growing_element()
     x = still * np.array([1.0, 2.0, 3.0])[:, None]
 
-    def failed(x0):
-        with pytest.raises(co.IntegrationError, match="overflowed") as raised:
-            co.integrate(
-                system,
-                x0,
-                (0, 800),
-                1.0,
-                co.Splitting(order=2, parts="coordinates"),
-                attitude="coadjoint",
-                save_every=save_every,
-                watch=watch,
-            )
-        return raised.value
-
-    together = failed(x)
+    method, options = co.Splitting(order=2, parts="coordinates"), {"save_every": save_every, "watch": watch}
+    together = overflow_of(system, x, method, **options)
     first = np.flatnonzero(together.partial.t < together.step)[-1] + 1
     assert np.isfinite(together.partial.attitude[:first]).all() and np.isfinite(together.partial.x[:first]).all()
     assert np.isnan(together.partial.attitude[first:]).all() and np.isnan(together.partial.x[first:]).all()
     for member in range(3):
-        alone = failed(x[member : member + 1])
+        alone = overflow_of(system, x[member : member + 1], method, **options)
         assert alone.step == together.step
         assert np.array_equal(alone.partial.x[:, 0], together.partial.x[:, member], equal_nan=True)
         assert np.array_equal(alone.partial.attitude[:, 0], together.partial.attitude[:, member], equal_nan=True)
