@@ -1,4 +1,4 @@
-"""The command: what it runs, what it says, and its exit status."""
+"""The command `coadjoint`: runs, output, refusals and exit status."""
 
 import dataclasses
 import json
@@ -56,7 +56,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def refused(capsys, *arguments):
-    """Return the one line that the command says when it refuses."""
+    """Return the single line with which the command refuses."""
     assert cli.main(arguments) == 2
     message = capsys.readouterr()
     assert message.out == ""
@@ -77,12 +77,12 @@ def test_examples_run(example, folder, capsys):
         assert dataset.attrs["configuration"] == example.read_text()
 
 
-def test_examples_are_there():
+def test_examples_exist():
     wanted = {"rigid_body", "attitude", "a37", "own_algebra", "polynomial", "heavy_top", "ensemble"}
     assert wanted <= {path.stem for path in EXAMPLES}
 
 
-def test_run_prints_the_drift_and_is_quiet(folder, capsys):
+def test_run_prints_the_drift_unless_quiet(folder, capsys):
     assert cli.main(["run", "body.toml"]) == 0
     message = capsys.readouterr().out
     assert message.startswith("rigid_body, Splitting(order=2")
@@ -94,7 +94,7 @@ def test_run_prints_the_drift_and_is_quiet(folder, capsys):
 
 
 @pytest.mark.long
-def test_outputs_that_the_file_names(folder, capsys):
+def test_outputs_named_in_the_file(folder, capsys):
     (folder / "body.toml").write_text(BODY + '[output]\nfile = "named.zarr"\nfigure = "named.png"\n')
     assert cli.main(["run", "body.toml"]) == 0
     assert (folder / "named.zarr").is_dir()
@@ -106,14 +106,14 @@ def test_outputs_that_the_file_names(folder, capsys):
     ]  # fmt: skip
 
 
-def test_progress_goes_to_the_standard_error(folder, capsys):
+def test_progress_is_written_to_stderr(folder, capsys):
     assert cli.main(["run", "body.toml", "--progress", "--quiet"]) == 0
     message = capsys.readouterr()
     assert message.out == "" and "10 of 10 steps (100 %)" in message.err
 
 
 @pytest.mark.parametrize("name", ["part.nc", "part.zarr"])
-def test_failed_run_leaves_what_it_had(folder, capsys, name):
+def test_failed_run_writes_the_partial_solution(folder, capsys, name):
     assert cli.main(["run", "growing.toml", "--out", name]) == 1
     message = capsys.readouterr()
     assert message.out == ""
@@ -177,12 +177,12 @@ def test_failed_run_without_output(folder, capsys):
         ),
     ],
 )
-def test_refused_in_one_line(folder, capsys, monkeypatch, arguments, message):
+def test_invalid_arguments_are_refused_in_one_line(folder, capsys, monkeypatch, arguments, message):
     monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *args, **kwargs: pytest.fail("the run started"))
     assert refused(capsys, *arguments) == message
 
 
-def test_targets_that_are_no_results_are_not_replaced(folder, capsys):
+def test_other_targets_are_not_replaced(folder, capsys):
     (folder / "other.nc").mkdir()
     (folder / "other.zarr").mkdir()
     (folder / "other.zarr" / "thesis.tex").write_text("dear")
@@ -192,14 +192,14 @@ def test_targets_that_are_no_results_are_not_replaced(folder, capsys):
     assert (folder / "other.zarr" / "thesis.tex").read_text() == "dear"
 
 
-def test_folder_that_cannot_be_written_to(folder, capsys):
+def test_unwritable_folder_is_refused(folder, capsys):
     # /proc takes no files, not even from an administrator.
     message = refused(capsys, "run", "body.toml", "--out", "/proc/run.zarr")
     assert message.startswith("/proc/run.zarr: cannot be written (") and message.endswith("); give another folder")
 
 
 @pytest.mark.long
-def test_certify_prints_writes_and_draws(folder, capsys):
+def test_certify_prints_writes_and_plots(folder, capsys):
     arguments = ["certify", "body.toml", "--steps", "40", "--json", "found.json", "--plot", "found.png"]
     assert cli.main(arguments) == 0
     message = capsys.readouterr()
@@ -210,13 +210,13 @@ def test_certify_prints_writes_and_draws(folder, capsys):
     assert (folder / "found.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_certify_goes_backward_where_the_file_does(folder, capsys):
+def test_certify_uses_the_direction_of_the_file(folder, capsys):
     (folder / "back.toml").write_text(BODY.replace("[0.0, 1.0]", "[1.0, 0.0]"))
     assert cli.main(["certify", "back.toml", "--steps", "10", "--json", "back.json"]) == 0
     assert json.loads((folder / "back.json").read_text())["subject"]["step"] == -0.1
 
 
-def test_certify_has_the_status_1_where_a_declared_property_fails(folder, capsys):
+def test_failed_certificate_has_status_1(folder, capsys):
     @co.methods.register
     @dataclasses.dataclass(frozen=True)
     class SaidSymmetric(co.ModifiedGaussLegendre):
@@ -231,7 +231,7 @@ def test_certify_has_the_status_1_where_a_declared_property_fails(folder, capsys
     assert message.err == "" and message.out.endswith("not passed: a step back undoes a step (fails)\n")
 
 
-def test_certify_cannot_decide_at_rest(folder, capsys):
+def test_certify_at_rest_is_undecidable(folder, capsys):
     (folder / "rest.toml").write_text(BODY.replace("[1.0, 0.1, 0.5]", "[1.0, 0.0, 0.0]"))
     assert cli.main(["certify", "rest.toml", "--steps", "10"]) == 1
     assert "order (not decidable here)" in capsys.readouterr().out
@@ -269,7 +269,7 @@ def test_systems_and_methods_are_listed(capsys):
     )
 
 
-def test_reproduce_prints_the_table_and_where_the_figures_are(folder, capsys, monkeypatch):
+def test_reproduce_prints_the_table_and_the_figures(folder, capsys, monkeypatch):
     row = judge("k", "Lemma 1", "sum", paper="4", criterion="exact", measured="2 + 2 = 4", holds=True)
 
     def experiments(out, echo):

@@ -64,7 +64,8 @@ def test_refused_by_name_outside(name, parameter):
 
 
 def parameters(function):
-    return {key for key, arguments in inspect.signature(function).parameters.items() if arguments.kind is not arguments.VAR_KEYWORD}
+    named = inspect.signature(function).parameters.items()
+    return {key for key, parameter in named if parameter.kind is not parameter.VAR_KEYWORD}
 
 
 def constructors(owner):

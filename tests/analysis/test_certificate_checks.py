@@ -197,7 +197,7 @@ def test_growth_depends_on_the_time_since_the_start(t0, direction):
         assert found.sizes[-1] == pytest.approx(math.sqrt(np.mean(last**2)), rel=1e-12)
         scaled = growth(t0 + direction * since, 1e-6 * deviations[:, ::-1])
         assert scaled.power == pytest.approx(found.power, abs=1e-9)
-    assert growth(t0 + direction * since[:3], deviations[:3]).kind == "not to be told"
+    assert growth(t0 + direction * since[:3], deviations[:3]).kind == "undetermined"
 
 
 @pytest.mark.parametrize("largest", [0.4, -0.4])

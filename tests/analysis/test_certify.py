@@ -267,7 +267,7 @@ def test_growth_is_classified():
     assert growth(-t, 3e-9 * t[:, None]).kind == "linear"
     assert growth(t, np.sin(7.0 * t)[:, None]).kind == "bounded"
     assert growth(t, (t**2)[:, None]).kind == "like t^2.0"
-    assert growth(t, np.zeros((129, 2))).kind == "none in any bit"
+    assert growth(t, np.zeros((129, 2))).kind == "none"
 
 
 def test_slopes_know_how_sure_they_are():

@@ -205,7 +205,7 @@ def test_cheap_variable_steps_save_other_trials(monkeypatch):
         tried.clear()
         chosen = co.choose(co.systems.toda(4), (-0.8, 0.1, -0.2, 0.9, 0.4, 0.35, 0.45), (0.0, 80.0), wanted)
         assert chosen.method.own_steps
-        # Two series make the law; of 20 candidates each other one could be tried.
+        # Two series determine the error model; 18 other candidates remain.
         assert 2 <= len(tried) <= 6
 
 

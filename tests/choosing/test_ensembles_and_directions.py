@@ -260,18 +260,18 @@ def test_lanes_need_many_members_of_small_dimension(members):
 def test_scheme_that_confirmation_makes_expensive_is_replaced(monkeypatch):
     methods = [co.Splitting(order=p) for p in (4, 6, 8)]
     plain = co.choose(BODY, X0, SPAN, 1e-8, methods=methods)
-    asked = []
+    confirmed = []
 
     def expensive(found, goal, bound):
-        asked.append((found.candidate.method, goal, bound))
+        confirmed.append((found.candidate.method, goal, bound))
         return replace(found, steps=100 * found.steps) if found.candidate.method == plain.method else found
 
     monkeypatch.setattr(accuracy, "confirmed_fit", expensive)
     choice = co.choose(BODY, X0, SPAN, 1e-8, methods=methods)
-    assert [method for method, _, _ in asked] == [plain.method, choice.method] and choice.method != plain.method
+    assert [method for method, _, _ in confirmed] == [plain.method, choice.method] and choice.method != plain.method
     costs = [each.cost for each in (choice, *choice.others)]
     assert costs == sorted(costs) and len(costs) == len(plain.others) + 1
-    for _, goal, bound in asked:
+    for _, goal, bound in confirmed:
         assert 0.0 < goal <= bound <= 0.5e-8
 
 

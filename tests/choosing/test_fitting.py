@@ -15,8 +15,8 @@ pytestmark = pytest.mark.sensitive
 NOISE = 1e-13
 
 
-class Given(SimpleNamespace):
-    """A pilot over a window, of a scheme whose errors are `error(steps)`; 60 points."""
+class FixedErrors(SimpleNamespace):
+    """A pilot run of a scheme whose errors are `error(steps)`."""
 
     noise, natural_step, span = NOISE, 0.01, 1.0
     sensitivity = Growth(1.0, 1.0, 1.0)
@@ -36,7 +36,7 @@ class Given(SimpleNamespace):
 
 
 def found_of(error, steps, windows=1.0):
-    pilot = Given(error=error, windows=windows, tried=[])
+    pilot = FixedErrors(error=error, windows=windows, tried=[])
     candidate = SimpleNamespace(
         method=co.Taylor(16),
         cost=lambda trial: 1.0,
@@ -149,7 +149,7 @@ def test_slowly_converging_stages_get_more_steps():
     def cost(trial):
         return trial.iterations
 
-    pilot = Given(error=lambda steps: 0.9 if steps < 100 else (60 / steps) ** 12, windows=1.0, tried=[])
+    pilot = FixedErrors(error=lambda steps: 0.9 if steps < 100 else (60 / steps) ** 12, windows=1.0, tried=[])
     seen = pilot.trial
     pilot.trial = lambda method, steps: seen(method, steps)._replace(iterations=20.0 if steps < 100 else 1.0)
     candidate = SimpleNamespace(**{**vars(found_of(None, 1).candidate), "method": co.GaussLegendre(6), "cost": cost})

@@ -24,7 +24,7 @@ def quickening_gradient(x, t):
 
 
 BODY = co.systems.rigid_body(1.0 / MASSES)
-# A rigid body whose clock runs ever faster: x(t) is that of the body after the time e^t - e^t0.
+# A rigid body with an accelerating clock: x(t) is that of the body after the time e^t - e^t0.
 SYSTEM = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(quickening, quickening_gradient), sign=-1)
 
 

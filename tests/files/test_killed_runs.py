@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 import pytest
-from killed_runs import check_what_is_there, killed
+from killed_runs import check_archive_prefix, killed
 
 import coadjoint as co
 from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
@@ -81,7 +81,7 @@ def test_full_disk_at_any_write(tmp_path, monkeypatch, small_pieces, call, every
                 "from which co.resume continues"
             )
         reached.add(steps)
-        check_what_is_there(path, expected)
+        check_archive_prefix(path, expected)
         found = co.resume(path)
         assert np.array_equal(found.x, expected.x) and not list(path.rglob("*.writing"))
         assert np.array_equal(found.drift()["energy"].tenths, expected.drift()["energy"].tenths)

@@ -1,4 +1,4 @@
-"""Members of a sweep against plain references: grids, random numbers, orbits, rows of files, and bounds of memory."""
+"""Members of sweeps compared with references: grids, random numbers, orbits, rows of files, and memory bounds."""
 
 import math
 from pathlib import Path
@@ -35,7 +35,7 @@ run = {t_span = [0, 1], step = 0.5}
 
 @pytest.fixture
 def swept(tmp_path, monkeypatch):
-    """Load a sweep from a file in another folder than the current one."""
+    """Load a sweep from a file outside the working folder."""
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
 
@@ -55,7 +55,7 @@ def grid_of(swept, kind, ends, count):
 def test_grids_have_both_ends_and_equal_parts(swept, ends, count):
     found, size = grid_of(swept, "linear", ends, count), max(map(abs, ends))
     assert (found[0], found[-1]) == tuple(ends), "exactly"
-    # A product and a sum are rounded here, and as many there, of numbers up to twice the size.
+    # Both sides round a product and a sum of numbers up to twice the size.
     np.testing.assert_allclose(found, np.linspace(*ends, count), rtol=0, atol=8 * 2.0**-53 * size)
     if ends[0] * ends[1] > 0.0:
         found = grid_of(swept, "logarithmic", ends, count)
@@ -66,7 +66,7 @@ def test_grids_have_both_ends_and_equal_parts(swept, ends, count):
             grid_of(swept, "logarithmic", ends, count)
 
 
-def test_grids_of_whole_numbers_stay_whole_where_they_are(swept):
+def test_integer_grids_stay_integers(swept):
     """Parameters such as a seed or a number of spins are integers."""
     assert [type(k) for k in grid_of(swept, "linear", [-2, 4], 4)] == [int] * 4
     assert grid_of(swept, "linear", [-2, 4], 4) == [-2, 0, 2, 4]
@@ -81,7 +81,7 @@ KEYS = (
 
 
 @pytest.mark.parametrize(("kind", "spread"), [("uniform", [0.0, 1.0]), ("normal", [0.0, 1.0])])
-def test_random_numbers_of_different_keys_are_independent(kind, spread):
+def test_random_numbers_of_keys_are_independent(kind, spread):
     found = [random_settings(kind, spread, key, 5, 64, ()) for key in KEYS]
     assert len(set(np.concatenate(found).tolist())) == 64 * len(KEYS), "no number occurs twice"
     # Correlations of 64 independent pairs have the deviation 1/8; five of them are exceeded once in a million.
@@ -90,15 +90,15 @@ def test_random_numbers_of_different_keys_are_independent(kind, spread):
     assert len(set(vectors.ravel().tolist())) == 3 * 64
 
 
-def test_components_of_one_state_are_independent(swept):
+def test_components_of_a_state_are_independent(swept):
     over = '"initial.x[0]" = { uniform = [0, 1] }\n"initial.x[1]" = { uniform = [0, 1] }'
     found = swept(over, "samples = 8\nseed = 3")
     assert found.x0.shape == (8, 3), "random keys go together"
     assert len(set(found.x0[:, :2].ravel().tolist())) == 16 and np.all(found.x0[:, 2] == 3.0)
 
 
-def test_settings_that_are_zero_are_given(swept, tmp_path):
-    """A seed, a column, a value, an end, a mean and a deviation; the first and the last of the settings among them."""
+def test_zero_settings_are_used(swept, tmp_path):
+    """A seed, a column, a value, an end, a mean and a deviation, also as first and last settings."""
     np.save(tmp_path / "table.npy", [[2.5, 9.0], [2.75, 9.0]])
     over = '"initial.x[0]" = { normal = [0, 1] }\n"initial.x[1]" = { uniform = [0, 2] }\n"initial.x[2]" = [0, 5, 0.0]'
     column = '\n"system.parameters.inertia[2]" = { file = "table.npy", column = 0 }'
@@ -115,7 +115,7 @@ def test_settings_that_are_zero_are_given(swept, tmp_path):
     assert np.all(swept('"initial.x[0]" = { normal = [7, 0] }', "samples = 3\nseed = 0").x0[:, 0] == 7.0)
 
 
-def test_orbits_and_spheres_are_made_of_the_normal_numbers():
+def test_orbits_and_spheres_use_normal_numbers():
     normal = random_settings("normal", [0.0, 1.0], "initial.x", 7, 5, (4,))
     np.testing.assert_array_equal(random_settings("orbit", 0.5, "initial.x", 7, 5, (4,)), 0.5 * normal)
     sphere = random_settings("sphere", 3.0, "initial.x", 7, 5, (4,))
@@ -127,8 +127,8 @@ def test_orbits_and_spheres_are_made_of_the_normal_numbers():
 
 
 @pytest.mark.parametrize("first", ["samples", "grid"])
-def test_every_member_moves_on_the_orbit_of_its_own_algebra(swept, first):
-    """Samples and a parameter of the algebra, in either order: exp(ad*) by SciPy is the reference."""
+def test_members_stay_on_orbits_of_their_algebras(swept, first):
+    """Samples and an algebra parameter in either order; exp(ad*) by SciPy is the reference."""
     lines = ['"initial.x" = { orbit = 0.75 }', '"algebra.parameters.a" = [0.5, 1.5]']
     order = lines if first == "samples" else lines[::-1]
     found = swept("\n".join(order), "samples = 3\nseed = 1", SPIRAL)
@@ -142,7 +142,7 @@ def test_every_member_moves_on_the_orbit_of_its_own_algebra(swept, first):
 
 
 def test_orbits_of_large_rotations():
-    """Several turns: each of the pieces, of exponents up to 1, loses a few units of the last place."""
+    """Several turns: each piece, with exponents up to 1, loses a few units of the last place."""
     g, x = co.algebras.so(3), np.array([0.5, -1.0, 2.0])
     for axis in np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [2.0, -3.0, 6.0], [-6.0, 2.0, -3.0]]):
         u = axis / np.linalg.norm(axis)
@@ -154,7 +154,7 @@ def test_orbits_of_large_rotations():
         move_on_orbit(g, x, np.array([1e4, 0.0, 0.0]))
 
 
-def test_whole_numbers_in_the_file_do_not_truncate_what_is_set(swept):
+def test_integers_do_not_truncate_settings(swept):
     np.testing.assert_array_equal(swept('"initial.x[1]" = [7, 0.25]').x0, [[2.0, 7.0, 3.0], [2.0, 0.25, 3.0]])
     found = swept('"system.parameters.inertia[2]" = [2, 2.75]')
     assert [body.parameters["inertia"] for body in found.system] == [(1.0, 2.0, 2.0), (1.0, 2.0, 2.75)]
@@ -169,8 +169,8 @@ def test_states_of_complex_matrices(swept):
     np.testing.assert_array_equal(found.x0, W)
 
 
-def test_files_are_beside_the_configuration(swept, tmp_path):
-    """The state of the file, whose shape random states have, and the settings."""
+def test_paths_are_relative_to_the_configuration(swept, tmp_path):
+    """The state of the file, which gives random states their shape, and the settings."""
     np.save(tmp_path / "state.npy", [1.0, 0.0, 2.0])
     np.save(tmp_path / "table.npy", [[2.5, 0.5], [2.75, 0.25]])
     text = BODY.replace("x = [2, 1, 3]", 'x = "state.npy"')
@@ -191,7 +191,7 @@ def test_files_are_beside_the_configuration(swept, tmp_path):
         ('"forces_of" = [1.0]', "sweep.over.forces_of: only keys within system.parameters"),
         ('"initials.x" = [1.0]', "sweep.over.initials.x: only keys within system.parameters"),
         ('"initial.x[0]" = { file = "table.npy", column = 3 }', "sweep.over.initial.x[0]: 'table.npy' holds an array "
-         "of shape (2, 3), which has no column 3"),
+         "of shape (2, 3)"),
         ('"initial.x" = { file = "empty.npy" }', "sweep.over.initial.x: 'empty.npy' holds an array of shape (0, 3); "
          "its first axis must be the settings"),
         ('"initial.x" = { file = "one.npy" }', "sweep.over.initial.x: 'one.npy' holds an array of shape (); its "),
@@ -204,7 +204,7 @@ def test_files_are_beside_the_configuration(swept, tmp_path):
          "principal moment must be positive (member 3 of the sweep)"),
     ],
 )  # fmt: skip
-def test_refused_with_the_key(swept, tmp_path, over, message):
+def test_errors_have_the_key(swept, tmp_path, over, message):
     for name, array in (("table", np.ones((2, 3))), ("empty", np.ones((0, 3))), ("one", np.ones(()))):
         np.save(tmp_path / f"{name}.npy", array)
     with pytest.raises(ConfigurationError) as error:
@@ -227,13 +227,13 @@ def test_refused_with_the_key(swept, tmp_path, over, message):
         ("samples = 2\nseed = 1", '"initial.x" = { normal = [0, [1, 2]] }', "sweep.over.initial.x: mean or deviation "),
     ],
 )  # fmt: skip
-def test_random_settings_refused_with_the_key(swept, tmp_path, beside, over, message):
+def test_errors_of_random_settings_have_the_key(swept, tmp_path, beside, over, message):
     with pytest.raises(ConfigurationError) as error:
         swept(over, beside)
     assert str(error.value).startswith(f"{tmp_path / 'run.toml'}: {message}"), str(error.value)
 
 
-def test_tables_of_the_file_are_not_changed():
+def test_replacing_values_copies_the_tables():
     raw = {"initial": {"x": [1.0, 2.0]}, "forces": [{"rate": 1.0}]}
     found = replace_values(raw, {"initial.x[1]": 5.0, "forces[0].rate": 2.0, "system.parameters.a": 3}, "run.toml")
     assert found == {"initial": {"x": [1.0, 5.0]}, "forces": [{"rate": 2.0}], "system": {"parameters": {"a": 3}}}
@@ -258,14 +258,14 @@ FULL = [[2.0, 0.1, 0.0], [0.1, 3.0, 0.0], [0.0, 0.0, 4.0]]
         ("swept_settings", "", '"initial.x[0]" = { linear = [0, 1], count = 9 }', 9 * 8),
     ],
 )
-def test_memory_is_asked_for_all_members(swept, monkeypatch, module, beside, over, least):
-    """At least what the numbers need; for bodies, 1000 bytes each."""
-    asked = []
+def test_memory_is_checked_for_all_members(swept, monkeypatch, module, beside, over, least):
+    """At least the size of the numbers; for bodies, 1000 bytes each."""
+    sizes = []
     monkeypatch.setattr(
-        f"coadjoint.files.configuration.{module}.check_available_memory", lambda size, what: asked.append(size)
+        f"coadjoint.files.configuration.{module}.check_available_memory", lambda size, what: sizes.append(size)
     )
     swept(over, beside, BODY.replace("[1.0, 2.0, 2.5]", str(FULL)) if "[[" in over else BODY)
-    assert max(asked) >= least
+    assert max(sizes) >= least
 
 
 def test_coordinates_of_all_kinds_of_settings():
@@ -292,6 +292,6 @@ def test_coordinates_of_all_kinds_of_settings():
     assert found["swept_hamiltonian_M_1_0"][1].tolist() == [3.0, 7.0]
 
 
-def test_the_configuration_is_found_by_a_path(swept, tmp_path):
+def test_configuration_has_its_path(swept, tmp_path):
     found = swept('"initial.x[0]" = [1.0, 2.0]')
     assert Path(found.path) == tmp_path / "run.toml" and found.swept == {"initial.x[0]": [1.0, 2.0]}

@@ -1,4 +1,4 @@
-"""Hidden folders of results that are being written: who may see and remove them, and that nothing stays behind."""
+"""Temporary folders of results: permissions, locks, removal of leftovers, and restored stores."""
 
 import contextlib
 import errno
@@ -19,18 +19,14 @@ from coadjoint.files.output.atomic_output import (
     open_locked,
     remove_leftovers,
 )
+from guards import open_descriptors
 
-STRANGER = 65534
+OTHER_USER = 65534
 AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 
 
-def open_descriptors():
-    """Return the open descriptors of this process; none where the system does not list them."""
-    return set(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").is_dir() else set()
-
-
 def leftover(target, *, ending="0123abcd", lock=True):
-    """Make what a killed run to this target has left."""
+    """Create a leftover of a killed run."""
     folder = target.parent / f"{unfinished._prefix(target)}{ending}"
     folder.mkdir()
     (folder / target.name).write_text("half")
@@ -40,7 +36,7 @@ def leftover(target, *, ending="0123abcd", lock=True):
 
 
 @pytest.mark.parametrize("mask", [0, 0o022])
-def test_nobody_else_sees_what_is_written(tmp_path, mask):
+def test_temporary_folder_is_private(tmp_path, mask):
     old = os.umask(mask)
     try:
         with PendingOutput(tmp_path / "run.nc") as own:
@@ -50,13 +46,13 @@ def test_nobody_else_sees_what_is_written(tmp_path, mask):
         os.umask(old)
 
 
-@pytest.mark.parametrize("how", ["finished", "given up", "failed", "not made", "leftovers"])
-def test_nothing_stays_open_or_registered(tmp_path, how):
+@pytest.mark.parametrize("how", ["finished", "abandoned", "failed", "not created", "leftovers"])
+def test_descriptors_and_cleanups_are_released(tmp_path, how):
     target, before, registered = tmp_path / "run.nc", open_descriptors(), list(interruption._cleanups)
     if how == "leftovers":
         leftover(target)
         remove_leftovers(target)
-    elif how == "not made":
+    elif how == "not created":
         with pytest.raises(FileNotFoundError), PendingOutput(tmp_path / "none" / "run.nc"):
             pass
     elif how == "failed":
@@ -72,7 +68,7 @@ def test_nothing_stays_open_or_registered(tmp_path, how):
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"] * (how == "finished")
 
 
-def test_only_what_is_not_locked_is_removed(tmp_path):
+def test_only_unlocked_leftovers_are_removed(tmp_path):
     target = tmp_path / "run.nc"
     with PendingOutput(target) as own:
         left, begun, other = leftover(target), leftover(target, ending="1"), leftover(tmp_path / "run.zarr")
@@ -83,7 +79,7 @@ def test_only_what_is_not_locked_is_removed(tmp_path):
         assert own.path.parent.is_dir() and other.is_dir()
 
 
-def test_without_a_lock_only_an_empty_folder_is_removed(tmp_path):
+def test_folder_without_a_lock_remains_if_not_empty(tmp_path):
     """Its process may be about to lock it."""
     folder = leftover(tmp_path / "run.nc", lock=False)
     remove_leftovers(tmp_path / "run.nc")
@@ -92,17 +88,17 @@ def test_without_a_lock_only_an_empty_folder_is_removed(tmp_path):
 
 @AS_ROOT
 @pytest.mark.parametrize("what", ["folder", "lock alone"])
-def test_what_another_user_has_left_stays(tmp_path, what):
+def test_leftovers_of_other_users_remain(tmp_path, what):
     folder = leftover(tmp_path / "run.nc")
-    os.chown(folder if what == "folder" else folder / LOCK_FILE, STRANGER, STRANGER)
+    os.chown(folder if what == "folder" else folder / LOCK_FILE, OTHER_USER, OTHER_USER)
     remove_leftovers(tmp_path / "run.nc")
     assert folder.exists() == (what == "folder")
 
 
-def test_links_in_what_was_left_are_removed_and_not_followed(tmp_path):
+def test_links_in_leftovers_are_not_followed(tmp_path):
     target, precious = tmp_path / "run.zarr", tmp_path / "precious"
     precious.mkdir()
-    (precious / "kept").write_text("dear")
+    (precious / "kept").write_text("precious")
     folder = leftover(target)
     for name, to in (("to folder", precious), ("to file", precious / "kept"), ("to nothing", tmp_path / "none")):
         (folder / name).symlink_to(to)
@@ -110,15 +106,15 @@ def test_links_in_what_was_left_are_removed_and_not_followed(tmp_path):
     (folder / "inside" / "link").symlink_to(precious)
     remove_leftovers(target)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["precious"]
-    assert (precious / "kept").read_text() == "dear"
+    assert (precious / "kept").read_text() == "precious"
 
 
 @pytest.mark.parametrize("kind", ["link", "fifo", "folder"])
-def test_a_lock_is_a_regular_file(tmp_path, kind):
-    """A link is not followed, and nobody waits for a pipe; a folder with such a lock is left alone."""
+def test_lock_must_be_a_regular_file(tmp_path, kind):
+    """Links are not followed and pipes not awaited; a folder with such a lock remains."""
     folder, before = leftover(tmp_path / "run.nc", lock=False), open_descriptors()
     if kind == "link":
-        (tmp_path / "kept").write_text("dear")
+        (tmp_path / "kept").write_text("precious")
         (folder / LOCK_FILE).symlink_to(tmp_path / "kept")
     elif kind == "fifo":
         os.mkfifo(folder / LOCK_FILE)
@@ -132,25 +128,25 @@ def test_a_lock_is_a_regular_file(tmp_path, kind):
     assert (folder / "run.nc").exists() and open_descriptors() == before
 
 
-def test_a_lock_that_was_removed_meanwhile_is_not_held(tmp_path, monkeypatch):
+def test_removed_lock_is_not_held(tmp_path, monkeypatch):
     """Otherwise two processes would hold locks of one name."""
-    place, flock, before = tmp_path / LOCK_FILE, fcntl.flock, open_descriptors()
+    path, flock, before = tmp_path / LOCK_FILE, fcntl.flock, open_descriptors()
 
     def removed(descriptor, how):
         flock(descriptor, how)
-        place.unlink()
+        path.unlink()
 
     with monkeypatch.context() as patched:
         patched.setattr(fcntl, "flock", removed)
-        assert open_locked(place, os.O_CREAT) is None
-    held = open_locked(place, os.O_CREAT)
-    assert held is not None and open_locked(place, os.O_CREAT) is None
+        assert open_locked(path, os.O_CREAT) is None
+    held = open_locked(path, os.O_CREAT)
+    assert held is not None and open_locked(path, os.O_CREAT) is None
     os.close(held)
     assert open_descriptors() == before
 
 
-def test_a_file_system_without_locks(tmp_path, monkeypatch):
-    """Results are written there, and nothing is taken for a leftover."""
+def test_file_system_without_locks(tmp_path, monkeypatch):
+    """Results are written there, and nothing counts as a leftover."""
     before = open_descriptors()
 
     def unknown(descriptor, how):
@@ -166,7 +162,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
     assert target.read_text() == "whole" and (folder / "run.nc").exists() and open_descriptors() == before
 
 
-def test_a_replaced_store_comes_back_only_where_no_other_is(tmp_path):
+def test_replaced_store_is_restored_to_a_free_path(tmp_path):
     target = tmp_path / "run.zarr"
     for there in ("folder", "link to nothing", None):
         folder = leftover(target)
@@ -186,11 +182,11 @@ def test_a_replaced_store_comes_back_only_where_no_other_is(tmp_path):
 
 
 @pytest.mark.parametrize("by", ["the run", "the next one"])
-def test_a_replaced_store_stays_where_it_cannot_be_put_back(tmp_path, monkeypatch, by):
-    """Neither the old nor the new content is at the target then: the old one is found later, and restored."""
+def test_unrestorable_store_is_restored_later(tmp_path, monkeypatch, by):
+    """Neither old nor new content is at the target then; the old one is found and restored later."""
     target, replace = tmp_path / "run.zarr", os.replace
     target.mkdir()
-    (target / "old").write_text("dear")
+    (target / "old").write_text("precious")
 
     def full(source, place):
         if Path(place) == target:
@@ -209,11 +205,11 @@ def test_a_replaced_store_stays_where_it_cannot_be_put_back(tmp_path, monkeypatc
         remove_leftovers(target)
         assert not target.exists()
     remove_leftovers(target)
-    assert os.listdir(tmp_path) == ["run.zarr"] and (target / "old").read_text() == "dear"
+    assert os.listdir(tmp_path) == ["run.zarr"] and (target / "old").read_text() == "precious"
 
 
-def cannot_be_removed(folder, kind, monkeypatch):
-    """Change a leftover so that it is not removed, by its kind of obstacle."""
+def obstruct(folder, kind, monkeypatch):
+    """Change a leftover so that it is not removed."""
     if kind in ("pipe", "link", "folder"):
         (folder / LOCK_FILE).unlink()
         {"pipe": os.mkfifo, "link": lambda lock: lock.symlink_to(folder / "run.zarr"), "folder": os.mkdir}[kind](
@@ -223,7 +219,7 @@ def cannot_be_removed(folder, kind, monkeypatch):
         (folder / LOCK_FILE).unlink()
     elif kind == "file":
         shutil.rmtree(folder)
-        folder.write_text("dear")
+        folder.write_text("precious")
     elif kind == "file in use":
         unlink = Path.unlink
 
@@ -244,8 +240,8 @@ OBSTACLES = ["pipe", "link", "folder", "without a lock", "file", "file in use", 
 
 @pytest.mark.parametrize("kind", OBSTACLES)
 @pytest.mark.parametrize("at", [0, 2, 4])
-def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at):
-    """In whatever order the system lists them; a store that was replaced comes back from any of them."""
+def test_undeletable_leftover_does_not_block_the_others(tmp_path, monkeypatch, kind, at):
+    """In any order of the listing; a replaced store is restored from any of them."""
     target, scandir, before = tmp_path / "run.zarr", os.scandir, open_descriptors()
     folders = [leftover(target, ending=str(k)) for k in range(5)]
     one, last = folders[at], folders[-1 if at < 4 else 0]
@@ -263,7 +259,7 @@ def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at
         return contextlib.nullcontext(found)
 
     with monkeypatch.context() as patched:
-        cannot_be_removed(one, kind, patched)
+        obstruct(one, kind, patched)
         with monkeypatch.context() as listed:
             listed.setattr("coadjoint.files.output.atomic_output.os.scandir", in_order)
             remove_leftovers(target)
@@ -274,11 +270,11 @@ def test_one_that_stays_does_not_keep_the_others(tmp_path, monkeypatch, kind, at
     assert open_descriptors() == before
     remove_leftovers(target)
     removable = kind in ("file in use", "folder in use", "gone", "running")
-    assert one.exists() == (not removable), "it is recognized again, when nothing keeps it"
+    assert one.exists() == (not removable), "recognized again without the obstacle"
 
 
-def test_leftovers_of_a_name_that_begins_alike_stay(tmp_path):
-    """The beginning of a long name is in the name of the folder, and its sum."""
+def test_leftovers_of_similar_names_remain(tmp_path):
+    """The folder name contains the beginning of a long name, and its checksum."""
     names = [f"{'a' * 40}{k}.nc" for k in range(2)]
     actual, other = (leftover(tmp_path / name) for name in names)
     remove_leftovers(tmp_path / names[0])
@@ -286,8 +282,8 @@ def test_leftovers_of_a_name_that_begins_alike_stay(tmp_path):
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_folder_that_another_process_takes_is_not_written_to(tmp_path, monkeypatch, times):
-    """It was seen before it was locked; the next one is used, and it is locked."""
+def test_folder_taken_by_another_process_is_not_used(tmp_path, monkeypatch, times):
+    """Another process saw it before it was locked; the next folder is used."""
     taken = []
 
     def lost(path, *args):
@@ -304,7 +300,7 @@ def test_a_folder_that_another_process_takes_is_not_written_to(tmp_path, monkeyp
     assert not os.listdir(tmp_path)
 
 
-def test_a_lock_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
+def test_failed_lock_leaves_nothing(tmp_path, monkeypatch):
     def many(path, *args):
         raise OSError(errno.EMFILE, "Too many open files")
 
@@ -315,8 +311,8 @@ def test_a_lock_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
     assert not os.listdir(tmp_path) and interruption._cleanups == registered
 
 
-def test_a_lock_is_removed_last(tmp_path, monkeypatch):
-    """What is left of a removal that is cut short is still recognized."""
+def test_lock_is_removed_last(tmp_path, monkeypatch):
+    """An interrupted removal leaves a recognizable leftover."""
     folder, removed = leftover(tmp_path / "run.nc"), []
     for name in ("a", "z"):
         (folder / name).touch()
@@ -327,7 +323,7 @@ def test_a_lock_is_removed_last(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", [b"\xff\xfe.nc", "é".encode() * 120 + b".nc", b"a b\n.nc"])
-def test_any_name_of_a_file(tmp_path, name):
+def test_unusual_file_names(tmp_path, name):
     target = tmp_path / os.fsdecode(name)
     with PendingOutput(target) as own:
         own.path.write_text("whole")
@@ -337,8 +333,8 @@ def test_any_name_of_a_file(tmp_path, name):
     assert os.listdir(os.fsencode(tmp_path)) == [name] and target.read_text() == "whole"
 
 
-def test_what_cannot_be_removed_does_not_hide_an_error(tmp_path, monkeypatch):
-    """It is a leftover then, which a later run removes."""
+def test_failed_cleanup_does_not_hide_an_error(tmp_path, monkeypatch):
+    """The folder becomes a leftover, which a later run removes."""
     target = tmp_path / "run.nc"
 
     def busy(path, **kwargs):

@@ -1,4 +1,4 @@
-"""Files are replaced whole: through no link, with nothing left behind, and on disk before they have their name."""
+"""Atomic replacement of files: links are not followed, nothing is left behind, and content is synced first."""
 
 import errno
 import os
@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from coadjoint.files.output import atomic_output as atomic_output
+from coadjoint.files.output import atomic_output
 from coadjoint.files.output.atomic_output import sync_to_disk, write_atomically
 
 NEW, OLD = b"new" * 100, b"old"
 
 
 @pytest.fixture(params=["path", "descriptor", "working folder"])
-def place(request, tmp_path, monkeypatch):
-    """A folder, and what `write_atomically` is given for a file in it, by each way to name it."""
+def target(request, tmp_path, monkeypatch):
+    """Return a folder, and arguments of `write_atomically` for a file in it, for each way to name it."""
     folder = tmp_path / "folder"
     folder.mkdir()
     if request.param == "path":
@@ -30,9 +30,9 @@ def place(request, tmp_path, monkeypatch):
 
 
 def precious(folder):
-    """Make a file elsewhere."""
+    """Create a file elsewhere."""
     path = folder.parent / "precious"
-    path.write_bytes(b"dear")
+    path.write_bytes(b"precious")
     return path
 
 
@@ -51,9 +51,9 @@ THERE = {
 
 @pytest.mark.parametrize("there", THERE)
 @pytest.mark.parametrize("name", ["file", ".file.writing"])
-def test_what_is_there_is_replaced_and_not_followed(place, there, name):
-    """The file itself, and what a killed process has left of another one."""
-    folder, arguments = place
+def test_existing_entries_are_replaced_not_followed(target, there, name):
+    """The file itself, and a leftover of a killed process."""
+    folder, arguments = target
     THERE[there](folder / name)
     old = os.umask(0o007)
     try:
@@ -64,14 +64,14 @@ def test_what_is_there_is_replaced_and_not_followed(place, there, name):
     assert stat.S_ISREG(found.st_mode) and stat.S_IMODE(found.st_mode) == 0o660 and found.st_nlink == 1
     assert os.listdir(folder) == ["file"] and (folder / "file").read_bytes() == NEW
     others = {path.name: path.read_bytes() for path in folder.parent.iterdir() if path.is_file()}
-    assert set(others.values()) <= {b"dear"}
+    assert set(others.values()) <= {b"precious"}
 
 
 @pytest.mark.parametrize("before", [None, OLD])
 @pytest.mark.parametrize("call", ["fsync", "replace", "open"])
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()], ids=["full", "interrupted"])
-def test_a_write_that_fails_changes_nothing(place, monkeypatch, call, error, before):
-    folder, arguments = place
+def test_failed_write_changes_nothing(target, monkeypatch, call, error, before):
+    folder, arguments = target
     if before is not None:
         (folder / "file").write_bytes(before)
 
@@ -85,8 +85,8 @@ def test_a_write_that_fails_changes_nothing(place, monkeypatch, call, error, bef
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == ({} if before is None else {"file": before})
 
 
-def test_the_content_is_on_disk_before_it_has_its_name(place, monkeypatch):
-    folder, arguments = place
+def test_content_is_synced_before_it_is_named(target, monkeypatch):
+    folder, arguments = target
     events, fsync, replace = [], os.fsync, os.replace
 
     def synced(descriptor):
@@ -104,15 +104,15 @@ def test_the_content_is_on_disk_before_it_has_its_name(place, monkeypatch):
     assert events == [("synced", len(NEW), True), "named"]
 
 
-def test_a_missing_folder_is_not_made(tmp_path):
+def test_missing_folder_is_not_created(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_atomically(tmp_path / "none" / "file", NEW)
     assert not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["file", ".file.writing"])
-def test_a_folder_in_the_place_of_a_file_stays(place, name):
-    folder, arguments = place
+def test_folder_at_the_file_path_remains(target, name):
+    folder, arguments = target
     (folder / name).mkdir()
     (folder / name / "inside").write_bytes(OLD)
     with pytest.raises(OSError):
@@ -124,8 +124,8 @@ UNKNOWN = [errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS]
 
 
 @pytest.mark.parametrize("number", [*UNKNOWN, errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EROFS])
-def test_folders_that_a_file_system_cannot_sync(tmp_path, monkeypatch, number):
-    """It does not know the call; a disk that fails or is full does."""
+def test_unsupported_sync_of_folders_is_ignored(tmp_path, monkeypatch, number):
+    """Errors of failing or full disks are raised."""
     synced, descriptor = [], os.open(tmp_path, os.O_RDONLY)
     try:
         with monkeypatch.context() as patched:

@@ -1,4 +1,4 @@
-"""The readers of polynomials and brackets: long input in time that grows with it, and bounds for what it stands for."""
+"""Parsing of polynomials and brackets: linear time, and bounded size of the result."""
 
 import random
 import re
@@ -12,8 +12,8 @@ from coadjoint.files.configuration.construction import parse_polynomial
 from guards import bounded_work
 
 
-def test_long_polynomials_are_read_in_time_that_grows_with_them():
-    # Read term by term into new polynomials, this took hours.
+def test_long_polynomials_are_parsed_in_linear_time():
+    # Adding one polynomial per term would take hours.
     monomials = {(i % 50, i // 50 % 50, i // 2500): i + 1 for i in range(6000)}
     text = " + ".join(f"{c}*x1^{a}*x2^{b}*x3^{d}" for (a, b, d), c in monomials.items())
     with bounded_work():
@@ -21,20 +21,20 @@ def test_long_polynomials_are_read_in_time_that_grows_with_them():
         assert parse_polynomial([[c, list(e)] for e, c in monomials.items()], 3) == co.Polynomial(monomials)
 
 
-def test_terms_add_up_in_the_order_in_which_they_are_written():
+def test_terms_are_added_in_order():
     assert parse_polynomial("0.1*x1 + 0.2*x1 + 0.3*x1 - 1e16*x2 + x2 + 1e16*x2", 2) == co.Polynomial(
         {(1, 0): 0.1 + 0.2 + 0.3, (0, 1): -1e16 + 1 + 1e16}
     )
     assert parse_polynomial("x1 - x1 + 2*x2 - 1/3*x2", 2) == co.Polynomial({(0, 1): Fraction(5, 3)})
 
 
-def test_highest_degree_and_largest_coefficient():
+def test_degree_and_coefficients_are_limited():
     assert parse_polynomial("x1^1000*x2^24", 2).degree == 1024
-    with pytest.raises(ValueError, match="'x1\\^1000\\*x2\\^25' has the degree 1025; there are degrees up to 1024"):
+    with pytest.raises(ValueError, match=r"degree 1025; .*up to 1024"):
         parse_polynomial("x1^1000*x2^25", 2)
     assert parse_polynomial([[1, [1000, 24]]], 2).degree == 1024
     for exponents in ([1000, 25], [25, 1000], [1025, 0], [0, 1025], [600, 425]):
-        with pytest.raises(ValueError, match="has the degree 1025; there are degrees up to 1024"):
+        with pytest.raises(ValueError, match=r"degree 1025; .*up to 1024"):
             parse_polynomial([[1, exponents]], 2)
     largest = int(1.7976931348623157e308)
     assert parse_polynomial(f"{largest}*x1", 1).monomials == {(1,): largest}
@@ -46,7 +46,7 @@ def test_highest_degree_and_largest_coefficient():
                 parse_polynomial(text, 1)
 
 
-def test_more_terms_than_memory(monkeypatch):
+def test_memory_is_checked_for_many_terms(monkeypatch):
     monkeypatch.setattr(
         "coadjoint.algebra.polynomials.formula_parser.check_available_memory",
         lambda count, what: wanted.append((count, what)),
@@ -57,7 +57,7 @@ def test_more_terms_than_memory(monkeypatch):
     assert 1024 * 1100 * 8 < wanted[0][0] < 10 * 1024 * 1100 * 8
 
 
-def test_brackets_of_many_elements_are_read_in_time_that_grows_with_them():
+def test_many_brackets_are_parsed_in_linear_time():
     n = 20000
     basis = [f"e{i + 1}" for i in range(n)]
     lines = [f"[e{i}, e{i + 1}] = {i} e{i + 2} - 1/2*e{n}" for i in range(1, n - 2)]
@@ -66,9 +66,9 @@ def test_brackets_of_many_elements_are_read_in_time_that_grows_with_them():
     assert len(found) == n - 3 and found[10, 11] == {12: 11.0, n - 1: -0.5}
 
 
-def written(k, c, basis, rng):
+def bracket_term(k, c, basis, rng):
     number = {1.0: rng.choice(["", "1 ", "1*", "1.0 "])}.get(c, rng.choice([f"{c} ", f"{c}*", f"{c} * ", f"{c}"]))
-    # A digit behind a number would belong to it.
+    # A digit after a number would belong to it.
     return f"{number} {basis[k]}" if basis[k][0].isalnum() and not basis[k][0].isalpha() else f"{number}{basis[k]}"
 
 
@@ -83,13 +83,15 @@ def written(k, c, basis, rng):
     ],
     ids=repr,
 )
-def test_any_names(basis):
+def test_unusual_basis_names_are_parsed(basis):
     rng = random.Random(repr(basis))
     for _ in range(200):
         i, j = rng.sample(range(5), 2)
         terms = {k: rng.choice([1.0, 2.0, 0.5, 12.0, 3e-5]) for k in rng.sample(range(5), rng.randint(1, 4))}
         signs = [rng.choice("+-") for _ in terms]
-        right = " ".join(f"{s} {written(k, c, basis, rng)}" for s, (k, c) in zip(signs, terms.items(), strict=True))
+        right = " ".join(
+            f"{s} {bracket_term(k, c, basis, rng)}" for s, (k, c) in zip(signs, terms.items(), strict=True)
+        )
         wanted = {k: -c if s == "-" else c for s, (k, c) in zip(signs, terms.items(), strict=True)}
         space = rng.choice(["", " ", "  "])
         line = f"{space}[{space}{basis[i]}{space},{space}{basis[j]}{space}]{space}={space}{right.removeprefix('+ ')}"
@@ -111,7 +113,7 @@ def test_any_names(basis):
         ("", "cannot be parsed from 'its end' on"),
     ],
 )
-def test_no_other_brackets(right, message):
+def test_invalid_brackets_are_refused(right, message):
     with pytest.raises(ValueError) as refused:
         parse_brackets([f"[e1, e2] = {right}"], ["e1", "e2", "e3"])
     assert message in str(refused.value) and len(str(refused.value)) < 300
@@ -130,11 +132,11 @@ def test_no_other_brackets(right, message):
         ("-x1/4 + x2", "-1/4*x1 + x2"),
     ],
 )
-def test_powers_and_quotients_as_python_and_physicists_write_them(text, same):
+def test_notations_of_powers_and_quotients(text, same):
     assert parse_polynomial(text, 2) == parse_polynomial(same, 2)
 
 
-def test_a_quotient_by_a_decimal_number_is_rounded_once():
+def test_decimal_quotients_are_rounded_once():
     assert parse_polynomial("0.3*x1/3", 1).monomials[1,] == 0.3 / 3
     assert parse_polynomial("x1/3", 1).monomials[1,] == Fraction(1, 3)
 
@@ -150,6 +152,6 @@ def test_a_quotient_by_a_decimal_number_is_rounded_once():
         ("x1^2^2", "cannot be parsed from '^2' on"),
     ],
 )
-def test_quotients_that_are_none(text, message):
+def test_invalid_quotients_are_refused(text, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         parse_polynomial(text, 2)

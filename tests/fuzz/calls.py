@@ -103,9 +103,9 @@ def _of_objects():
 def _parameters(function):
     """Return the parameters of a function by name, with a right value where one is known."""
     known = inspect.signature(function).parameters.values()
-    named = [arguments for arguments in known if arguments.kind not in (arguments.VAR_POSITIONAL, arguments.VAR_KEYWORD)]
+    named = [each for each in known if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
     empty = inspect.Parameter.empty
-    return {arguments.name: RIGHT.get(arguments.name, None if arguments.default is empty else arguments.default) for arguments in named}
+    return {each.name: RIGHT.get(each.name, None if each.default is empty else each.default) for each in named}
 
 
 def _all():
@@ -233,6 +233,9 @@ def tried(seed):
         sentences.append("a solution with numbers that are not finite")
 
     shown = ", ".join(
-        [*(short(value, 60) for value in positional), *(f"{key}={short(value, 60)}" for key, value in arguments.items())]
+        [
+            *(short(value, 60) for value in positional),
+            *(f"{key}={short(value, 60)}" for key, value in arguments.items()),
+        ]
     )
     return [f"{name}({shown[:300]}): {sentence}" for sentence in sentences]

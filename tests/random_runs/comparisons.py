@@ -64,7 +64,8 @@ def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
     arguments |= {"events": case.events} | changes
     try:
         with contextlib.redirect_stderr(io.StringIO()):
-            return left_by(co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **arguments), None)
+            solution = co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **arguments)
+            return left_by(solution, None)
     except co.IntegrationError as error:
         return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
 

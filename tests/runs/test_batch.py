@@ -74,8 +74,8 @@ def test_invalid_batches_are_refused(case):
 def test_forces_preserving_different_casimirs_are_refused():
     """Also if the forces have the same names."""
 
-    def damped(*kept):
-        forces = [co.forces.OwnForce(lambda x, t, tau: x, name="drag", keeps_casimirs=one) for one in kept]
+    def damped(*flags):
+        forces = [co.forces.OwnForce(lambda x, t, tau: x, name="drag", keeps_casimirs=one) for one in flags]
         return body(1, 2, 3).with_forces(*forces)
 
     assert len(co.batch([damped(True, False), damped(True, False)])) == 2

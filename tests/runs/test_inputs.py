@@ -85,8 +85,8 @@ def test_run_with_inputs_equals_run_of_a_new_system(scheme, name):
     attitude = False if method.properties(system(name, before)).attitude == "none" else "coadjoint"
     ready = co.prepare(system(name, before), method, STEP, inputs=True, attitude=attitude)
     for span in SPANS:
-        anew = co.integrate(system(name, linear), x, span, STEP, ready.method, attitude=attitude, save_every=3)
-        assert_same(ready.run(x, span, 3, linear=linear), anew)
+        expected = co.integrate(system(name, linear), x, span, STEP, ready.method, attitude=attitude, save_every=3)
+        assert_same(ready.run(x, span, 3, linear=linear), expected)
     own = co.integrate(system(name, before), x, SPANS[0], STEP, ready.method, attitude=attitude)
     assert_same(ready.run(x, SPANS[0]), own)
     if "coordinates" not in scheme:
@@ -146,18 +146,18 @@ def kinds():
 
 def test_hamiltonians_of_all_kinds_with_linear_terms():
     x, new = np.array([0.4, -0.3, 0.5]), np.array([0.6, -0.7])
-    for H, anew in kinds():
+    for H, changed in kinds():
         for method in (co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
             ready = co.prepare(co.LiePoissonSystem(co.algebras.sl(2), H), method, STEP, inputs=(1, 2))
-            expected = co.integrate(co.LiePoissonSystem(co.algebras.sl(2), anew), x, SPANS[0], STEP, ready.method)
+            expected = co.integrate(co.LiePoissonSystem(co.algebras.sl(2), changed), x, SPANS[0], STEP, ready.method)
             assert_same(ready.run(x, SPANS[0], linear=new), expected)
     skew = co.PoissonSystem(
         lambda x: np.array([[0.0, x[2], 0.1], [-x[2], 0.0, x[0]], [-0.1, -x[0], 0.0]]), co.Quadratic(np.ones(3))
     )
     ready = co.prepare(skew, co.GaussLegendre(2), STEP, inputs=True)
     linear = np.array([0.1, 0.2, -0.3])
-    anew = co.PoissonSystem(skew.structure_function, co.Quadratic(np.ones(3), linear=linear))
-    assert_same(ready.run(x, SPANS[0], linear=linear), co.integrate(anew, x, SPANS[0], STEP, co.GaussLegendre(2)))
+    changed = co.PoissonSystem(skew.structure_function, co.Quadratic(np.ones(3), linear=linear))
+    assert_same(ready.run(x, SPANS[0], linear=linear), co.integrate(changed, x, SPANS[0], STEP, co.GaussLegendre(2)))
 
 
 def test_calls_with_inputs_reuse_the_tables(monkeypatch):
@@ -361,10 +361,10 @@ def test_inputs_beyond_the_limit_of_exact_squares(kind):
         )
         new = before.copy()
         new[where] = linear[where]
-        anew = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=new), -1, casimirs={})
+        changed = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=new), -1, casimirs={})
         sol = ready.run(x, SPANS[0], linear=linear[where])
-        assert_same(sol, co.integrate(anew, x, SPANS[0], STEP, ready.method))
-        exact = co.integrate(anew, x, SPANS[0], STEP, co.GaussLegendre(4)).x[-1]
+        assert_same(sol, co.integrate(changed, x, SPANS[0], STEP, ready.method))
+        exact = co.integrate(changed, x, SPANS[0], STEP, co.GaussLegendre(4)).x[-1]
         assert np.abs(sol.x[-1] - exact).max() < 5 * STEP**2
 
 
@@ -393,8 +393,8 @@ def test_inputs_in_any_order_of_coordinates(shape):
     ready = co.prepare(body, co.Splitting(order=2), STEP, inputs={"field": np.reshape((2, 0, 1), shape)})
     found = ready.run(x, SPANS[0], field=field.reshape(2, *shape))
     for m in range(2):
-        anew = co.integrate(with_linear(body, field[m][[1, 2, 0]]), x, SPANS[0], STEP, ready.method)
-        assert np.array_equal(found.x[:, m], anew.x)
+        expected = co.integrate(with_linear(body, field[m][[1, 2, 0]]), x, SPANS[0], STEP, ready.method)
+        assert np.array_equal(found.x[:, m], expected.x)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -449,15 +449,15 @@ def test_events_and_observables_with_inputs_per_member(method, way):
     for m in range(3):
         own = system("e(3)", linear[m])
         options = {"attitude": attitude, "observe": observe}
-        anew = co.integrate(own, x, span, STEP, ready.method, save_every=16, events=events, **options)
+        expected = co.integrate(own, x, span, STEP, ready.method, save_every=16, events=events, **options)
         alone = ready.run(x, span, 16, linear=linear[m], events=events)
         for found in (alone.events, together.events.of(m)):
             for name in ("t", "x", "which", "direction", "attitude"):
-                assert np.array_equal(getattr(found, name), getattr(anew.events, name)), name
-        assert_same(alone, anew)
-        assert alone.t_span == anew.t_span and alone.stats.steps == anew.stats.steps
-        assert np.array_equal(alone.observed["product"], anew.observed["product"])
-        stopped += len(anew.events["end"])
+                assert np.array_equal(getattr(found, name), getattr(expected.events, name)), name
+        assert_same(alone, expected)
+        assert alone.t_span == expected.t_span and alone.stats.steps == expected.stats.steps
+        assert np.array_equal(alone.observed["product"], expected.observed["product"])
+        stopped += len(expected.events["end"])
         seen = co.integrate(own, x, span, STEP, ready.method, t_eval=times, **options)
         assert np.array_equal(between.x[:, m], seen.x) and np.array_equal(between.energy[:, m], seen.energy)
         assert np.array_equal(between.observed["product"][:, m], seen.observed["product"])

@@ -109,7 +109,7 @@ def test_time_dependent_energy():
     back = co.integrate(system, sol.x[-1], (4.0, 2.0), 0.125, method)
     y = method.step(system, sol.x[-1], 4.0, -0.125)
     assert np.abs(back.x[1] - y).max() < 1e-15 and np.abs(back.x[-1] - W).max() < 1e-14
-    # H of (t) is a factor times the energy of the body, which is kept: it follows the factor.
+    # H(t) is a factor times the energy of the body, which is preserved.
     factor = (1.0 + 0.5 * np.cos(sol.t)) / (1.0 + 0.5 * np.cos(2.0))
     assert np.abs(sol.energy / sol.energy[0] - factor).max() < 1e-8
     assert sol.spectrum().std(axis=0).max() < 1e-15

@@ -12,7 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.runs import batch_execution, prepared_run, run
-from coadjoint.runs.solution import MAX_KEPT_NUMBERS, PICKLED_ATTRIBUTES, Solution
+from coadjoint.runs.solution import MAX_STATE_NUMBERS, PICKLED_ATTRIBUTES, Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
@@ -215,7 +215,7 @@ def test_solution_lists_lazy_attributes():
 
 
 def test_solution_of_many_members_drops_their_state():
-    many = np.tile(X, (MAX_KEPT_NUMBERS // 8, 1))
+    many = np.tile(X, (MAX_STATE_NUMBERS // 8, 1))
     sol = co.integrate(BODY, many, (0, 1), 0.1)
     assert set(sol._state.offsets.shapes) == {"worst", "status", "evaluations", "iterations"}
     one = co.integrate(BODY, X, (0, 1), 0.1)

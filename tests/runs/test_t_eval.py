@@ -20,8 +20,8 @@ STEP = 0.125
 
 def kind_of(method):
     """Return the kind of group element that a scheme computes."""
-    kept = (method or co.Splitting()).properties(BODY).attitude
-    return {"none": False, "coadjoint": "coadjoint"}.get(kept, True)
+    kind = (method or co.Splitting()).properties(BODY).attitude
+    return {"none": False, "coadjoint": "coadjoint"}.get(kind, True)
 
 
 def agree(one, other):
@@ -402,24 +402,24 @@ class TestAt:
         times, kind = random_times(*span), kind_of(method)
         x0 = np.random.default_rng(0).standard_normal((3, 3))
         for x in (x0, x0[1]):
-            asked = co.integrate(BODY, x, span, STEP, method, attitude=kind, t_eval=times)
+            direct = co.integrate(BODY, x, span, STEP, method, attitude=kind, t_eval=times)
             for every in (1, 5):
                 sol = co.integrate(BODY, x, span, STEP, method, attitude=kind, save_every=every)
                 mixed = np.random.default_rng(3).permutation(len(times))
                 found = sol.at(times[mixed])
                 assert np.array_equal(found.t, times[mixed])
                 # From a saved point on, five steps of a hundred operations at most: what compensated sums owed is lost.
-                assert np.abs(found.x - asked.x[mixed]).max() < 32 * 50 * U * np.abs(x).max()
+                assert np.abs(found.x - direct.x[mixed]).max() < 32 * 50 * U * np.abs(x).max()
                 if kind:
-                    assert np.abs(found.attitude - asked.attitude[mixed]).max() < 32 * 50 * U
-                assert np.abs(found.energy - asked.energy[mixed]).max() < 32 * 50 * U * 4
+                    assert np.abs(found.attitude - direct.attitude[mixed]).max() < 32 * 50 * U
+                assert np.abs(found.energy - direct.energy[mixed]).max() < 32 * 50 * U * 4
                 at_saved = sol.at(float(sol.t[2]))
                 assert np.array_equal(at_saved.x, sol.x[2])
                 assert agree(at_saved.attitude, sol.attitude[2] if kind else None)
                 assert np.array_equal(at_saved.energy, sol.energy[2]) and isinstance(at_saved.t, float)
-            again = asked.at([times[4], span[1], span[0]])
-            assert np.array_equal(again.x[0], asked.x[4]) and np.array_equal(again.x[2], x)
-            assert np.abs(again.x[1] - asked.x[-1]).max() == 0.0
+            again = direct.at([times[4], span[1], span[0]])
+            assert np.array_equal(again.x[0], direct.x[4]) and np.array_equal(again.x[2], x)
+            assert np.abs(again.x[1] - direct.x[-1]).max() == 0.0
 
     def test_start_and_end_outside_t_eval(self):
         sol = co.integrate(BODY, X, (0, 4), STEP, attitude=True, t_eval=[1.03, 2.07])
@@ -439,7 +439,7 @@ class TestAt:
         """They have states before their ends, and NaN after."""
         event, kind = co.Event(1, terminal=True), "coadjoint"
         x0, times = np.random.default_rng(5).standard_normal((9, 3)), random_times(0.0, end)
-        asked = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, t_eval=times, events=event)
+        direct = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, t_eval=times, events=event)
         sol = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, save_every=7, events=event)
         ends = sol.events.ends(9)
         way = np.sign(end)
@@ -447,7 +447,7 @@ class TestAt:
         some = times[way * times < np.max(way * ends)]
         found = sol.at(some)
         for name in ("x", "energy", "attitude"):
-            one, other = getattr(found, name), getattr(asked, name)[: len(some)]
+            one, other = getattr(found, name), getattr(direct, name)[: len(some)]
             assert np.array_equal(np.isnan(one), np.isnan(other))
             assert np.nanmax(np.abs(one - other)) < 32 * 70 * U * np.abs(x0).max() ** 2
         gone = way * some[:, None] > way * ends

@@ -74,15 +74,15 @@ def test_run_with_torques_equals_run_of_a_new_system(scheme, name):
     attitude = False if method.properties(unforced(name)).attitude == "none" else "coadjoint"
     system = forced(name, before["jets"], before["fins"])
     ready = co.prepare(system, method, STEP, inputs=INPUTS, attitude=attitude)
-    anew = forced(name, after["jets"], after["fins"])
+    changed = forced(name, after["jets"], after["fins"])
     linear = np.linspace(-0.1, 0.1, system.dim)
     linear[[2, 0]] = after["field"]
     H = co.Quadratic(full_matrix(system.dim, system.dim), linear=linear)
-    anew = co.LiePoissonSystem(system.algebra, H, system.sign).with_forces(*anew.forces)
+    changed = co.LiePoissonSystem(system.algebra, H, system.sign).with_forces(*changed.forces)
     for span in SPANS:
         sol = ready.run(x, span, 3, **after)
-        assert_same(sol, co.integrate(anew, x, span, STEP, ready.method, attitude=attitude, save_every=3))
-    assert sol.system.forces == anew.forces and np.array_equal(sol.system.hamiltonian.terms()[0].form.linear, linear)
+        assert_same(sol, co.integrate(changed, x, span, STEP, ready.method, attitude=attitude, save_every=3))
+    assert sol.system.forces == changed.forces and np.array_equal(sol.system.hamiltonian.terms()[0].form.linear, linear)
     assert_same(ready.run(x, SPANS[0]), co.integrate(system, x, SPANS[0], STEP, ready.method, attitude=attitude))
 
 
@@ -126,7 +126,7 @@ def test_threads_share_a_run_and_its_tables(monkeypatch):
     system = forced("so(4)", before["jets"], before["fins"])
     ready = co.prepare(system, co.Splitting(), STEP, inputs=INPUTS, threads=1)
     own = [{key: values[m] for key, values in after.items()} for m in range(8)]
-    anew = [co.integrate(ready.run(x, (0, 1), **one).system, x, (0, 1), STEP, ready.method).x for one in own]
+    expected = [co.integrate(ready.run(x, (0, 1), **one).system, x, (0, 1), STEP, ready.method).x for one in own]
 
     def refuse(*_):
         raise AssertionError
@@ -141,7 +141,7 @@ def test_threads_share_a_run_and_its_tables(monkeypatch):
 
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(work, range(8)))
-    assert all(np.array_equal(x, anew[m]) for m, runs in enumerate(found) for x in runs)
+    assert all(np.array_equal(x, expected[m]) for m, runs in enumerate(found) for x in runs)
 
 
 @pytest.mark.parametrize("h", [0.125, -0.125])
@@ -167,8 +167,8 @@ def test_torque_inputs_beside_functions():
     sl = co.LiePoissonSystem(co.algebras.sl(2), whole).with_forces(wave, co.forces.Torque((0.1, 0.0, 0.0)))
     x, N = np.array([0.4, -0.3, 0.5]), np.array([0.2, 0.7, -0.1])
     sol = co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2"}).run(x, SPANS[0], N=N)
-    anew = sl.system.with_forces(wave, co.forces.Torque(N))
-    assert np.array_equal(sol.x, co.integrate(anew, x, SPANS[0], STEP, co.GaussLegendre(2)).x)
+    changed = sl.system.with_forces(wave, co.forces.Torque(N))
+    assert np.array_equal(sol.x, co.integrate(changed, x, SPANS[0], STEP, co.GaussLegendre(2)).x)
     with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
         co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2", "field": (0,)})
     for label, kind in (("Torque", "Torque"), ("drag", "OwnForce")):

@@ -42,7 +42,7 @@ def finished_vectors(run: Run, vectors: np.ndarray) -> np.ndarray:
     if isinstance(method, FlowMethod):
         read, times = Interpreter(method.program(run.system)), run.times
         rows, last = read.program.rows.section, times.t0 + (times.steps - 1) * times.h
-        read._rows(range(rows[2], rows[3]), run.state["momenta"][0].copy(), times.h, last, None, found)
+        read._apply_rows(range(rows[2], rows[3]), run.state["momenta"][0].copy(), times.h, last, None, found)
     return found
 
 

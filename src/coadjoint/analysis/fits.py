@@ -209,8 +209,8 @@ class Growth(NamedTuple):
     power : float
         The power of time, fitted over the windows; NaN if fewer than three windows have deviations.
     kind : str
-        "bounded", "like sqrt(t)", "linear", or "like t^..."; "none in any bit" if no deviation differs from zero, and
-        "not to be told" if fewer than three windows have deviations.
+        "bounded", "like sqrt(t)", "linear", or "like t^..."; "none" if no deviation differs from zero, and
+        "undetermined" if fewer than three windows have deviations.
     times, sizes : ndarray, shape (windows,)
         Middle and root mean square of each window.
     """
@@ -259,9 +259,9 @@ def growth(t: Floats, deviations: Floats) -> Growth:
     middle, size = np.array(times), np.array(sizes)
     positive = size > 0.0
     if not np.any(positive):
-        return Growth(float("nan"), "none in any bit", middle, size)
+        return Growth(float("nan"), "none", middle, size)
     if np.count_nonzero(positive) < MIN_POINTS:
-        return Growth(float("nan"), "not to be told", middle, size)
+        return Growth(float("nan"), "undetermined", middle, size)
     power = fit_power(middle[positive], size[positive])
     kind = next((name for low, high, name in KINDS if low <= power < high), f"like t^{power:.1f}")
     return Growth(power, kind, middle, size)

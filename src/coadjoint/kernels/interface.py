@@ -60,7 +60,7 @@ PYTHON_CODES: Mapping[str, Mapping[str, int]] = {
 }
 """Codes that Python also defines: complete lists, except for the limits, of which `program` needs some."""
 
-LOOKED_UP_CODES: Mapping[str, Iterable[str]] = {
+REQUIRED_CODES: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
     "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
@@ -134,7 +134,7 @@ def check(description: Description) -> None:
             _check_equal(f"{list_name}.{name}", value, codes.get(list_name, {}).get(name))
         if list_name != "Limit":
             _check_equal(f"{list_name}: names", sorted(values), sorted(codes[list_name]))
-    for list_name, names in LOOKED_UP_CODES.items():
+    for list_name, names in REQUIRED_CODES.items():
         for name in names:
             if name not in codes.get(list_name, {}):
                 _check_equal(f"{list_name}.{name}", "a number", None)

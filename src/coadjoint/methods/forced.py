@@ -120,7 +120,7 @@ class Forced(Method):
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
-        broken_by = tuple(f"{name}: {', '.join(labels)}" for name, kept, labels in broken if kept and labels)
+        broken_by = tuple(f"{name}: {', '.join(labels)}" for name, preserved, labels in broken if preserved and labels)
         return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by)
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:

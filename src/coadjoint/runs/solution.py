@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # Arrays that a solution copies from a large state of a run; a small state is shared, since copying takes a step's time.
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
-MAX_KEPT_NUMBERS = 2**20
+MAX_STATE_NUMBERS = 2**20
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Solution:
             events=run.events,
             _ending=run.ending,
             _saved=run.saved,
-            _state=state if state.numbers.size <= MAX_KEPT_NUMBERS else state.subset(REPORTED_ARRAYS),
+            _state=state if state.numbers.size <= MAX_STATE_NUMBERS else state.subset(REPORTED_ARRAYS),
             _saved_points=saved_points,
             _seconds=run.seconds,
             _times=run.times,
@@ -386,9 +386,9 @@ class Solution:
         if not self.work:
             return self._deviations(0)
         accounted = {invariant for _, invariant in self._accounts}
-        all_kept = accounted == {"energy"}  # the forces keep all Casimirs
+        all_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
         deviations = self._deviations(1 + len(self.casimirs))
-        return {name: drift for name, drift in deviations.items() if all_kept or name in accounted}
+        return {name: drift for name, drift in deviations.items() if all_casimirs or name in accounted}
 
     def change(self) -> dict[str, Drift]:
         """Return the largest change of each invariant from its initial value, by forces and scheme.

@@ -55,12 +55,12 @@ def summarize_system(name: str) -> dict[str, Any]:
     return summary
 
 
-def system_text(told: Mapping[str, Any]) -> str:
+def system_text(summary: Mapping[str, Any]) -> str:
     """Format a description as text.
 
     Parameters
     ----------
-    told : mapping
+    summary : mapping
         From `summarize_system`.
 
     Returns
@@ -73,7 +73,7 @@ def system_text(told: Mapping[str, Any]) -> str:
     >>> print(system_text(summarize_system("riccati")).splitlines()[0])
     riccati(constant=1.0, linear=0.0, quadratic=1.0)
     """
-    return "\n".join(_lines(told))
+    return "\n".join(_lines(summary))
 
 
 def _lines(summary: Mapping[str, Any]) -> Iterator[str]:

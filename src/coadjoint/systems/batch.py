@@ -82,8 +82,8 @@ def _difference(first: Any, other: Any) -> str:
         inner = _difference(first.system, other.system)
         if inner or first.labels != other.labels:
             return inner or f"has the forces {', '.join(other.labels)} and member 0 has {', '.join(first.labels)}"
-        kept_casimirs = [[force.casimirs for force in system.forces] for system in (first, other)]
-        if kept_casimirs[0] != kept_casimirs[1]:
+        preserved_casimirs = [[force.casimirs for force in system.forces] for system in (first, other)]
+        if preserved_casimirs[0] != preserved_casimirs[1]:
             return "has forces that keep other Casimirs than those of member 0"
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:

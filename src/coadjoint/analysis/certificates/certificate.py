@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 HOLDS = "holds"
 FAILS = "fails"
-UNDECLARED_KEPT = "kept though not declared"
+UNDECLARED_PRESERVED = "kept though not declared"
 UNDECLARED_LOST = "not kept, not declared"
 INAPPLICABLE = "not applicable"
 UNDECIDED = "not decidable here"
-VERDICTS = (HOLDS, FAILS, UNDECLARED_KEPT, UNDECLARED_LOST, INAPPLICABLE, UNDECIDED)
+VERDICTS = (HOLDS, FAILS, UNDECLARED_PRESERVED, UNDECLARED_LOST, INAPPLICABLE, UNDECIDED)
 SCHEMA = 1
 """Version of the mapping of a certificate."""
 MAX_WIDTH = 120
@@ -87,7 +87,7 @@ def verdict(claimed: bool, holds: bool | None) -> str:
     """Return the verdict on a property; `holds` is None if the measurement does not decide."""
     if holds is None:
         return UNDECIDED
-    return (HOLDS if holds else FAILS) if claimed else (UNDECLARED_KEPT if holds else UNDECLARED_LOST)
+    return (HOLDS if holds else FAILS) if claimed else (UNDECLARED_PRESERVED if holds else UNDECLARED_LOST)
 
 
 @dataclass(frozen=True, repr=False)

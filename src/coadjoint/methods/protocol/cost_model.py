@@ -187,13 +187,13 @@ class Operations(NamedTuple):
         Number of multiplications of vectors of eight numbers.
     waiting : float
         Number of operations that depend on the previous one.
-    looks : float
+    invariant_terms : float
         Number of terms of invariants that are evaluated after every correction; once if there is none.
     """
 
     vectors: float
     waiting: float
-    looks: float
+    invariant_terms: float
 
 
 def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float = 1.0) -> Work:
@@ -204,7 +204,7 @@ def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float 
             0.0, iterations - substeps
         )
         series = EXPLICIT_STEP_COST + VECTOR_COST * operations.vectors + LATENCY_COST * operations.waiting
-        return substeps * series + INVARIANT_COST * operations.looks * (substeps + corrections)
+        return substeps * series + INVARIANT_COST * operations.invariant_terms * (substeps + corrections)
 
     return Work(cost, in_a_crowd=in_a_crowd)
 
@@ -215,7 +215,8 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
 
     def cost(iterations: float, evaluations: float) -> float:
         count = evaluations / order
-        projection = INVARIANT_COST * operations.looks * (1.0 + FIRST_CORRECTION_COST) + LATENCY_COST * 0.5 * order
+        checks = INVARIANT_COST * operations.invariant_terms * (1.0 + FIRST_CORRECTION_COST)
+        projection = checks + LATENCY_COST * 0.5 * order
         steps = count * (STEP_CONTROL_COST + step.cost(iterations / count, evaluations)) if count > 0.0 else 0.0
         return projection + steps
 

@@ -230,9 +230,6 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     return with_group_element(x, A, attitude)
 
 
-Floats = npt.NDArray[np.float64]
-
-
 def rigid_body_equivalent(
     constants: tuple[float, float, float],
     masses: tuple[float, float, float],

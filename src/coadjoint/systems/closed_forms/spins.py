@@ -55,8 +55,6 @@ def rotate_about(spins: Floats, axis: Floats, t: Floats) -> Floats:
     return spins + np.sin(angle) * np.cross(spins, direction) - 2.0 * np.sin(angle / 2) ** 2 * across
 
 
-Floats = npt.NDArray[np.float64]
-
 MAX_DENSE_SQUARE = 64  # largest number of spins for which the dense |sum S|^2 is given
 # The total spin along n generates rotations of all spins about n; (turn_k)_ab = -eps_kab generates those about axis k.
 ROTATION_GENERATORS = np.array(

@@ -41,10 +41,6 @@ def scale(N: int) -> float:
     return sqrt(N * (N * N - 1) / (16 * pi))
 
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-
-
 def laplacian(N: int) -> tuple[Floats, Floats]:
     """Return L = -sum_a [S_a, [S_a, .]] by diagonal: ``main[i, m]`` for the entry (i, i + m), and couplings `beside`.
 
