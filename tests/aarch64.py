@@ -1,7 +1,7 @@
-"""Compares the bits of runs on aarch64 with those of this machine: `python aarch64.py FOLDER`.
+"""Compare the bits of runs on aarch64 with those of this machine: `python aarch64.py FOLDER`.
 
-The kernels are compiled for aarch64 and run by a Python of Debian for it, under qemu's emulation of a process. Nothing
-is installed on the machine: the packages of Debian and the wheels are unpacked in the folder, and kept there.
+The kernels are compiled for aarch64 and run by a Debian Python in qemu's user emulation. Debian packages and wheels are
+unpacked and cached in the folder; nothing is installed on the machine.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ GLIBC = range(17, 37)
 
 
 def emulator() -> str | None:
-    """Return the command of qemu for processes of aarch64, None where there is none."""
+    """Return the qemu command for aarch64 processes, or None."""
     return shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
 
 
 def missing() -> str:
-    """Return what this machine has not, in one sentence; nothing where all is there."""
+    """Return the missing requirement in one sentence, or an empty string."""
     if platform.machine() == "aarch64":
         return "this machine is an aarch64 itself: `make test` compares its bits"
     if shutil.which(COMPILER) is None or emulator() is None:
@@ -42,7 +42,7 @@ def missing() -> str:
 
 
 def called(command: Sequence[str], **how: object) -> str:
-    """Return what a command prints; what it says goes to the terminal, and a failure ends the process."""
+    """Return the output of a command; errors go to the terminal, and a failure ends the process."""
     done = subprocess.run([*command], stdout=subprocess.PIPE, text=True, check=False, **how)  # type: ignore[call-overload]
     if done.returncode:
         sys.exit(f"{' '.join(command[:4])} ... ended with exit status {done.returncode}\n{done.stdout[-2000:]}")
@@ -50,7 +50,7 @@ def called(command: Sequence[str], **how: object) -> str:
 
 
 def unpacked_python(folder: Path) -> Path:
-    """Return a folder that is the root of a Debian for aarch64 with a Python, made by apt without its database."""
+    """Return the root folder of a Debian for aarch64 with Python, created by apt without its database."""
     root, apt = folder / "root", folder / "apt"
     if not (root / "usr/bin/python3").exists():
         for name in ("lists/partial", "cache/archives/partial"):
@@ -78,7 +78,7 @@ def unpacked_python(folder: Path) -> Path:
 
 
 def unpacked_wheels(folder: Path, version: str) -> Path:
-    """Return a folder with the packages that runs need, as they are built for aarch64."""
+    """Return a folder with the packages of runs, built for aarch64."""
     place = folder / "wheels"
     if not place.exists():
         fitting = ["manylinux2014_aarch64", *(f"manylinux_2_{minor}_aarch64" for minor in GLIBC)]
@@ -105,7 +105,7 @@ def tree_of_kernels(folder: Path) -> Path:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="what is downloaded and built goes here")
+    parser.add_argument("folder", type=Path, help="folder of downloads and builds")
     folder = parser.parse_args().folder.absolute()
     if message := missing():
         print(f"aarch64 skipped: {message}")

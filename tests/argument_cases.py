@@ -1,4 +1,4 @@
-"""Calls in which several arguments are given: systems of several algebras, what a call is given, what is seen of it."""
+"""Calls with several arguments: systems of several algebras, arguments, and recorded outcomes."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,14 +13,14 @@ from scipy.linalg import expm
 import coadjoint as co
 
 MEMBERS, LENGTH, STEP = 5, 3.0, 0.125
-# The largest error of a splitting of order two at this step; members are farther from each other.
+# The largest error of a splitting of order two at this step, less than the distances of members.
 NEAR = 0.1
 ACCURACY = 1e-6
 RNG = np.random.default_rng(12)
 
 
 class World(NamedTuple):
-    """A system, or one for each member as a batch; states, group elements to start from, a coordinate with zeros."""
+    """A system or a batch, with states, initial group elements, and a coordinate with zeros."""
 
     systems: tuple[co.LiePoissonSystem, ...]
     x0: np.ndarray
@@ -78,7 +78,7 @@ class Task:
 
 
 class Inline(distributed.Client):
-    """A client whose tasks have ended when they are submitted."""
+    """A client that runs tasks when they are submitted."""
 
     status, scheduler = "running", SimpleNamespace(address="inproc://")
 
@@ -101,7 +101,7 @@ class Inline(distributed.Client):
 
 @dataclass
 class Case:
-    """What one call is given, and what is seen of it beside its result."""
+    """Arguments of a call, and records beside its result."""
 
     name: str
     way: float
@@ -127,7 +127,7 @@ class Case:
 
     @property
     def start(self):
-        """The group elements that a run begins with."""
+        """The initial group elements."""
         attitude = self.given.get("run attitude", self.world.attitude)
         return np.tile(np.eye(self.world.x0.shape[1]), (MEMBERS, 1, 1)) if isinstance(attitude, str) else attitude
 

@@ -1,4 +1,4 @@
-"""The compiled kernels in a copy of the tree: built as the package is, or by another compiler, or to be looked into."""
+"""Builds of the kernels in a copy of the tree: as in the package, by another compiler, or with sanitizers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Kernels:
         )
 
     def build(self, only: tuple[str, ...] = ()) -> str:
-        """Compile all sources, or those named, and link; return what the compiler said if it refused."""
+        """Compile all sources, or those named, and link; return the errors of the compiler, or an empty string."""
         self.objects.mkdir(exist_ok=True)
         chosen = [path for path in self.sources if not only or path.name in only]
 
@@ -70,20 +70,20 @@ class Kernels:
         return self._link(chosen)
 
     def _link(self, first: Sequence[Path] = ()) -> str:
-        # Of a template that several sources have made, the linker takes the first: that of a changed source.
+        # Of several instances of a template the linker takes the first: that of a changed source.
         order = [*first, *(path for path in self.sources if path not in first)]
         objects = [str(self._object(path)) for path in order]
         return _called([*self.compiler, *self.linking, "-shared", "-pthread", *objects, "-o", self.library])
 
     def restore(self, only: tuple[str, ...], stored: dict[str, bytes]) -> None:
-        """Put back the objects that a defect replaced, and the library as it was."""
+        """Restore the objects that a defect replaced, and the library."""
         for name in only:
             self._object(Path(name)).write_bytes(stored[name])
         if message := self._link():
             raise RuntimeError(f"the kernels cannot be linked again: {message}")
 
     def keep(self, only: tuple[str, ...]) -> dict[str, bytes]:
-        """Return the objects of some sources, to put them back."""
+        """Return the objects of some sources, for `restore`."""
         return {name: self._object(Path(name)).read_bytes() for name in only}
 
     def _object(self, path: Path) -> Path:

@@ -6,7 +6,7 @@ import coadjoint as co
 
 
 def acting(*matrices: Any) -> co.LieAlgebra:
-    """The algebra of commuting matrices that act on R^m: their basis elements come last, D of each is its matrix."""
+    """Return the algebra of commuting matrices that act on R^m, whose basis elements come last."""
     m = len(matrices[0])
     brackets = {}
     for number, D in enumerate(matrices):

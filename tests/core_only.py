@@ -1,4 +1,4 @@
-"""A Python in which only the requirements of the core can be imported, whatever else is installed."""
+"""Python processes that import this package, with all installed packages or only the requirements of the core."""
 
 import os
 import subprocess
@@ -16,7 +16,7 @@ import sys
 KNOWN = ...
 
 class Hiding:
-    # Answers for a finder of the interpreter, as if only the core and the standard library were installed.
+    # Wraps a finder of the interpreter, as if only the core and the standard library were installed.
     def __init__(self, finder):
         self.finder = finder
 
@@ -25,7 +25,7 @@ class Hiding:
 
     def find_spec(self, name, path=None, target=None):
         package = name.partition(".")[0]
-        # sysconfig has a module of this platform's name.
+        # sysconfig imports a module named after the platform.
         known = package in sys.stdlib_module_names | KNOWN or package.startswith("_sysconfigdata")
         return self.finder.find_spec(name, path, target) if known else None
 
@@ -34,6 +34,12 @@ sys.meta_path[:] = [Hiding(finder) for finder in sys.meta_path]
 
 
 def run_with_the_core(code, *arguments, folder=None, also=()):
-    """Run Python code with only the core, and packages that are named, importable; return the finished process."""
+    """Run Python code with only the core and some named packages importable; return the finished process."""
     command = [sys.executable, "-c", HIDE.replace("...", repr(CORE | set(also))) + code, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=folder, env=ENVIRONMENT)
+
+
+def run_python(code, *arguments, timeout=200):
+    """Run Python code with all packages importable; return the finished process."""
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=ENVIRONMENT)

@@ -1,4 +1,4 @@
-"""Hamiltonians that several tests share."""
+"""Hamiltonians shared by several tests."""
 
 from __future__ import annotations
 

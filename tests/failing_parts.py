@@ -1,4 +1,4 @@
-"""Parts of steps that fail, though the whole steps do not."""
+"""Failures of parts of steps whose whole steps succeed."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from coadjoint.runs.partial_steps import PartialSteps
 
 
 def failing_parts(monkeypatch, member, start):
-    """Let parts of the step of a member fail that begins at some time."""
+    """Let parts of one step of a member fail."""
     attempt = PartialSteps.attempt
 
     def some_fail(self, momenta, groups, times, lengths, owners=None, watched=False):

@@ -1,4 +1,4 @@
-"""What nobody should give, and somebody does."""
+"""Hostile values of arguments."""
 
 from fractions import Fraction
 

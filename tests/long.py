@@ -1,4 +1,4 @@
-"""Tests that say again what shorter ones say, for more seeds, schemes or compilers: `make long` runs them."""
+"""Marks of long tests, which repeat shorter ones for more seeds, schemes or compilers (`make long`)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def thin(items: Iterable[pytest.Item]) -> None:
 
 
 def _may_be_thinned(item: pytest.Item) -> bool:
-    """Return whether a test is marked, has cases, and is not to be repeated under other settings with all of them."""
+    """Return whether a test is marked, has cases, and is neither long nor sensitive."""
     marks = {mark.name for mark in item.iter_markers()}
     return "thinned" in marks and not marks & {"long", "sensitive"} and hasattr(item, "callspec")
 
@@ -68,7 +68,7 @@ def _thin_one(cases: Sequence[Any], share: int) -> None:
 
 
 def _key(value: Any) -> Hashable:
-    """Return what stands for a value of a parameter in a dictionary."""
+    """Return a hashable key of a parameter value."""
     return value if isinstance(value, str | float | int) else repr(value)
 
 

@@ -1,4 +1,4 @@
-"""Moments of a distribution of q and p, of degrees 2 and 4, those of degree 6 being zero: a Lie algebra of rank six."""
+"""The Lie algebra of moments of degrees 2 and 4 of a distribution of q and p, of rank six."""
 
 import coadjoint as co
 

@@ -1,7 +1,7 @@
-"""Runs tests and random runs on kernels that are built to find their own faults: `python sanitize.py KIND`.
+"""Run tests and random runs on kernels built with sanitizers: `python sanitize.py KIND`.
 
-address: reads and writes outside of arrays, and what C++ leaves undefined, over the tests of kernels, methods and runs,
-and 300 random runs. threads: two threads at one place, over random ensembles. Building takes some minutes.
+address: out-of-bounds accesses and undefined behaviour, over the tests of kernels, methods and runs, and 300 random
+runs. threads: data races, over random ensembles. Building takes some minutes.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pathlib import Path
 from building import Kernels
 
 ROOT = Path(__file__).parents[1]
-LEVEL = 3  # of the wide instructions those that every processor of today has
+LEVEL = 3  # instructions of all current processors
 QUICK = ["-O1", "-march=x86-64-v3", "-mtune=generic", "-g1", "-DCOADJOINT_UNROLLED=2"]
 OPTIONS = {
     "address": ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"],
     "threads": ["-fsanitize=thread"],
 }
-# The interpreter is no part of what is looked into: what it leaves to the end of the process is no leak of the kernels.
+# The interpreter is not checked: memory that it frees at exit is no leak of the kernels.
 SETTINGS = {
     "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:allocator_may_return_null=1",
     "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1",
@@ -31,11 +31,11 @@ SETTINGS = {
     "COADJOINT_LEVEL": f"v{LEVEL}",
     "PYTHONMALLOC": "malloc",
 }
-# The C library frees what a thread that has ended kept for itself, and waits for that in a way that is not seen.
+# The C library frees thread-local memory by a synchronization that the sanitizer does not see.
 SUPPRESSIONS = "race:_dl_deallocate_tls\n"
 PRELOADED = {"address": ("libasan.so", "libubsan.so", "libstdc++.so.6"), "threads": ("libtsan.so", "libstdc++.so.6")}
 PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
-# Processes of their own are started by tests of interrupts and of the command; memory is refused there as it is here.
+# Tests of interrupts and of the command, which start processes, are omitted.
 COMMANDS = {
     "address": [
         [*PYTEST, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
@@ -46,7 +46,7 @@ COMMANDS = {
 
 
 def library_of_compiler(name: str) -> str:
-    """Return where the compiler keeps a library."""
+    """Return the path of a library of the compiler."""
     found = subprocess.run(["g++", f"-print-file-name={name}"], capture_output=True, text=True, check=True)
     return found.stdout.strip()
 

@@ -1,4 +1,4 @@
-"""A system that a scheme serves, with a state: a body where that will do, else a fluid of small matrices."""
+"""A system and a state that a scheme can integrate: a rigid body if possible, otherwise a small matrix fluid."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ FLUID = co.systems.torus_euler(N=5)
 
 
 def serves(method, system):
-    """Whether a scheme takes a system, as it says itself."""
+    """Return whether a scheme accepts a system."""
     try:
         method.properties(system)
     except ValueError:

@@ -30,7 +30,7 @@ t_span = [0.0, 1.0]
 step = 0.1
 """
 
-# [e1, e2] = e2 with H = x1 gives x2' = x2: the number overflows at t = 709.78, in step 710.
+# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78, in step 710.
 GROWING = """
 sign = -1
 [algebra]
@@ -58,10 +58,10 @@ def folder(tmp_path, monkeypatch):
 def refused(capsys, *arguments):
     """Return the single line with which the command refuses."""
     assert cli.main(arguments) == 2
-    message = capsys.readouterr()
-    assert message.out == ""
-    assert message.err.endswith("\n") and message.err.count("\n") == 1
-    return message.err[:-1]
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.endswith("\n") and output.err.count("\n") == 1
+    return output.err[:-1]
 
 
 @pytest.mark.thinned(2)
@@ -69,9 +69,9 @@ def refused(capsys, *arguments):
 def test_examples_run(example, folder, capsys):
     target = folder / "run.zarr"
     assert cli.main(["run", str(example), "--out", str(target)]) == 0
-    message = capsys.readouterr()
-    assert message.err == ""
-    assert message.out.endswith(f"written: {target}\n")
+    output = capsys.readouterr()
+    assert output.err == ""
+    assert output.out.endswith(f"written: {target}\n")
     with xarray.open_zarr(target) as dataset:
         assert dataset["x"].notnull().all()
         assert dataset.attrs["configuration"] == example.read_text()
@@ -84,10 +84,10 @@ def test_examples_exist():
 
 def test_run_prints_the_drift_unless_quiet(folder, capsys):
     assert cli.main(["run", "body.toml"]) == 0
-    message = capsys.readouterr().out
-    assert message.startswith("rigid_body, Splitting(order=2")
-    assert "10 steps of 0.1" in message and "over every step" in message
-    assert [line.split()[0] for line in message.splitlines()[2:]] == ["energy", "|x|^2"]
+    output = capsys.readouterr().out
+    assert output.startswith("rigid_body, Splitting(order=2")
+    assert "10 steps of 0.1" in output and "over every step" in output
+    assert [line.split()[0] for line in output.splitlines()[2:]] == ["energy", "|x|^2"]
     assert cli.main(["run", "body.toml", "--quiet", "--out", "run.nc"]) == 0
     assert capsys.readouterr().out == ""
     assert (folder / "run.nc").is_file()
@@ -108,16 +108,16 @@ def test_outputs_named_in_the_file(folder, capsys):
 
 def test_progress_is_written_to_stderr(folder, capsys):
     assert cli.main(["run", "body.toml", "--progress", "--quiet"]) == 0
-    message = capsys.readouterr()
-    assert message.out == "" and "10 of 10 steps (100 %)" in message.err
+    output = capsys.readouterr()
+    assert output.out == "" and "10 of 10 steps (100 %)" in output.err
 
 
 @pytest.mark.parametrize("name", ["part.nc", "part.zarr"])
 def test_failed_run_writes_the_partial_solution(folder, capsys, name):
     assert cli.main(["run", "growing.toml", "--out", name]) == 1
-    message = capsys.readouterr()
-    assert message.out == ""
-    assert message.err == (
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err == (
         "growing.toml: the run failed: in step 710, at t = 709, a number overflowed; take a smaller step than 1; "
         f"the solution so far is in {name}\n"
     )
@@ -185,15 +185,15 @@ def test_invalid_arguments_are_refused_in_one_line(folder, capsys, monkeypatch, 
 def test_other_targets_are_not_replaced(folder, capsys):
     (folder / "other.nc").mkdir()
     (folder / "other.zarr").mkdir()
-    (folder / "other.zarr" / "thesis.tex").write_text("dear")
+    (folder / "other.zarr" / "thesis.tex").write_text("precious")
     assert refused(capsys, "run", "body.toml", "--out", "other.nc") == "other.nc: is a folder; give the name of a file"
     message = "other.zarr: exists and is not a Zarr store, so it is not replaced; give another name"
     assert refused(capsys, "run", "body.toml", "--out", "other.zarr") == message
-    assert (folder / "other.zarr" / "thesis.tex").read_text() == "dear"
+    assert (folder / "other.zarr" / "thesis.tex").read_text() == "precious"
 
 
 def test_unwritable_folder_is_refused(folder, capsys):
-    # /proc takes no files, not even from an administrator.
+    # Nobody can create files in /proc.
     message = refused(capsys, "run", "body.toml", "--out", "/proc/run.zarr")
     assert message.startswith("/proc/run.zarr: cannot be written (") and message.endswith("); give another folder")
 
@@ -202,9 +202,9 @@ def test_unwritable_folder_is_refused(folder, capsys):
 def test_certify_prints_writes_and_plots(folder, capsys):
     arguments = ["certify", "body.toml", "--steps", "40", "--json", "found.json", "--plot", "found.png"]
     assert cli.main(arguments) == 0
-    message = capsys.readouterr()
-    assert message.err == ""
-    assert "passed: every declared property holds\nwritten: found.json\nwritten: found.png\n" in message.out
+    output = capsys.readouterr()
+    assert output.err == ""
+    assert "passed: every declared property holds\nwritten: found.json\nwritten: found.png\n" in output.out
     read = json.loads((folder / "found.json").read_text())
     assert read["passed"] is True and read["subject"]["steps"] == 40 and read["subject"]["step"] == 0.1
     assert (folder / "found.png").read_bytes().startswith(b"\x89PNG")
@@ -219,16 +219,16 @@ def test_certify_uses_the_direction_of_the_file(folder, capsys):
 def test_failed_certificate_has_status_1(folder, capsys):
     @co.methods.register
     @dataclasses.dataclass(frozen=True)
-    class SaidSymmetric(co.ModifiedGaussLegendre):
+    class DeclaredSymmetric(co.ModifiedGaussLegendre):
         symmetric = True
 
     try:
-        (folder / "false.toml").write_text(BODY + '[method]\nname = "SaidSymmetric"\n')
+        (folder / "false.toml").write_text(BODY + '[method]\nname = "DeclaredSymmetric"\n')
         assert cli.main(["certify", "false.toml", "--steps", "10"]) == 1
     finally:
-        co.methods.registry.forget("SaidSymmetric")
-    message = capsys.readouterr()
-    assert message.err == "" and message.out.endswith("not passed: a step back undoes a step (fails)\n")
+        co.methods.registry.forget("DeclaredSymmetric")
+    output = capsys.readouterr()
+    assert output.err == "" and output.out.endswith("not passed: a step back undoes a step (fails)\n")
 
 
 def test_certify_at_rest_is_undecidable(folder, capsys):
@@ -302,7 +302,7 @@ def test_help_and_version(capsys):
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["systems"]])
-def test_light_commands_load_nothing_heavy(arguments):
+def test_light_commands_load_no_heavy_packages(arguments):
     code = (
         "import sys; from coadjoint.cli import main; status = main(sys.argv[1:]); "
         "heavy = [m for m in ('numba', 'matplotlib', 'xarray', 'pydantic') if m in sys.modules]; "
@@ -313,7 +313,7 @@ def test_light_commands_load_nothing_heavy(arguments):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_as_a_module(folder):
+def test_module_runs_the_command(folder):
     environment = {**os.environ, "PYTHONPATH": str(SOURCE)}
     command = [sys.executable, "-m", "coadjoint", "run", "none.toml"]
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
@@ -321,22 +321,22 @@ def test_as_a_module(folder):
     assert done.stderr == "none.toml: cannot be read (No such file or directory)\n"
 
 
-def test_systems_says_all_of_one(folder, capsys):
-    assert cli.main(["systems", "gyrostat", "--json", "told.json"]) == 0
-    message = capsys.readouterr()
-    assert message.err == "" and message.out.startswith("gyrostat(inertia=(1.0, 2.0, 3.0), rotors=(0.25, 0.5, 0.75))")
-    assert "so(3); dimension 3, rank 2" in message.out and "mass times length squared over time" in message.out
-    assert message.out.endswith("written: told.json\n")
-    assert json.loads((folder / "told.json").read_text())["casimirs"] == {"|x|^2": "x1^2 + x2^2 + x3^2"}
+def test_systems_describes_one_system(folder, capsys):
+    assert cli.main(["systems", "gyrostat", "--json", "described.json"]) == 0
+    output = capsys.readouterr()
+    assert output.err == "" and output.out.startswith("gyrostat(inertia=(1.0, 2.0, 3.0), rotors=(0.25, 0.5, 0.75))")
+    assert "so(3); dimension 3, rank 2" in output.out and "mass times length squared over time" in output.out
+    assert output.out.endswith("written: described.json\n")
+    assert json.loads((folder / "described.json").read_text())["casimirs"] == {"|x|^2": "x1^2 + x2^2 + x3^2"}
 
 
-def test_gallery_draws_and_writes_a_page(folder, capsys):
-    assert cli.main(["gallery", "so_n_body", "so_n_body", "--out", "seen/here"]) == 0
-    message = capsys.readouterr()
-    assert message.err == ""
-    assert message.out.splitlines() == ["1 of 1: so_n_body", f"written: {Path('seen/here/index.html')}"]
-    assert sorted(p.name for p in (folder / "seen/here").iterdir()) == ["index.html", "so_n_body.png"]
-    assert (folder / "seen/here/so_n_body.png").read_bytes().startswith(b"\x89PNG")
+def test_gallery_writes_plots_and_a_page(folder, capsys):
+    assert cli.main(["gallery", "so_n_body", "so_n_body", "--out", "out/here"]) == 0
+    output = capsys.readouterr()
+    assert output.err == ""
+    assert output.out.splitlines() == ["1 of 1: so_n_body", f"written: {Path('out/here/index.html')}"]
+    assert sorted(p.name for p in (folder / "out/here").iterdir()) == ["index.html", "so_n_body.png"]
+    assert (folder / "out/here/so_n_body.png").read_bytes().startswith(b"\x89PNG")
 
 
 WITH_PARAMETERS = {name for name in entries() if parameters_of(name)}
@@ -350,16 +350,16 @@ def test_algebras_are_listed(capsys):
     assert "so(p,q)         a family; give the numbers, such as so(3,1)" in lines
 
 
-def test_an_algebra_is_described(capsys):
+def test_algebra_is_described(capsys):
     assert cli.main(["algebras", "A5,23", "b=1/2"]) == 0
     found = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:] if line[0] != " ")
     assert found["dimension"] == "5" and found["brackets"] == "[e1, e5] = 2 e1"
     assert "2*log|x4| - b*log|x1|" in found["casimirs"]
     for name in co.algebras.names():
-        # Without its numbers a family is refused, and what has parameters.
-        asked = name.endswith(("n)", "q)")) or name in WITH_PARAMETERS
-        assert cli.main(["algebras", name]) == (2 if asked else 0)
-        assert ("dimension " in capsys.readouterr().out) is not asked
+        # Families without numbers and algebras without parameters are refused.
+        incomplete = name.endswith(("n)", "q)")) or name in WITH_PARAMETERS
+        assert cli.main(["algebras", name]) == (2 if incomplete else 0)
+        assert ("dimension " in capsys.readouterr().out) is not incomplete
 
 
 @pytest.mark.parametrize(
@@ -374,7 +374,7 @@ def test_an_algebra_is_described(capsys):
         (("A5,23", "b=0"), "b"),
     ],
 )
-def test_no_such_algebra(capsys, arguments, message):
+def test_invalid_algebras_are_refused(capsys, arguments, message):
     assert cli.main(["algebras", *arguments]) == 2
     given = capsys.readouterr()
     assert given.out == "" and given.err.startswith("coadjoint: ") and message in given.err

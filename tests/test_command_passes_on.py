@@ -1,4 +1,4 @@
-"""Options of the command reach the library, what a run would refuse `check` refuses, and errors have their status."""
+"""Options of the command reach the library; `check` refuses as `run` does; errors determine the exit status."""
 
 import inspect
 import json
@@ -51,7 +51,7 @@ def folder(tmp_path, monkeypatch):
         (FLUID, 'movie = "none/a.gif"', "output.movie: none/a.gif: the folder none does not exist"),
     ],
 )
-def test_check_refuses_what_run_refuses(folder, capsys, monkeypatch, text, line, message):
+def test_check_refuses_as_run_does(folder, capsys, monkeypatch, text, line, message):
     monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *args, **kwargs: pytest.fail("it ran"))
     (folder / "held.zarr").mkdir()
     (folder / "run.toml").write_text(f"{text}[output]\n{line}\n")
@@ -61,7 +61,7 @@ def test_check_refuses_what_run_refuses(folder, capsys, monkeypatch, text, line,
         assert (found.out, found.err.count("\n")) == ("", 1) and found.err.startswith(f"run.toml: {message}"), found.err
 
 
-def test_an_option_is_checked_before_the_run_and_goes_before_the_file(folder, capsys, monkeypatch):
+def test_options_are_checked_early_and_override_the_file(folder, capsys, monkeypatch):
     (folder / "held").mkdir()
     (folder / "run.toml").write_text(BODY + '[output]\nfile = "a.csv"\narchive = "none/a"\nfigure = "a.txt"\n')
     arguments = ["run", "run.toml", "--out", "b.nc", "--figure", "b.svg", "--archive"]
@@ -76,8 +76,8 @@ def test_an_option_is_checked_before_the_run_and_goes_before_the_file(folder, ca
     assert lines[-3:] == ["written: b.zarr", "written: b.nc", "written: b.svg"]
 
 
-def test_movies_of_systems_with_forces(folder, monkeypatch, capsys):
-    """The picture is that of the system without forces."""
+def test_movies_of_forced_systems(folder, monkeypatch, capsys):
+    """The movie is that of the unforced system."""
     made = []
     monkeypatch.setattr(co.Solution, "movie", lambda run, path: made.append(path.name))
     forces = '[[forces]]\nname = "Viscosity"\nnu = 0.1\n'
@@ -87,8 +87,8 @@ def test_movies_of_systems_with_forces(folder, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("end", [None, 2.0, 0.0])
-def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
-    """An end at the time zero is an end like any other."""
+def test_resume_options_are_passed(folder, capsys, monkeypatch, end):
+    """An end at time zero is a valid end."""
     times = [] if end is None else ["--t-end", str(end)]
     (folder / "many.toml").write_text(ENSEMBLE.replace("[0.0, 1.0]", "[-1.0, -0.5]"))
     assert cli.main(["run", "many.toml", "--archive", "a.zarr", "--quiet"]) == 0
@@ -105,7 +105,7 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
     assert {key: calls[0][key] for key in ("t_end", "threads", "workers", "progress")} == {
         "t_end": end, "threads": 3, "workers": 2, "progress": True
     }  # fmt: skip
-    assert calls[0]["system"] is None, "rebuilt from its record"
+    assert calls[0]["system"] is None, "rebuilt from the record"
     assert capsys.readouterr().out.endswith("written: a.zarr\n")
     assert co.open_archive("a.zarr").t[-1] == (-0.5 if end is None else end)
     assert cli.main(["resume", "a.zarr", "--quiet"]) == 0
@@ -133,15 +133,15 @@ def test_options_of_resume_reach_it(folder, capsys, monkeypatch, end):
         (["systems", ""], "unknown system ''"),
         (["methods", ""], "unknown method ''"),
         (["algebras", ""], "unknown algebra ''"),
-        (["gallery", "", "--out", "seen"], "unknown system ''"),
+        (["gallery", "", "--out", "out"], "unknown system ''"),
     ],
 )
-def test_an_option_that_is_zero_or_empty_is_given(folder, capsys, monkeypatch, arguments, message):
-    """It is refused, and neither the default nor what the file says takes its place."""
+def test_zero_and_empty_options_are_used(folder, capsys, monkeypatch, arguments, message):
+    """They are refused instead of replaced by the default or the file."""
     text = BODY + '[output]\nfile = "a.nc"\nfigure = "a.png"\n'
     (folder / "run.toml").write_text(text)
     co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.5), (0, 1), 0.1, archive="held.zarr")
-    if arguments[0] != "resume":  # which repeats the first step before
+    if arguments[0] != "resume":  # resume repeats the first step
         monkeypatch.setattr("coadjoint.runs.run.Run.advance", lambda *args, **kwargs: pytest.fail("it ran"))
     assert cli.main(arguments) == 2
     found = capsys.readouterr()
@@ -150,7 +150,7 @@ def test_an_option_that_is_zero_or_empty_is_given(folder, capsys, monkeypatch, a
 
 
 @pytest.mark.parametrize("span", [(0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (3.0, 2.0), (-1.0, -2.0)])
-def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
+def test_certify_uses_the_whole_file(folder, monkeypatch, capsys, span):
     text = BODY.replace("[0.0, 1.0]", str(list(span))) + '[method]\nname = "Splitting"\norder = 4\n'
     (folder / "run.toml").write_text(text)
     arguments = {}
@@ -170,7 +170,7 @@ def test_certify_has_all_of_the_file(folder, monkeypatch, capsys, span):
     }
 
 
-def test_targets_of_certify_are_checked_first(folder, monkeypatch, capsys):
+def test_certify_targets_are_checked_first(folder, monkeypatch, capsys):
     monkeypatch.setattr(
         "coadjoint.analysis.certificates.certify.certify", lambda *args, **kwargs: pytest.fail("it ran")
     )
@@ -195,7 +195,7 @@ def test_targets_of_certify_are_checked_first(folder, monkeypatch, capsys):
         ("movie", ["run", "fluid.toml", "--movie", "a.gif"]),
     ],
 )
-def test_results_that_cannot_be_written_are_one_line(folder, monkeypatch, capsys, writer, arguments, reason):
+def test_unwritable_results_are_one_line(folder, monkeypatch, capsys, writer, arguments, reason):
     def fail(*args):
         raise reason
 
@@ -248,7 +248,7 @@ def test_selftest_counts_and_prints(monkeypatch, capsys):
         (output.OutputError("a.nc: is a folder"), 2, "a.nc: is a folder"),
     ],
 )
-def test_errors_have_their_status(monkeypatch, error, status, message):
+def test_exit_status_of_errors(monkeypatch, error, status, message):
     def fail(*args):
         raise error
 
@@ -256,7 +256,7 @@ def test_errors_have_their_status(monkeypatch, error, status, message):
     assert commands.perform(["methods"]) == (status, message)
 
 
-def test_warnings_follow_only_a_success(monkeypatch):
+def test_warnings_are_printed_after_success(monkeypatch):
     import warnings
 
     def warned(*args):
@@ -274,7 +274,7 @@ def test_warnings_follow_only_a_success(monkeypatch):
         assert commands.perform(["methods"]) == (2, "coadjoint: ValueError: wrong")
 
 
-def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
+def test_long_wait_warning_with_closed_stderr(monkeypatch):
     from coadjoint.long_operations import warn_if_long
 
     class Closed:
@@ -290,7 +290,7 @@ def test_a_long_wait_is_told_although_standard_error_is_closed(monkeypatch):
         assert commands.perform(["methods"]) == (0, "")
 
 
-def test_interrupts_and_missing_packages_have_their_status(monkeypatch, capsys):
+def test_exit_status_of_interrupts_and_missing_packages(monkeypatch, capsys):
     for error, status, message in (
         (KeyboardInterrupt(), 130, "coadjoint: interrupted\n"),
         (ImportError("a is missing"), 2, "coadjoint: a is missing\n"),
@@ -301,7 +301,7 @@ def test_interrupts_and_missing_packages_have_their_status(monkeypatch, capsys):
         assert capsys.readouterr() == ("", message)
 
 
-def test_the_summary_of_what_is_shown(folder, capsys):
+def test_summary_shows_changes_and_balances(folder, capsys):
     forced = '[[forces]]\nname = "LinearDamping"\nrate = 0.1\n'
     for text, heading in (
         (BODY, "largest deviation from the start, over every step:"),
@@ -325,7 +325,7 @@ def test_the_summary_of_what_is_shown(folder, capsys):
             assert numbers == [f"{number:.3g}" for number in wanted]
 
 
-def test_a_name_without_a_balance_has_no_number(capsys):
+def test_missing_balance_is_printed_as_nan(capsys):
     stats = SimpleNamespace(steps=1, seconds=0.5)
     sol = SimpleNamespace(
         system=co.systems.rigid_body(), method="Splitting", stats=stats, step=0.1, watched=True, work={"a": {}},
@@ -337,7 +337,7 @@ def test_a_name_without_a_balance_has_no_number(capsys):
     ]  # fmt: skip
 
 
-def test_a_driven_energy_is_marked(capsys):
+def test_driven_energy_is_marked(capsys):
     H = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
     driven = co.LiePoissonSystem(co.algebras.so(3), H, name="a" * 199)
     stats = SimpleNamespace(steps=1, seconds=0.5)
@@ -354,7 +354,7 @@ def test_a_driven_energy_is_marked(capsys):
 @pytest.mark.parametrize(
     ("text", "value"), [("b=0.5", 0.5), ("b=1/4", 0.25), ("b=5e-1", 0.5), ("b=25E-2", 0.25), ("b=-1/2", -0.5)]
 )
-def test_numbers_of_parameters(text, value):
+def test_parameter_numbers_are_parsed(text, value):
     assert commands._parameter(text) == ("b", value)
 
 
@@ -363,18 +363,18 @@ def test_numbers_of_parameters(text, value):
     ["b", "b=", "b=x", "b=1/0", "b=1e400", "b=1E400", "b=-1E+400", "b=1e1/2", "b=nan", f"b={'1' * 60}", "b=0x10",
      "b=1e-x"],
 )  # fmt: skip
-def test_parameters_that_are_none(text):
+def test_invalid_parameters_are_refused(text):
     with pytest.raises(ValueError, match="is not a parameter; give name and number"):
         commands._parameter(text)
 
 
-def test_the_schema_is_readable_text(capsys):
+def test_schema_is_readable_text(capsys):
     assert cli.main(["schema"]) == 0
     shown = capsys.readouterr().out
     assert "\\u" not in shown.replace("\\u0000", "") and json.loads(shown)
 
 
-def test_options_of_each_command_are_suggested(capsys):
+def test_misspelled_options_are_suggested(capsys):
     for arguments, near in ((["certify", "--stepps", "3"], "--steps"), (["resume", "--tend", "3"], "--t-end"),
                             (["gallery", "--uot", "a"], "--out"), (["systems", "--jsn", "a"], "--json")):  # fmt: skip
         assert cli.main(arguments) == 2

@@ -1,5 +1,6 @@
-"""With NumPy, SciPy and python-flint alone: what they are enough for works, and the rest says what to install."""
+"""The package without its extras: core functions work, and others name the package to install."""
 
+import re
 import textwrap
 
 import pytest
@@ -21,18 +22,18 @@ x0 = np.array([1.0, 0.2, 0.1])
 
 
 def printed(code, folder=None):
-    """Return what code prints that runs with the core alone."""
+    """Return the lines that code prints without the extras."""
     done = run_with_the_core(START + textwrap.dedent(code), folder=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
 
-def test_the_extras_cannot_be_imported_here():
+def test_extras_cannot_be_imported():
     code = "import importlib.util\nprint([name for name in NAMES if importlib.util.find_spec(name)])"
     assert printed(code.replace("NAMES", repr([*EXTRAS, "mpmath", "pytest", "setuptools"]))) == ["[]"]
 
 
-def test_every_public_name_arrives():
+def test_public_names_are_available():
     assert printed("print(sum(getattr(co, name) is not None for name in co.__all__) == len(co.__all__))") == ["True"]
 
 
@@ -58,7 +59,7 @@ def test_runs_and_steps_of_polynomial_systems():
     assert lines[-1] == "(101, 2, 3, 3) True"
 
 
-def test_a_scheme_is_chosen():
+def test_scheme_is_chosen():
     code = """
     sol = co.integrate(body, x0, (0.0, 10.0), accuracy=1e-9)
     print(np.abs(sol.x[-1] - body.exact(x0, 10.0)).max() < 1e-9, co.choose(body, x0, (0.0, 10.0), 1e-9).step > 0)
@@ -67,8 +68,8 @@ def test_a_scheme_is_chosen():
 
 
 @pytest.mark.long
-def test_every_ready_made_system_and_every_known_algebra_runs():
-    """Also those whose Casimirs are no polynomials: their formulas are compiled with the kernels."""
+def test_ready_made_systems_and_algebras_run():
+    """Also with non-polynomial Casimirs, whose formulas are compiled with the kernels."""
     code = """
     for name in co.systems.names():
         system = co.systems.get(name, **({"inertia": (1.0, 2.0, 3.0)} if name == "rigid_body" else {}))
@@ -80,7 +81,7 @@ def test_every_ready_made_system_and_every_known_algebra_runs():
                 x0, method = system.algebra.projected(system.from_vector(0.1 * x0)), None
             sol = co.integrate(system, x0, (0.0, 0.1), 0.01, method)
         except ImportError as error:
-            # Those with functions of Python say which extra compiles them.
+            # Python functions need an extra to be compiled.
             called = ("double_spherical_pendulum", "satellite", "sklyanin")
             assert name in called and "coadjoint[functions]" in str(error), name
             continue
@@ -116,79 +117,66 @@ def test_exact_algebra():
             "s = co.LiePoissonSystem(co.algebras.so(3), H)\n"
             "print(s.energy(x0) == x0[0] ** 4, s.vector_field(x0).shape)\n"
             "co.integrate(s, x0, (0.0, 1.0), 0.1, co.GaussLegendre(1))",
-            'the gradient of the Hamiltonian, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
+            r'the gradient of the Hamiltonian, a Python function, needs the package numba, .*"coadjoint\[functions\]"',
         ),
         (
             "H = co.Separable({0: (lambda y: y ** 4, lambda y: 4 * y ** 3)})\n"
             "co.stepper(co.LiePoissonSystem(co.algebras.so(3), H), co.Splitting(), 0.1)(x0)",
-            'the gradient of the Hamiltonian, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
+            r'the gradient of the Hamiltonian, a Python function, needs the package numba, .*"coadjoint\[functions\]"',
         ),
         (
             "J = lambda x: np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])\n"
             "s = co.PoissonSystem(J, co.Quadratic([1.0, 2.0, 3.0]))\n"
             "co.prepare(s, co.GaussLegendre(1), 0.1).run(x0, (0.0, 1.0))",
-            'the structure matrix, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
+            r'the structure matrix, a Python function, needs the package numba, .*"coadjoint\[functions\]"',
         ),
         (
             "co.integrate(body, x0, (0.0, 1.0), 0.1, observe={'square': lambda x: x[0] ** 2})",
-            'the value of square, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
+            r'the value of square, a Python function, needs the package numba, .*"coadjoint\[functions\]"',
         ),
         (
             "co.integrate(body, x0, (0.0, 1.0), 0.1).plot()",
-            'drawing a solution needs the package matplotlib, which is not installed; '
-            'install it with: pip install "coadjoint[plot]"',
+            r'drawing a solution needs the package matplotlib, .*"coadjoint\[plot\]"',
         ),
         (
             "co.integrate(body, x0, (0.0, 1.0), 0.1).to_xarray()",
-            'a dataset of a solution needs the package xarray, which is not installed; '
-            'install it with: pip install "coadjoint[io]"',
+            r'a dataset of a solution needs the package xarray, .*"coadjoint\[io\]"',
         ),
         (
             "co.integrate(body, x0, (0.0, 1.0), 0.1, progress=True)",
-            'progress=True needs the package tqdm, which is not installed; '
-            'install it with: pip install "coadjoint[cli]"',
+            r'progress=True needs the package tqdm, .*"coadjoint\[cli\]"',
         ),
         (
             "from coadjoint.choosing import accuracy\n"
             "accuracy.choose = None\n"
             "co.integrate(body, x0, (0.0, 1.0), accuracy=1e-9, progress=True)",
-            'progress=True needs the package tqdm, which is not installed; '
-            'install it with: pip install "coadjoint[cli]"',
+            r'progress=True needs the package tqdm, .*"coadjoint\[cli\]"',
         ),
         (
             "from coadjoint.files.output.output_files import check_target\ncheck_target('run.nc')",
-            'run.nc: NetCDF needs the packages xarray, h5netcdf and h5py, which are not installed; '
-            'install them with: pip install "coadjoint[io]"',
+            r'run.nc: NetCDF needs the packages xarray, h5netcdf and h5py, .*"coadjoint\[io\]"',
         ),
         (
             "from coadjoint.files.output.output_files import check_target\ncheck_target('run.zarr')",
-            'run.zarr: Zarr needs the packages xarray and zarr, which are not installed; '
-            'install them with: pip install "coadjoint[io]"',
+            r'run.zarr: Zarr needs the packages xarray and zarr, .*"coadjoint\[io\]"',
         ),
         (
             "from coadjoint.files.output.output_files import FIGURES, check_target\ncheck_target('run.png', FIGURES)",
-            'run.png: a figure needs the package matplotlib, which is not installed; '
-            'install it with: pip install "coadjoint[plot]"',
+            r'run.png: a figure needs the package matplotlib, .*"coadjoint\[plot\]"',
         ),
         (
             "from coadjoint.files.configuration.configuration import load\nload('body.toml')",
-            'reading a configuration file needs the package pydantic, which is not installed; '
-            'install it with: pip install "coadjoint[io]"',
+            r'reading a configuration file needs the package pydantic, .*"coadjoint\[io\]"',
         ),
         (
             "from coadjoint.experiments.reich1993 import reproduce\nreproduce('figures')",
-            'repeating the experiments needs the packages numba and matplotlib, which are not installed; '
-            'install them with: pip install "coadjoint[functions,plot]"',
+            r'repeating the experiments needs the packages numba and matplotlib, .*"coadjoint\[functions,plot\]"',
         ),
     ],
     ids=lambda value: value.partition(" needs")[0] if "needs" in value else "",
 )  # fmt: skip
-def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code, message):
-    """And nothing has run, nor been written."""
+def test_missing_package_is_named_with_its_extra(tmp_path, code, message):
+    """Nothing has run or been written."""
     watched = (
         "from coadjoint.runs.run import Run\n"
         "from coadjoint.optional_packages import MissingPackageError\n"
@@ -201,23 +189,20 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code,
     lines = printed(watched, folder=tmp_path)
     if code.startswith("H = co.Hamiltonian"):
         assert lines.pop(0) == "True (3,)"
-    assert lines[0] == message
+    assert re.fullmatch(message, lines[0])
     assert EXTRAS[lines[1]] in message
-    # A solution must be there before it can be drawn.
+    # Plots and datasets need a solution.
     assert lines[2] == ("1" if code.endswith((".plot()", ".to_xarray()")) else "0")
     assert [path.name for path in tmp_path.iterdir()] == ["body.toml"]
 
 
-def test_the_command_says_one_line_and_ends_with_status_2(tmp_path):
+def test_command_without_click_has_status_2(tmp_path):
     done = run_with_the_core("from coadjoint.cli import run\nrun()", "systems", folder=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == (
-        "coadjoint: the command coadjoint needs the package click, which is not installed; "
-        'install it with: pip install "coadjoint[cli]"\n'
-    )
+    assert re.fullmatch(r'coadjoint: .* needs the package click, .*"coadjoint\[cli\]"\n', done.stderr)
 
 
-def test_a_step_of_ones_own_is_a_call_of_python_then():
+def test_own_steps_are_python_calls():
     code = """
     import dataclasses, warnings
     @dataclasses.dataclass(frozen=True)
@@ -227,11 +212,11 @@ def test_a_step_of_ones_own_is_a_call_of_python_then():
             return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
         def step(self, system, x, t, h):
             return x + h * system.vector_field(x, t)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         sol = co.integrate(body, np.array([x0, 2 * x0]), (0.0, 1.0), 0.1, Euler())
-    print(sol.x.shape, len(said))
-    print(said[0].message)
+    print(sol.x.shape, len(warned))
+    print(warned[0].warned)
     """
     first, second = printed(code)
     assert first == "(11, 2, 3) 1"

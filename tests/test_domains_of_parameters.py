@@ -1,4 +1,4 @@
-"""Every constructor accepts the values at the edge of the documented domain of a parameter, and names it beyond."""
+"""Constructors accept values at the edges of documented domains, and name the parameter outside them."""
 
 import inspect
 import re
@@ -19,25 +19,25 @@ from domains.of_systems import SYSTEMS
 PARTS = {**HAMILTONIANS, **OWN_SYSTEMS, **FORCES, **SCHEMES, **EVENTS}
 CASES = {**SYSTEMS, **STATES, **ALGEBRAS, **CATALOGUE, **PARTS}
 PARAMETERS = [(name, parameter) for name, case in CASES.items() for parameter in case.domains]
-# Made by the library, or not made of parameters with a domain of their own.
+# Created by the library, or without parameters of their own.
 RESULTS = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LongWait",
            "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section",
            "Solution"}  # fmt: skip
-# Functions of a system and a scheme that exist already; their arguments are in tests/test_hostile_input.py.
+# Functions of existing systems and schemes; their arguments are in tests/test_hostile_input.py.
 USES = {"certify", "choose", "corrector", "ensemble", "frequencies", "integrate", "load", "lyapunov", "modified_field",
         "modified_hamiltonian", "open_archive", "phase_drift", "predicted_drift", "prepare", "resume", "section",
         "stepper", "suggest_step"}  # fmt: skip
-# Base classes of schemes, and what is refused only when such a scheme is used.
+# Base classes of schemes, and parts that are checked only when a scheme is used.
 BASES = {"Coefficients", "CompiledStepMethod", "FlowMethod", "Method", "Operations", "RungeKuttaMethod", "StepMethod",
          "Sweep", "compile_step", "register"}  # fmt: skip
-# Examples of a scheme, and a form whose arrays are taken as they are.
-NOT_READ = {"examples", "from_entries"}
+# Examples of a scheme, and a form whose arrays are not checked.
+UNCHECKED = {"examples", "from_entries"}
 LOOKED_UP = {"get", "names"}
 
 
 @pytest.mark.filterwarnings("ignore:.*no body has")
 @pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
-def test_accepted_inside(name, parameter):
+def test_values_inside_the_domain_are_accepted(name, parameter):
     case = CASES[name]
     for value in case.domains[parameter].inside:
         case(**{**case.arguments(), parameter: value})
@@ -45,7 +45,7 @@ def test_accepted_inside(name, parameter):
 
 @pytest.mark.filterwarnings("ignore:.*no body has")
 @pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
-def test_refused_by_name_outside(name, parameter):
+def test_values_outside_the_domain_are_refused(name, parameter):
     case = CASES[name]
     domain = case.domains[parameter]
     called = domain.called or rf"\b{parameter}\b"
@@ -69,11 +69,13 @@ def parameters(function):
 
 
 def constructors(owner):
-    """The public class methods of a class that return one of its objects."""
-    return {name for name, value in vars(owner).items() if isinstance(value, classmethod) and name[0] != "_"} - NOT_READ
+    """Return the names of public class methods that return an object of the class."""
+    return {
+        name for name, value in vars(owner).items() if isinstance(value, classmethod) and name[0] != "_"
+    } - UNCHECKED
 
 
-def test_every_constructor_and_parameter_is_listed():
+def test_constructors_and_parameters_are_listed():
     public = {name: getattr(co, name) for name in co.__all__ if name[0] != "_" and callable(getattr(co, name))}
     public |= {name: getattr(co.methods, name) for name in co.methods.__all__}
     public = {name: value for name, value in public.items() if name not in RESULTS | USES | BASES | LOOKED_UP}
@@ -89,7 +91,7 @@ def test_every_constructor_and_parameter_is_listed():
     }
 
 
-def test_every_initial_state_is_listed():
+def test_initial_states_are_listed():
     for surface, system in (("sphere", SPHERE), ("torus", TORUS)):
         states = {
             f"{surface}, {name}": parameters(getattr(system, name))
@@ -99,7 +101,7 @@ def test_every_initial_state_is_listed():
         assert states == {name: set(case.domains) for name, case in STATES.items() if name.startswith(surface)}
 
 
-def test_every_algebra_with_parameters_is_listed():
+def test_algebras_with_parameters_are_listed():
     with_parameters = {name: set(entry["parameters"]) for name, entry in entries().items() if entry.get("parameters")}
     assert with_parameters == {name: set(case.domains) for name, case in CATALOGUE.items() if name in entries()}
     assert {name for name in catalogue.names() if re.search(r"[a-z]\)", name)} == {*FAMILIES, "so(p,q)"}

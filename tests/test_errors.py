@@ -1,4 +1,4 @@
-"""Errors and the messages made of foreign names: copies, the nearest name, one line of bounded length."""
+"""Errors: pickling, suggestions of names, and one-line messages of bounded length."""
 
 import copy
 import pickle
@@ -22,8 +22,8 @@ from guards import bounded_work
 
 
 @pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda error: pickle.loads(pickle.dumps(error))])
-def test_an_error_of_a_run_keeps_all_its_parts(again):
-    """Worker processes send it back."""
+def test_copies_of_errors_have_all_parts(again):
+    """Worker processes send errors back."""
     H = co.Polynomial({(4, 0, 0): 1.0, (0, 4, 0): 2.0, (0, 0, 4): 3.0})
     system = co.LiePoissonSystem(co.algebras.so(3), H)
     with pytest.raises(co.IntegrationError) as failure:
@@ -61,20 +61,20 @@ NAMES = ["rigid_body", "heavy_top", "lagrange_top", "so(3)", "GaussLegendre", "S
         ("x" * 10**6, None),
     ],
 )
-def test_the_nearest_name(name, found):
+def test_nearest_name(name, found):
     with bounded_work():
         for known in (NAMES, NAMES[::-1]):
             assert nearest(name, known) == found
     assert nearest(name, []) is None
 
 
-def test_of_several_names_around_a_part_the_shortest_is_nearest():
+def test_shortest_containing_name_is_nearest():
     assert nearest("spin", ["a_spin_lattice", "spin_of_many", "the_spin"]) == "the_spin"
     assert nearest("spins", ["lattice_of_many_spin_vectors", "toda"]) == "lattice_of_many_spin_vectors", "a plural"
-    assert nearest("splitting", ["Splitting", "splittings"]) == "Splitting", "letters apart from their case first"
+    assert nearest("splitting", ["Splitting", "splittings"]) == "Splitting", "equal up to case first"
 
 
-def test_unknown_names_list_few_and_suggest_one_of_many():
+def test_unknown_names_are_listed_or_suggested():
     few, many = [f"name{k}" for k in range(MAX_LISTED_NAMES)], [f"name{k:03}" for k in range(MAX_LISTED_NAMES + 1)]
     assert str(unknown_name("kind", "zzz", few)) == f"unknown kind 'zzz'; there are: {', '.join(sorted(few))}"
     suggested = str(unknown_name("kind", "zzz", many)).removeprefix("unknown kind 'zzz'; did you mean '")
@@ -102,7 +102,7 @@ def test_missing_attributes_of_modules():
 
 
 @pytest.mark.parametrize("limit", [20, 21, 60, 400, 401])
-def test_one_line_has_both_ends_of_a_message(limit):
+def test_long_messages_are_shortened_in_the_middle(limit):
     for size in (0, 1, limit - 1, limit, limit + 1, 2 * limit, 10 * limit, 10**5):
         text = "".join(chr(ord("a") + k % 26) for k in range(size))
         line = in_one_line(text, limit)
@@ -114,25 +114,23 @@ def test_one_line_has_both_ends_of_a_message(limit):
             assert text.startswith(head) and text.endswith(tail) and limit - 1 <= len(line)
             assert abs(len(head) - len(tail)) <= 1 and head and tail
     words = in_one_line("a bc def " * limit, limit)
-    assert in_one_line(words, limit) == words and "  " not in words, "blanks beside what is left out too"
+    assert in_one_line(words, limit) == words and "  " not in words, "also blanks beside the omitted part"
     assert in_one_line(" a\n  b\t\rc\x1b[31m\0d\u2028e ", limit) == "a b c?[31m?d e"[:limit]
     with bounded_work():
         assert in_one_line("\x00" * 10**7 + "end", limit).endswith("?end")
 
 
 @pytest.mark.parametrize("kind", [OneLineError, ConfigurationError])
-def test_errors_of_one_line(kind):
+def test_one_line_errors(kind):
     error = kind("a\nb " * 1000)
     assert len(str(error)) <= MAX_MESSAGE_LENGTH and "\n" not in str(error) and isinstance(error, ValueError)
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
-def test_keywords_of_others_are_answered_by_arguments_that_exist():
+def test_hints_for_foreign_keywords_exist():
     import inspect
 
-    known = {
-        *inspect.signature(co.integrate).parameters, *inspect.signature(co.systems.rigid_body).parameters
-    }  # fmt: skip
+    known = {*inspect.signature(co.integrate).parameters, *inspect.signature(co.systems.rigid_body).parameters}
     for keyword, answer in KEYWORDS.items():
         name, equals, _ = answer.partition("=")
         assert keyword not in inspect.signature(co.integrate).parameters
@@ -144,14 +142,14 @@ def test_keywords_of_others_are_answered_by_arguments_that_exist():
         assert not hasattr(run, name), name
 
 
-def test_a_keyword_is_answered_by_what_the_function_takes():
+def test_unknown_keyword_names_valid_arguments():
     assert str(unknown_keyword("run", "dt", ["x0", "dta"])) == "run has no dt; did you mean dta=?"
     assert str(unknown_keyword("run", "dt", ["x0", "step"])).startswith("run has no dt; give step=, the size of a step")
     assert str(unknown_keyword("run", "jac", ["x0"])).startswith("run has no jac; it needs none")
     assert str(unknown_keyword("run", "zzz", ["x0", "step"])) == "run has no zzz; it takes x0, step"
 
 
-def test_too_many_arguments_by_place():
+def test_too_many_positional_arguments():
     calls = []
 
     @suggest_keywords

@@ -1,4 +1,4 @@
-"""Every public function, every parameter of it, and what nobody should give: an answer, or a refusal in one line."""
+"""Hostile values for every parameter of every public function: a result, or a refusal in one line."""
 
 import contextlib
 import dataclasses
@@ -22,8 +22,8 @@ from hostile_values import HOSTILE
 from long import long_where
 
 SOURCE = str(Path(co.__file__).parent)
-LONGEST = 1000  # characters of a message
-PATIENCE = 30  # seconds: a call that is still at work then does not end
+MAX_MESSAGE = 1000  # characters of a message
+TIME_LIMIT = 30  # seconds until a call counts as endless
 
 SO3, SO4 = co.algebras.so(3), co.algebras.so(4)
 BODY = co.systems.rigid_body()
@@ -71,7 +71,7 @@ LONG = co.integrate(BODY, X, (0, 20), 0.1)
 ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
 
 
-def in_a_folder(name):
+def beside(name):
     return ARCHIVE.parent / name if isinstance(name, str) else name
 
 
@@ -80,7 +80,7 @@ co.integrate(BODY, X, (0, 1), 0.1, archive=ARCHIVE)
 EYE = np.eye(3)
 FORCED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(lambda t: np.array([0.0, 0.0, t])))
 
-# what is called, and right arguments: each of them is then made wrong
+# Functions with valid arguments; each argument is replaced by hostile values.
 EXAMPLES = {name: registry.scheme(name).examples()[0] for name in registry.names()}
 NAMED = {"Splitting", "Taylor", "GaussLegendre", "ModifiedGaussLegendre", "IteratedGaussLegendre", "RadauEnergy",
          "ExplicitRungeKutta", "Composition"}  # fmt: skip
@@ -207,7 +207,7 @@ CALLS = {
     "ExplicitRungeKutta": (co.ExplicitRungeKutta, {"name": "rk4"}),
     "RadauEnergy": (co.RadauEnergy, {"stages": 2}),
     "Composition": (co.Composition, {"base": co.Splitting(), "coefficients": (0.5, 0.5)}),
-    # Of a scheme that is not named above: what its first example is made of.
+    # Other schemes: the fields of their first example.
     **{name: (type(m), {field.name: getattr(m, field.name) for field in dataclasses.fields(m)})
        for name, m in EXAMPLES.items() if name not in NAMED and dataclasses.fields(m)},
     **{f"{name}.properties": (m.properties, {"system": BODY}) for name, m in EXAMPLES.items()},
@@ -272,7 +272,7 @@ CALLS = {
     "corrector": (co.corrector, {"system": BODY, "method": co.Splitting(), "x0": X}),
     "a corrector": (BETTER, {"x": X, "h": 0.1}),
     "inverse": (BETTER.inverse, {"x": X, "h": 0.1}),
-    "archive": (lambda archive: co.integrate(BODY, X, (0, 1), 0.1, archive=in_a_folder(archive)), {"archive": ARCHIVE}),
+    "archive": (lambda archive: co.integrate(BODY, X, (0, 1), 0.1, archive=beside(archive)), {"archive": ARCHIVE}),
     "open_archive": (co.open_archive, {"path": ARCHIVE}),
     "load": (co.load, {"path": ARCHIVE, "system": None}),
     "resume": (co.resume, {"path": ARCHIVE}),
@@ -293,12 +293,12 @@ CALLS = {
     "level_surface": (level_surface, {"function": P, "level": 1.0, "box": [(-1, 1)] * 3, "cells": 4, "period": 0.0}),
 }  # fmt: skip
 
-# Made by the library, or called with nothing.
+# Created by the library, or called without arguments.
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LongWait",
               "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section",
               "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
-# A prepared run reads its span as "run" does.
+# A prepared run validates its span as "run" does.
 SLOW += [(name, "t_span") for name in ("end", "run to an accuracy", "end to an accuracy")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
@@ -306,14 +306,14 @@ BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 def test_every_public_name_is_called():
     called = {getattr(function, "__name__", "") for function, _ in CALLS.values()} | set(CALLS)
     public = {name for name in co.__all__ if name[0] != "_" and callable(getattr(co, name))} - NOT_CALLED
-    # A scheme without parameters is called with nothing.
+    # A scheme without parameters is called without arguments.
     assert public <= called | {name for name, m in EXAMPLES.items() if not dataclasses.fields(m)}
     assert set(co.algebras.__all__) - {"names"} <= called
     assert set(co.systems.names()) <= called
 
 
-def ours(error):
-    """Say whether the library itself raised, by its last line; what Python refuses of this file is no question."""
+def raised_by_library(error):
+    """Return whether the last line of an error is a `raise` of the library, or a call in this file."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     if last.filename == __file__:
         return True
@@ -321,15 +321,15 @@ def ours(error):
 
 
 @contextlib.contextmanager
-def patience():
+def time_limit():
     def give_up(*_):
-        raise TimeoutError(f"not done after {PATIENCE} s")
+        raise TimeoutError(f"not done after {TIME_LIMIT} s")
 
     if not hasattr(signal, "setitimer"):
         yield
         return
     before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    signal.setitimer(signal.ITIMER_REAL, TIME_LIMIT)
     try:
         yield
     finally:
@@ -342,24 +342,24 @@ def patience():
 @pytest.mark.parametrize(
     ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])
 )
-@pytest.mark.filterwarnings("ignore:.*no body has a principal moment")  # that is an answer too
-def test_an_answer_or_a_refusal(name, parameter, monkeypatch):
+@pytest.mark.filterwarnings("ignore:.*no body has a principal moment")
+def test_hostile_values_give_a_result_or_a_refusal(name, parameter, monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 3 * 10**8)
     function, arguments = CALLS[name]
     if name not in ("choose",):
         parameters = inspect.signature(function).parameters
         assert set(arguments) <= set(parameters)
     wrong = []
-    for what, value in HOSTILE.items():
+    for kind, value in HOSTILE.items():
         try:
-            with patience():
+            with time_limit():
                 function(**{**arguments, parameter: value})
         except (ValueError, TypeError, co.IntegrationError) as error:
             message = str(error)
-            if len(message) > LONGEST or "\n" in message or not ours(error):
+            if len(message) > MAX_MESSAGE or "\n" in message or not raised_by_library(error):
                 last = traceback.extract_tb(error.__traceback__)[-1]
-                wrong.append(f"{what}: {type(error).__name__}: {message[:300]} ({last.filename}:{last.lineno})")
+                wrong.append(f"{kind}: {type(error).__name__}: {message[:300]} ({last.filename}:{last.lineno})")
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
-            wrong.append(f"{what}: {type(error).__name__}: {str(error)[:200]} ({last.filename}:{last.lineno})")
+            wrong.append(f"{kind}: {type(error).__name__}: {str(error)[:200]} ({last.filename}:{last.lineno})")
     assert not wrong, f"{name}, {parameter}:\n" + "\n".join(wrong)

@@ -1,18 +1,13 @@
-"""Handlers of signals: what a process that is told to stop does, in which order, and with which exit status."""
+"""Signal handlers: order of actions and exit status of interrupted processes."""
 
-import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
-import coadjoint
 from coadjoint import interruption
+from core_only import run_python
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 BEGIN = """
 import os, signal, sys
 from coadjoint.interruption import Interrupted, deferred, ignore_signals, install_handlers
@@ -30,16 +25,16 @@ sys.unraisablehook = lambda dropped: print("dropped", type(dropped.exc_value).__
 
 
 def child(code):
-    """Return exit status, output and errors of a process that has handlers."""
-    done = subprocess.run([sys.executable, "-c", BEGIN + code], capture_output=True, text=True, env=ENVIRONMENT)
+    """Return exit status, output and errors of a process with handlers."""
+    done = run_python(BEGIN + code)
     return done.returncode, done.stdout, done.stderr
 
 
 @pytest.mark.parametrize(
     ("name", "message"), [("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "hung up")]
 )
-def test_an_interrupt_that_python_drops_ends_the_process(name, message):
-    """Where the steps of a run end: whatever else is raised or returned there, the run is not continued."""
+def test_dropped_interrupt_ends_the_process(name, message):
+    """At the end of the steps: the run is not continued, whatever is raised or returned there."""
     status = 128 + getattr(signal, name)
     for inside in ("pass", "raise ValueError"):
         code = f"""
@@ -52,14 +47,14 @@ print("not reached")
         assert child(code) == (status, "dropped Interrupted\ncontinued\n", f"coadjoint: {message}\n")
 
 
-def test_the_first_interrupt_raises_and_the_second_ends_the_process():
+def test_second_interrupt_ends_the_process():
     code = """
 for number in (signal.SIGTERM, signal.SIGINT):  # a second context raises as well
     try:
         with raise_on_interrupt():
             signal.raise_signal(number)
-    except Interrupted as told:
-        print(told.number == number, told.description, told.partial)
+    except Interrupted as error:
+        print(error.number == number, error.description, error.partial)
 with raise_on_interrupt():
     print("begun")
     try:
@@ -72,15 +67,15 @@ with raise_on_interrupt():
     assert child(code) == (128 + signal.SIGHUP, message, "coadjoint: hung up\n")
 
 
-def test_behind_a_context_an_interrupt_ends_the_process():
+def test_interrupt_after_a_context_ends_the_process():
     code = (
         "with raise_on_interrupt():\n    pass\nprint('behind')\nsignal.raise_signal(signal.SIGTERM)\nprint('reached')"
     )
     assert child(code) == (128 + signal.SIGTERM, "behind\n", "coadjoint: terminated\n")
 
 
-def test_cleanups_run_backward_whatever_they_raise():
-    """Each of those that are registered, with signals ignored meanwhile; then what was printed is flushed."""
+def test_cleanups_run_in_reverse_despite_errors():
+    """Signals are ignored meanwhile; then the output is flushed."""
     code = """
 def act(name, error=None):
     def acting():
@@ -112,8 +107,8 @@ signal.raise_signal(min(others))
 
 
 @pytest.fixture
-def heard():
-    """Signals that handlers of this process have received."""
+def received():
+    """Yield the list of signals that handlers of this process receive."""
     found = []
     numbers = (signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(number, lambda number, frame: found.append(number)) for number in numbers]
@@ -124,25 +119,25 @@ def heard():
         signal.signal(number, handler)
 
 
-def test_signals_wait_for_the_end_of_a_context(heard):
+def test_deferred_signals_arrive_after_the_context(received):
     with interruption.deferred():
         signal.raise_signal(signal.SIGHUP)
         with interruption.deferred():
             signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGHUP)
-        assert heard == []
-    assert sorted(heard) == sorted([signal.SIGHUP, signal.SIGTERM])
+        assert received == []
+    assert sorted(received) == sorted([signal.SIGHUP, signal.SIGTERM])
 
 
-def test_an_error_in_a_context_is_raised_and_signals_are_heard(heard):
+def test_error_in_a_deferred_context(received):
     with pytest.raises(ValueError, match="inside"), interruption.deferred():
         signal.raise_signal(signal.SIGTERM)
         raise ValueError("inside")
-    assert heard == [signal.SIGTERM]
+    assert received == [signal.SIGTERM]
 
 
-def test_a_handler_that_raises_when_a_context_begins(heard, monkeypatch):
-    """The signal comes while handlers are exchanged: those exchanged before are restored."""
+def test_handlers_are_restored_after_an_early_signal(received, monkeypatch):
+    """The signal arrives while handlers are exchanged: those exchanged before are restored."""
     exchanged, real = [], signal.signal
 
     def exchange(number, handler):
@@ -156,10 +151,10 @@ def test_a_handler_that_raises_when_a_context_begins(heard, monkeypatch):
         with interruption.deferred():
             raise AssertionError
     signal.raise_signal(signal.SIGTERM)
-    assert heard == [signal.SIGTERM]
+    assert received == [signal.SIGTERM]
 
 
-def test_what_is_registered_is_unregistered_once():
+def test_cleanups_are_unregistered_once():
     before = list(interruption._cleanups)
     for act in (time.sleep, print, time.sleep):
         interruption.register_cleanup(act)

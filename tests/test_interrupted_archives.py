@@ -1,4 +1,4 @@
-"""The command that writes an archive is told to stop, or killed, at any write: what it says, and how it goes on."""
+"""Interrupted or killed commands that write archives: messages, and continuation from any write."""
 
 import os
 import re
@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 import xarray
 
-import coadjoint
 import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.configuration.configuration import load
+from core_only import ENVIRONMENT, run_python
 from long import long_beyond
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 TOP = """
 [system]
 name = "heavy_top"
@@ -31,7 +30,7 @@ name = "GaussLegendre"
 t_span = [0.0, 32.0]
 step = 0.0625
 """
-# Chunks of 64 points, each of which is committed, and a signal at one of the files that are written.
+# Chunks of 64 points, each of which is committed, and a signal at one of the written files.
 AT_WRITE = """
 import os, signal, sys
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
@@ -49,7 +48,7 @@ from coadjoint.cli import run
 sys.argv = ["coadjoint", *{arguments!r}]
 run()
 """
-SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+REASONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 NONE = 10**6
 
 
@@ -62,18 +61,18 @@ def folder(tmp_path, monkeypatch):
 
 def child(arguments, write=NONE, name="SIGKILL", before=""):
     code = before + AT_WRITE.format(arguments=arguments, write=write, name=name)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120)
+    return run_python(code)
 
 
 def check_stopped(done, name, what):
-    """Exit status and message of a command that was told to stop, or killed; return how far the archive has come."""
+    """Check exit status and message of an interrupted command; return the step that the archive has reached."""
     number, there = getattr(signal, name), Path("run.zarr").exists()
     reached = co.open_archive("run.zarr").reached if there else None
     line = ""
-    if name in SAID:
-        line = f"coadjoint: {SAID[name]}\n"
+    if name in REASONS:
+        line = f"coadjoint: {REASONS[name]}\n"
         if there:
-            line = f"{what}: {SAID[name]}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr "
+            line = f"{what}: {REASONS[name]}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr "
             line += "continues it\n"
     status = -number if name == "SIGKILL" else 128 + number
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
@@ -94,18 +93,18 @@ def check_stopped(done, name, what):
         ],
     ),
 )
-def test_at_any_write(folder, capsys, write, name, again, then):
-    """In the middle of the making of the archive, or of a commit: the command, and the one that goes on with it."""
+def test_interrupt_at_any_write(folder, capsys, write, name, again, then):
+    """While the archive is created, or in a commit, of the first and of the resuming command."""
     first = ["run", "top.toml", "--archive", "run.zarr"]
-    begun = check_stopped(child(first, write, name), name, "top.toml")
-    if begun is None:
-        # Nothing is left, but for the hidden folder of a killed one, which the next run removes.
+    first_reached = check_stopped(child(first, write, name), name, "top.toml")
+    if first_reached is None:
+        # Only a killed command leaves a hidden folder, which the next run removes.
         assert len(list(folder.glob(".run.zarr-*"))) == (name == "SIGKILL")
         reached = check_stopped(child(first, again, then), then, "top.toml")
         assert sorted(os.listdir(folder)) == ["run.zarr", "top.toml"]
     else:
         reached = check_stopped(child(["resume", "run.zarr"], again, then), then, "run.zarr")
-    assert (begun or 0) <= reached < 512 and reached
+    assert (first_reached or 0) <= reached < 512 and reached
     assert cli.main(["resume", "run.zarr"]) == 0
     assert capsys.readouterr().out.endswith("written: run.zarr\n")
     assert cli.main(["run", "top.toml", "--out", "alone.nc", "--quiet"]) == 0
@@ -129,8 +128,8 @@ os.replace = full
 
 
 @pytest.mark.long
-def test_a_full_disk(folder):
-    """One line, status 1 while the run goes on and 2 before its first step."""
+def test_full_disk_is_one_line(folder):
+    """Status 1 during the run, and 2 before its first step."""
     end = "could not be written (No space left on device); it holds the run up to step"
     for write, arguments, status, message in (
         (
@@ -144,9 +143,7 @@ def test_a_full_disk(folder):
         (25, ["resume", "run.zarr"], 1, end),
     ):
         code = FULL.format(write=write) + AT_WRITE.format(arguments=arguments, write=NONE, name="SIGKILL")
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120
-        )
+        done = run_python(code)
         assert (done.returncode, done.stdout) == (status, ""), done.stderr
         assert message in done.stderr and done.stderr.count("\n") == 1
         assert write != 4 or arguments[0] == "resume" or os.listdir(folder) == ["top.toml"]
@@ -167,19 +164,19 @@ archive = "run.zarr"
 
 
 @pytest.mark.long
-def test_an_ensemble_with_workers(folder):
+def test_interrupted_ensemble_with_workers(folder):
     states = [[1.0, 0.1 * k, 0.5, 0.25, 0.5, 1.0] for k in range(12)]
     Path("many.toml").write_text(MANY.format(states=states))
     code = "from coadjoint.cli import run; import sys; sys.argv = ['coadjoint', 'run', 'many.toml']; run()"
     command = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
     end = time.monotonic() + 300
     while not list(Path("run.zarr/.coadjoint").glob("block-*.lock")):
-        assert time.monotonic() < end, "nothing happens"
+        assert time.monotonic() < end, "timeout"
         time.sleep(0.02)
     command.send_signal(signal.SIGTERM)
     message = command.communicate(timeout=300)[1]
     line = r"many.toml: terminated; run.zarr holds \d+ of 12 members: coadjoint resume run.zarr continues it"
-    # Python may speak of the semaphore of a worker that was killed.
+    # Python may warn about the semaphore of a killed worker.
     assert command.returncode == 143 and re.fullmatch(line, message.splitlines()[0]), message
     assert not co.open_archive("run.zarr").finished
     assert cli.main(["resume", "run.zarr", "--quiet"]) == 0

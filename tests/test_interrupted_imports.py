@@ -1,4 +1,4 @@
-"""Interrupts during an import: the import completes, the interrupt is raised, and the next call works."""
+"""Interrupts during imports: the import completes, the interrupt is raised, and the next call works."""
 
 import json
 import subprocess
@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-# A package whose modules use each other through their package, as those of Numba and PyYAML do. `tick` stands between
-# all statements.
+# A package whose modules use each other through their package, as those of Numba and PyYAML do; `tick` is called
+# between all statements.
 PACKAGE = {
     "__init__": ["from fragile import first", "import fragile.second", "value = fragile.first.a + fragile.second.b"],
     "first": ["import fragile", "a = 1", "import fragile.third"],
@@ -50,7 +50,7 @@ ticks = outcome(None)[2]
 print(json.dumps([outcome(at) for at in range(1, len(ticks) + 1)]))
 """
 
-# Interrupts the k-th import of work that imports packages of many modules, each in a process of its own.
+# Interrupts the k-th import of a call that imports large packages, each in a process of its own.
 REAL = """
 import json, os, signal, sys
 import coadjoint as co
@@ -88,12 +88,12 @@ def in_child(at):
             os._exit(0)
     os.close(write)
     with os.fdopen(read) as pipe:
-        said = pipe.read()
+        answer = pipe.read()
     os.wait()
-    return json.loads(said) if said else None
+    return json.loads(answer) if answer else None
 
-whole = in_child(0)[0]
-points = [1 + whole * k // 5 for k in range(5)]
+count = in_child(0)[0]
+points = [1 + count * k // 5 for k in range(5)]
 print(json.dumps([in_child(at) for at in points]))
 """
 
@@ -105,7 +105,7 @@ def printed(code, *arguments, cwd=None):
 
 
 @pytest.mark.sensitive
-def test_an_interrupt_at_any_statement_of_an_import_leaves_complete_modules(tmp_path):
+def test_interrupted_imports_leave_complete_modules(tmp_path):
     (tmp_path / "fragile").mkdir()
     for name, statements in PACKAGE.items():
         lines = ["import ticks"]
@@ -118,12 +118,12 @@ def test_an_interrupt_at_any_statement_of_an_import_leaves_complete_modules(tmp_
     assert len(found) == count
     executed = found[0][2]
     assert len(executed) == count
-    # Nothing is executed twice: what had been imported when the interrupt was raised is the same module afterwards.
+    # Nothing is executed twice: modules imported before the interrupt stay the same.
     assert found == [[True, [5, 1, 3, 4], executed, True]] * count
 
 
 @pytest.mark.long
-def test_a_call_works_after_an_interrupt_of_its_imports():
+def test_call_works_after_interrupted_imports():
     found = printed(REAL)
     assert all(message is not None and message[1:] == [True, True] for message in found), found
 
@@ -140,7 +140,7 @@ with deferred():
     signal.raise_signal(signal.SIGTERM)
     signal.raise_signal(signal.SIGTERM)
     during = list(heard)
-kept = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 signal.raise_signal(signal.SIGTERM)
 
 failed = []
@@ -157,12 +157,12 @@ open("broken.py", "w").write("import no_such_module")
 load()
 thread = threading.Thread(target=load)
 thread.start(), thread.join()
-print(json.dumps([during, heard, kept, failed]))
+print(json.dumps([during, heard, ignored, failed]))
 """
 
 
-def test_handlers_are_called_once_when_the_import_is_over(tmp_path):
-    during, heard, stored, failed = printed(OTHER_HANDLERS, cwd=tmp_path)
-    assert during == [] and stored
+def test_handlers_are_called_once_after_the_import(tmp_path):
+    during, heard, ignored, failed = printed(OTHER_HANDLERS, cwd=tmp_path)
+    assert during == [] and ignored
     assert len(heard) == 2 and all(with_frame for _, with_frame in heard)
     assert failed == ["KeyboardInterrupt", "ModuleNotFoundError", "ModuleNotFoundError"]

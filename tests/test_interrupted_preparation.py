@@ -1,6 +1,6 @@
-"""Ctrl-C during a preparation: it ends, leaves nothing behind, and the next call works.
+"""Interrupts during preparation: the call ends, leaves nothing behind, and the next call works.
 
-The child reports that it has reached a point of its work, and repeats the work until it is interrupted.
+The child reports when it reaches a point of its work, and repeats the work until it is interrupted.
 """
 
 import os
@@ -14,7 +14,7 @@ import pytest
 
 import coadjoint as co
 
-# A child that hears nothing is ended, so that the test fails.
+# A child that receives no signal ends, so that the test fails.
 REPORTING = """
 import faulthandler, importlib
 faulthandler.dump_traceback_later(120, exit=True)
@@ -96,7 +96,7 @@ def child(code, folder):
 
 @pytest.mark.sensitive
 @pytest.mark.parametrize("case", CASES)
-def test_a_preparation_ends_at_an_interrupt(case, tmp_path):
+def test_interrupt_ends_the_preparation(case, tmp_path):
     setting, point, work, again = CASES[case]
     with child(CHILD.format(setting=setting, point=point, work=work, again=again), tmp_path) as process:
         assert process.stdout.readline() == "begun\n"
@@ -127,7 +127,7 @@ step = 0.1
 
 
 @pytest.mark.long
-def test_the_command_ends_in_one_line_while_it_prepares_a_run(tmp_path):
+def test_command_interrupted_during_preparation(tmp_path):
     n = 14**2 - 1
     A = np.random.default_rng(1).normal(size=(n, n)).round(2)
     Path(tmp_path, "wide.toml").write_text(FILE.format(M=(A + A.T).tolist(), x=[0.05] * n), encoding="utf-8")

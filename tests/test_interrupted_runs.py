@@ -1,21 +1,17 @@
-"""Runs that are interrupted while they take steps: what is written, what is said, and that they go on."""
+"""Interrupted runs: partial results, messages, and continuation of archives."""
 
 import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
 
-import coadjoint
 import coadjoint as co
 from coadjoint import cli
+from core_only import run_python
 from long import long_beyond
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 LONG = """
 [system]
 name = "rigid_body"
@@ -31,7 +27,7 @@ from coadjoint.cli import run
 sys.argv = ["coadjoint", *{arguments!r}]
 run()
 """
-# A signal from another thread as soon as the loop has saved a point after the first one; 10^10 steps take minutes.
+# A signal from another thread after the loop has saved its second point; 10^10 steps take minutes.
 SIGNAL = (
     """
 import os, signal, sys, threading, time
@@ -52,7 +48,7 @@ MemberBatch.advance = advance
 """
     + COMMAND
 )
-# A signal after the first half of the steps of a call that is not the first one.
+# A signal after half of the steps of the fifth call.
 SIGNAL_AT_HALF = (
     """
 import os, signal, sys
@@ -70,10 +66,6 @@ MemberBatch.advance = advance
 )
 
 
-def child(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120)
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -86,8 +78,8 @@ def folder(tmp_path, monkeypatch):
     ("name", "status", "message"),
     long_beyond(2, [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]),
 )
-def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, message):
-    done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))
+def test_interrupted_command_writes_the_partial_run(folder, name, status, message):
+    done = run_python(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))
     line = f"long.toml: {message}; the solution so far is in run.nc, marked as incomplete\n"
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
     assert sorted(os.listdir(folder)) == ["long.toml", "run.nc"]
@@ -105,9 +97,9 @@ def test_without_an_archive_the_command_writes_what_there_is(folder, name, statu
 @pytest.mark.parametrize(
     ("name", "status", "message"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
 )
-def test_an_archive_goes_on(folder, capsys, name, status, message):
+def test_interrupted_archive_is_resumed(folder, capsys, name, status, message):
     (folder / "long.toml").write_text(LONG.replace("1000000000.0", "1000000.0").replace("1000000\n", "1000\n"))
-    done = child(SIGNAL_AT_HALF.format(name=name, arguments=["run", "long.toml", "--archive", "run.zarr"]))
+    done = run_python(SIGNAL_AT_HALF.format(name=name, arguments=["run", "long.toml", "--archive", "run.zarr"]))
     reached = co.open_archive("run.zarr").reached
     line = (
         f"long.toml: {message}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr continues it\n"
@@ -123,17 +115,17 @@ def test_an_archive_goes_on(folder, capsys, name, status, message):
 
 
 @pytest.mark.long
-def test_a_second_interrupt_ends_it_at_once(folder):
+def test_second_interrupt_ends_the_command(folder):
     code = SIGNAL.format(name="SIGINT", arguments=["run", "long.toml", "--out", "run.nc"])
     twice = "import coadjoint.files.output.output_files as output, os, signal\n"
     twice += "output.write_netcdf = lambda *given: os.kill(os.getpid(), signal.SIGINT)\n"
-    done = child(twice + code)
+    done = run_python(twice + code)
     assert (done.returncode, done.stderr) == (130, "coadjoint: interrupted\n")
     assert os.listdir(folder) == ["long.toml"]
 
 
-def interrupted_after(calls, monkeypatch):
-    """Let a run be interrupted in one of the calls of its loops, after some of its steps."""
+def interrupt_after(calls, monkeypatch):
+    """Interrupt a run in one of the calls of its loops, after some of its steps."""
     from coadjoint.kernels.loop import MemberBatch
 
     original, left = MemberBatch.advance, [calls]
@@ -152,23 +144,23 @@ BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
 
 
 @pytest.mark.parametrize("options", [{}, {"attitude": True}, {"watch": False, "save_every": 7}, {"threads": 2}])
-def test_a_keyboard_interrupt_brings_what_there_is(monkeypatch, options):
+def test_keyboard_interrupt_has_the_partial_solution(monkeypatch, options):
     x0 = np.multiply.outer(1.0 - 0.01 * np.arange(70), X) if "threads" in options else X
     expected = co.integrate(BODY, x0, (0, 10), 0.125, **options)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
-        interrupted_after(1, patched)
+        interrupt_after(1, patched)
         co.integrate(BODY, x0, (0, 10), 0.125, **options)
     found = stopped.value.partial
     assert stopped.value.__notes__ == [
         "The solution so far is the attribute partial of the error; archive= stores it on disk"
     ]
     count = len(found.t)
-    there = np.isfinite(found.x)
-    # Of two crews the first one is done.
-    assert 1 < count < len(expected.t) or not there.all()
+    finite = np.isfinite(found.x)
+    # Of two batches the first one is finished.
+    assert 1 < count < len(expected.t) or not finite.all()
     assert np.array_equal(found.t, expected.t[:count])
-    assert there.any(axis=-1).reshape(count, -1).any(axis=1).all()
-    assert np.array_equal(found.x[there], expected.x[:count][there])
+    assert finite.any(axis=-1).reshape(count, -1).any(axis=1).all()
+    assert np.array_equal(found.x[finite], expected.x[:count][finite])
     assert np.array_equal(found.energy[np.isfinite(found.energy)], expected.energy[:count][np.isfinite(found.energy)])
     deviation = np.nanmax(np.abs(found.energy - expected.energy[0]))
     assert found.drift()["energy"] == deviation and not found.watched
@@ -176,7 +168,7 @@ def test_a_keyboard_interrupt_brings_what_there_is(monkeypatch, options):
         assert np.array_equal(found.attitude, expected.attitude[:count])
 
 
-def test_a_run_that_had_not_begun_has_nothing(monkeypatch):
+def test_interrupt_before_the_first_step(monkeypatch):
     def stop(*args):
         raise KeyboardInterrupt
 
@@ -186,10 +178,10 @@ def test_a_run_that_had_not_begun_has_nothing(monkeypatch):
     assert len(stopped.value.partial.t) == 0 and stopped.value.partial.x.shape == (0, 3)
 
 
-def test_a_keyboard_interrupt_leaves_an_archive_that_goes_on(tmp_path, monkeypatch):
+def test_keyboard_interrupt_leaves_a_resumable_archive(tmp_path, monkeypatch):
     expected = co.integrate(BODY, X, (0, 100), 0.125)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
-        interrupted_after(5, patched)
+        interrupt_after(5, patched)
         co.integrate(BODY, X, (0, 100), 0.125, archive=tmp_path / "run.zarr")
     partial, path = stopped.value.partial, tmp_path / "run.zarr"
     assert stopped.value.__notes__ == [
@@ -199,7 +191,7 @@ def test_a_keyboard_interrupt_leaves_an_archive_that_goes_on(tmp_path, monkeypat
     assert np.array_equal(co.resume(tmp_path / "run.zarr").x, expected.x)
 
 
-def test_the_signal_of_a_context_is_told_once():
+def test_signal_of_a_context_is_raised():
     from coadjoint import interruption
 
     before = signal.getsignal(signal.SIGTERM)

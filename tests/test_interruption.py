@@ -1,4 +1,4 @@
-"""A command that is told to stop, or killed: its exit status, one line, and what it leaves behind."""
+"""Interrupted or killed commands: exit status, one line, and remaining files."""
 
 import os
 import signal
@@ -9,15 +9,14 @@ from pathlib import Path
 import pytest
 import xarray
 
-import coadjoint
 from coadjoint import cli
 from coadjoint.files.output.output_files import check_target, write_dataset
+from core_only import ENVIRONMENT, run_python
 from test_cli import BODY
 
 pytestmark = pytest.mark.thinned(3)
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
-# Acts when the piece of a number is about to be written, from whatever thread writes.
+# Acts after a given piece was written, in any thread.
 AT_PIECE = """
 import os, signal, sys
 from contextlib import contextmanager
@@ -56,10 +55,6 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def child(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120)
-
-
 def old_result(target):
     write_dataset(xarray.Dataset({"old": ("time", [1.0])}), target)
 
@@ -74,39 +69,39 @@ def is_old(target):
 @pytest.mark.parametrize(
     ("name", "status", "message"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")], ids=["int", "term"]
 )
-def test_stopped_while_a_result_is_written(folder, target, name, status, message):
+def test_interrupt_while_writing_a_result(folder, target, name, status, message):
     old_result(target)
-    done = child(AT_PIECE.format(piece=3, act=KILL.format(name=name)) + RUN.format(target=target))
+    done = run_python(AT_PIECE.format(piece=3, act=KILL.format(name=name)) + RUN.format(target=target))
     assert (done.returncode, done.stdout, done.stderr) == (status, "", f"coadjoint: {message}\n")
     assert sorted(os.listdir(folder)) == ["body.toml", target]
     assert is_old(target)
 
 
 @pytest.mark.parametrize("name", ["click", "xarray", "coadjoint.runs.integrate"])
-def test_interrupted_while_modules_are_loaded(folder, name):
-    done = child(AT_IMPORT.format(name=name, act=KILL.format(name="SIGINT")) + RUN.format(target="run.nc"))
+def test_interrupt_while_loading_modules(folder, name):
+    done = run_python(AT_IMPORT.format(name=name, act=KILL.format(name="SIGINT")) + RUN.format(target="run.nc"))
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "coadjoint: interrupted\n")
     assert os.listdir(folder) == ["body.toml"]
 
 
-def test_interrupted_where_python_drops_exceptions(folder):
-    # As in a callback of a weak reference, an exception that is raised while an object is deleted goes nowhere.
+def test_interrupt_where_exceptions_are_dropped(folder):
+    # Python drops exceptions raised while an object is deleted.
     act = f"type('Deleted', (), {{'__del__': lambda self: {KILL.format(name='SIGINT')}}})()"
-    done = child(AT_IMPORT.format(name="xarray", act=act) + RUN.format(target="run.nc"))
+    done = run_python(AT_IMPORT.format(name="xarray", act=act) + RUN.format(target="run.nc"))
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "coadjoint: interrupted\n")
 
 
-def test_interrupt_that_comes_too_late_changes_nothing(folder):
+def test_late_interrupt_is_ignored(folder):
     late = "import atexit\natexit.register(lambda: " + KILL.format(name="SIGINT") + ")\nimport os, signal, sys\n"
-    done = child(late + RUN.format(target="run.nc"))
+    done = run_python(late + RUN.format(target="run.nc"))
     assert (done.returncode, done.stderr) == (0, "")
     assert sorted(os.listdir(folder)) == ["body.toml", "run.nc"]
 
 
 @pytest.mark.long
-def test_signals_that_were_ignored_stay_so(folder):
+def test_ignored_signals_stay_ignored(folder):
     ignored = "import os, signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-    done = child(
+    done = run_python(
         ignored + AT_IMPORT.format(name="xarray", act=KILL.format(name="SIGINT")) + RUN.format(target="run.nc")
     )
     assert done.returncode == 0
@@ -115,8 +110,8 @@ def test_signals_that_were_ignored_stay_so(folder):
 
 @pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
-def test_what_a_killed_run_leaves_is_removed_by_the_next_to_the_same_target(folder, target):
-    done = child(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=target))
+def test_next_run_removes_leftovers_of_its_target(folder, target):
+    done = run_python(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=target))
     assert done.returncode == -signal.SIGKILL
     (left,) = (name for name in os.listdir(folder) if name != "body.toml")
     assert left.startswith(f".{target}-")
@@ -128,7 +123,7 @@ def test_what_a_killed_run_leaves_is_removed_by_the_next_to_the_same_target(fold
 
 
 @pytest.mark.long
-def test_what_a_run_that_lives_is_writing_is_not_removed(folder):
+def test_files_of_a_running_command_are_not_removed(folder):
     wait = "print('waiting', flush=True) or sys.stdin.readline()"
     code = AT_PIECE.format(piece=3, act=wait) + RUN.format(target="run.zarr")
     command = [sys.executable, "-c", code]
@@ -142,7 +137,7 @@ def test_what_a_run_that_lives_is_writing_is_not_removed(folder):
 
 
 @pytest.mark.long
-def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
+def test_replaced_store_is_restored_after_a_kill(folder):
     old_result("run.zarr")
     act = "\n".join(
         [
@@ -154,7 +149,7 @@ def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
             "os.replace = killed",
         ]
     )
-    assert child(act + RUN.format(target="run.zarr")).returncode == -signal.SIGKILL
+    assert run_python(act + RUN.format(target="run.zarr")).returncode == -signal.SIGKILL
     assert not Path("run.zarr").exists()
     check_target("run.zarr")
     assert is_old("run.zarr")
@@ -162,9 +157,9 @@ def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
 
 
 @pytest.mark.long
-def test_what_is_left_of_another_target_with_a_like_name_stays(folder):
+def test_leftovers_of_similar_targets_remain(folder):
     one, other = ("a" * 60 + end for end in ("1.nc", "2.nc"))
-    child(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=one))
+    run_python(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=one))
     left = sorted(os.listdir(folder))
     check_target(other)
     assert sorted(os.listdir(folder)) == left != ["body.toml"]
@@ -175,14 +170,13 @@ def test_what_is_left_of_another_target_with_a_like_name_stays(folder):
 @pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 @pytest.mark.parametrize("dropped", [False, True])
-def test_interrupted_in_a_program_that_hears_interrupts_itself(folder, target, dropped):
-    # Python's own handler raises an exception in the main thread, which waits for the one that writes. There it would
-    # be dropped, raised while an object is deleted.
+def test_interrupt_with_the_default_handler(folder, target, dropped):
+    # The default handler raises in the main thread, which waits for the writing one; in a deleted object it is dropped.
     old_result(target)
     act = KILL.format(name="SIGINT")
     code = AT_PIECE.format(piece=3, act=f"type('D', (), {{'__del__': lambda self: {act}}})()" if dropped else act)
     code += f"from coadjoint.cli import main\nsys.exit(main(['run', 'body.toml', '--out', {target!r}]))"
-    done = child(code)
+    done = run_python(code)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "coadjoint: interrupted\n")
     assert sorted(os.listdir(folder)) == ["body.toml", target]
     assert is_old(target)
@@ -190,7 +184,7 @@ def test_interrupted_in_a_program_that_hears_interrupts_itself(folder, target, d
 
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_output_that_nobody_can_read(folder):
+def test_unwritable_standard_output(folder):
     code = "import sys\nfrom coadjoint.cli import run\nsys.argv = ['coadjoint', 'systems']\nrun()"
     with open("/dev/full", "w") as full:
         done = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=-1, text=True, env=ENVIRONMENT)

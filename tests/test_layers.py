@@ -1,4 +1,4 @@
-"""Layers of the library import only from layers before them, as `docs/architecture.md` draws them."""
+"""Import order of the layers of the library, as in `docs/architecture.md`."""
 
 import ast
 import importlib.util
@@ -21,7 +21,7 @@ def drawn():
 
 
 def imports(path):
-    """Yield the layers and single files of the package that a file imports from, and whether a function does it."""
+    """Yield the layers and files that a file imports from, and whether the import is inside a function."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inside = {
         id(node)
@@ -42,16 +42,16 @@ def imports(path):
                 yield rest.partition(".")[0], id(node) in inside
 
 
-def test_every_folder_is_a_layer_of_the_picture(drawn):
+def test_every_folder_is_a_layer(drawn):
     folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
     assert folders == set(drawn.LAYERS)
     table = (DOCS / "architecture.md").read_text(encoding="utf-8")
     assert all(f"| `{layer}/` | " in table for layer in drawn.LAYERS)
 
 
-def test_no_layer_reaches_back(drawn):
+def test_layers_import_earlier_layers_only(drawn):
     order = list(drawn.LAYERS)
-    # Layers at one place along the picture do not know each other; the first six stand in a row.
+    # Layers in the same column of the figure are independent; the first six are in a row.
     along = {layer: x for layer, (_, x, _) in drawn.LAYERS.items()}
     wrong, late, neighbours = [], set(), set()
     for layer in order:
@@ -70,6 +70,6 @@ def test_no_layer_reaches_back(drawn):
     assert neighbours == set(drawn.NEIGHBOURS)
 
 
-def test_the_picture_can_be_drawn(drawn, tmp_path):
+def test_layer_figure_is_drawn(drawn, tmp_path):
     drawn.draw().savefig(tmp_path / "layers.svg")
     assert (DOCS / "layers.svg").stat().st_size > 10_000 and (tmp_path / "layers.svg").stat().st_size > 10_000

@@ -1,10 +1,7 @@
-"""Nobody waits for long without a word: beforehand where the time is estimated, else after some seconds, once."""
+"""Warnings of long operations: estimates beforehand, otherwise one warning after some seconds."""
 
 import contextlib
 import functools
-import os
-import subprocess
-import sys
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -16,19 +13,18 @@ import coadjoint as co
 from coadjoint import long_operations
 from coadjoint.algebra.invariants import casimirs
 from coadjoint.long_operations import LongWait, note_progress, warn_if_long
-
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
+from core_only import run_python
 
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A clock that a test moves on."""
+    """A clock that the test advances."""
     now = [0.0]
     monkeypatch.setattr(long_operations.time, "monotonic", lambda: now[0])
     return now
 
 
-def said(action):
+def warnings_of(action):
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         action()
@@ -36,26 +32,26 @@ def said(action):
     return [str(one.message) for one in found]
 
 
-def test_what_takes_seconds_is_told_beforehand():
-    assert said(lambda: warn_if_long("to make it ready", long_operations.WARNING_SECONDS)) == []
-    assert said(lambda: warn_if_long("to make it ready", 42.0, "take rk4")) == [
-        "to make it ready takes about 42 s; take rk4"
+def test_long_estimates_warn_beforehand():
+    assert warnings_of(lambda: warn_if_long("to prepare it", long_operations.WARNING_SECONDS)) == []
+    assert warnings_of(lambda: warn_if_long("to prepare it", 42.0, "take rk4")) == [
+        "to prepare it takes about 42 s; take rk4"
     ]
 
 
-def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
+def test_long_work_warns_once_with_progress(clock):
     def work():
         with long_operations.long_operation("certify"):
             for now in (2.0, long_operations.WARNING_SECONDS, 6.0, 60.0):
                 clock[0] = now
                 note_progress("the long run", now / 24.0)
 
-    assert said(work) == [
+    assert warnings_of(work) == [
         "certify has taken 6 s so far, and about 18 s are left; now it computes the long run; Ctrl-C ends it"
     ]
 
 
-def test_the_outer_of_two_speaks_for_both(clock):
+def test_only_the_outermost_operation_warns(clock):
     def work():
         with long_operations.long_operation("certify"):
             clock[0] = 4.0
@@ -64,11 +60,11 @@ def test_the_outer_of_two_speaks_for_both(clock):
                     clock[0] += 4.0
                     note_progress("a pilot run")
 
-    assert said(work) == ["certify has taken 8 s so far; now it computes a pilot run; Ctrl-C ends it"]
+    assert warnings_of(work) == ["certify has taken 8 s so far; now it computes a pilot run; Ctrl-C ends it"]
 
 
-def test_calls_of_one_function_have_a_wait_each(clock):
-    """Nested, one after the other, and in two threads of which the first to begin is the first to end."""
+def test_calls_of_one_function_are_independent(clock):
+    """Nested, in sequence, and in two threads of which the first to begin is the first to end."""
     entered = [threading.Event(), threading.Event()]
 
     @long_operations.long_operation("choose")
@@ -79,7 +75,7 @@ def test_calls_of_one_function_have_a_wait_each(clock):
             note_progress("a pilot run")
 
     for _ in range(2):
-        assert [one.partition(" so far")[0] for one in said(lambda: work(1))] == ["choose has taken 6 s"]
+        assert [one.partition(" so far")[0] for one in warnings_of(lambda: work(1))] == ["choose has taken 6 s"]
 
     @long_operations.long_operation("choose")
     def beside(number):
@@ -95,30 +91,30 @@ def test_calls_of_one_function_have_a_wait_each(clock):
         assert first.exception(timeout=60) is None and second.exception(timeout=60) is None
 
 
-def test_outside_of_any_work_nothing_is_said(clock):
+def test_no_warning_outside_of_operations(clock):
     def work():
         with long_operations.long_operation("certify"):
             pass
         clock[0] = 100.0
         note_progress("nothing")
 
-    assert said(work) == []
+    assert warnings_of(work) == []
 
 
-def test_work_that_fails_is_over(clock):
+def test_failed_operations_end(clock):
     def work():
         with pytest.raises(ValueError, match="wrong"), long_operations.long_operation("certify"):
             raise ValueError("wrong")
         clock[0] = 100.0
         note_progress("nothing")
 
-    assert said(work) == []
+    assert warnings_of(work) == []
 
 
-def test_the_line_of_the_caller_is_named(clock, monkeypatch):
+def test_warning_names_the_line_of_the_caller(clock, monkeypatch):
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        warn_if_long("to make it ready", 42.0)
+        warn_if_long("to prepare it", 42.0)
         clock[0] = 0.0
         with monkeypatch.context() as patch:
             patch.setattr(casimirs, "generic_rank", lambda *args: (clock.append(clock.pop() + 9.0), 0)[1])
@@ -126,15 +122,15 @@ def test_the_line_of_the_caller_is_named(clock, monkeypatch):
     assert [one.filename for one in found] == [__file__, __file__]
 
 
-def test_the_command_tells_it_at_once():
-    """Other warnings are told in the end."""
+def test_command_prints_the_warning_immediately():
+    """Other warnings are printed at the end."""
     code = "\n".join(
         [
             "import sys, warnings",
             "from coadjoint import commands, long_operations",
             "def performed(arguments):",
             "    warnings.warn('of another kind', UserWarning)",
-            "    long_operations.warn_if_long('to make it ready', 42.0)",
+            "    long_operations.warn_if_long('to prepare it', 42.0)",
             "    print('ready', file=sys.stderr)",
             "    return 0, ''",
             "commands._invoke = performed",
@@ -142,16 +138,16 @@ def test_the_command_tells_it_at_once():
             "sys.exit(main(['run', 'x.toml']))",
         ]
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    done = run_python(code)
     assert (done.returncode, done.stdout) == (0, "")
     assert done.stderr.splitlines() == [
-        "coadjoint: warning: to make it ready takes about 42 s",
+        "coadjoint: warning: to prepare it takes about 42 s",
         "ready",
         "coadjoint: warning: of another kind",
     ]
 
 
-def slow(clock, monkeypatch, module, name):
+def slow_down(clock, monkeypatch, module, name):
     """Let every call of a function take nine seconds."""
     plain = getattr(module, name)
 
@@ -168,8 +164,7 @@ BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 1.0, 0.2)
 @pytest.mark.parametrize(
     "name", ["certify", "choose", "integrate", "prepare", "lyapunov", "Splitting.tuned", "tangent"]
 )
-def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
-    """Once, by their own name, whatever they call."""
+def test_long_calls_warn_by_their_name(name, clock, monkeypatch):
     from coadjoint.analysis.checks import subject
     from coadjoint.choosing import pilot
     from coadjoint.methods.numerics import taylor_series
@@ -178,7 +173,7 @@ def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
 
     modules = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": taylor_series}
     module = modules.get(name, decompose)
-    slow(clock, monkeypatch, module, "note_progress")
+    slow_down(clock, monkeypatch, module, "note_progress")
     system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 2.0, 3.0, 4.0, 5.0, 7.0]))
     x0 = [0.3, 1.0, 0.2, 0.1, -0.4, 0.5]
     calls = {
@@ -190,13 +185,13 @@ def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
         "Splitting.tuned": lambda: co.Splitting.tuned(system, x0),
         "tangent": lambda: co.stepper(BODY, co.Taylor(4), 0.1).tangent(X0),
     }
-    (found,) = said(calls[name])
+    (found,) = warnings_of(calls[name])
     assert found.startswith(f"{name} has taken ") and found.endswith("; Ctrl-C ends it")
 
 
 @pytest.mark.parametrize("part", [None, 0.0, 0.25, 1.0])
-def test_the_time_that_is_left_follows_from_the_part(clock, part):
-    """Nothing is known of it at the start; times that are no longer than the limit are not told."""
+def test_remaining_time_follows_from_the_part(clock, part):
+    """There is no estimate at the start; remaining times below the limit are omitted."""
 
     def work():
         with long_operations.long_operation("certify"):
@@ -205,11 +200,11 @@ def test_the_time_that_is_left_follows_from_the_part(clock, part):
                 note_progress("the long run", part)
 
     left = {0.25: ", and about 24 s are left", 1.0: ", and about 0 s are left"}.get(part, "")
-    assert said(work) == [f"certify has taken 8 s so far{left}; now it computes the long run; Ctrl-C ends it"]
+    assert warnings_of(work) == [f"certify has taken 8 s so far{left}; now it computes the long run; Ctrl-C ends it"]
 
 
-def test_the_caller_is_named_through_decorators_of_the_library_alone():
-    """A decorated function of the caller is the caller, and not what it is called by."""
+def test_caller_is_found_through_library_decorators_only():
+    """A decorated function of the caller counts as the caller."""
 
     @contextlib.contextmanager
     def around():

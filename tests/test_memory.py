@@ -1,5 +1,6 @@
-"""What does not fit is refused before it is made, with the estimate; what fits is made in seconds."""
+"""Memory checks: requests beyond the available memory are refused early, with an estimate."""
 
+import re
 import tracemalloc
 from pathlib import Path
 
@@ -17,13 +18,13 @@ X = (0.1, 1.0, 0.2)
 
 
 @pytest.fixture
-def little(monkeypatch):
-    """A machine with 300 MB free."""
+def small_memory(monkeypatch):
+    """A machine with 300 MB of available memory."""
     monkeypatch.setattr("coadjoint.memory.available", lambda: 300 * 10**6)
 
 
 def view(*shape):
-    """As many numbers as one likes, in the memory of one."""
+    """Return an array of any shape that takes the memory of one number."""
     return np.broadcast_to(1.0, shape)
 
 
@@ -77,24 +78,22 @@ TOO_LARGE = {
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", TOO_LARGE)
-def test_what_does_not_fit_is_refused_at_once(name, little):
+def test_requests_beyond_memory_are_refused_early(name, small_memory):
     with bounded_work(), pytest.raises(ValueError) as refusal:
         TOO_LARGE[name]()
     message = str(refusal.value)
     assert len(message) < 1000
-    if name not in ("power", "exponent", "coefficient"):  # refused by their degree, on every machine
+    if name not in ("power", "exponent", "coefficient"):  # refused by degree
         assert "needs about" in message or "need about" in message
         assert "this machine has 300 MB free" in message
 
 
-def test_the_estimate_is_said():
+def test_refusal_has_the_estimate():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("coadjoint.memory.available", lambda: 2_100_000_000)
         with pytest.raises(ValueError) as refusal:
             co.algebras.so(400)
-    assert str(refusal.value) == (
-        "so(400), of dimension 79800, needs about 2.9 GB; this machine has 2.1 GB free; take a smaller one"
-    )
+    assert re.search(r"^so\(400\), .*79800, needs about 2\.9 GB; .*2\.1 GB free; ", str(refusal.value))
 
 
 @pytest.mark.thinned(3)
@@ -111,8 +110,8 @@ def test_the_estimate_is_said():
         lambda: co.LieAlgebra([], dim=200_000),
     ],
 )
-def test_an_algebra_needs_no_more_than_is_estimated(make):
-    """Beside the estimate a few tens of MB are for the parts that are at work, and for Casimirs and matrices."""
+def test_algebras_need_at_most_the_estimate(make):
+    """Some tens of MB are added for temporary parts, Casimirs and matrices."""
     tracemalloc.start()
     try:
         g = make()
@@ -125,21 +124,21 @@ def test_an_algebra_needs_no_more_than_is_estimated(make):
 
 
 @pytest.mark.long
-def test_large_algebras_are_made_in_seconds():
-    with bounded_work():  # minutes, when their identities were checked
+def test_large_algebras_are_created_in_seconds():
+    with bounded_work():  # minutes if identities were checked
         so, sl = co.algebras.so(150), co.algebras.sl(100)
     assert (so.dim, so.triples.c.size, sl.dim) == (11175, 150 * 149 * 148 // 2, 9999)
 
 
 @pytest.mark.parametrize(("members", "end"), [(1, 1_000_000), (7, 1_000_000), (100_000, 100), (150_000, 100)])
-def test_the_save_every_that_is_said_fits(members, end, little):
+def test_suggested_save_every_fits(members, end, small_memory):
     x0 = np.tile(X, (members, 1))
     with pytest.raises(ValueError, match="saved points") as refusal:
         co.integrate(BODY, x0, (0, end), 0.1, save_every=1)
     every = int(str(refusal.value).split("save_every=")[1].split(" ")[0])
     ready = co.prepare(BODY, co.Splitting(), 0.1)
 
-    def room(save_every):
+    def check_memory(save_every):
         from coadjoint.runs.memory_estimate import check_run_memory
         from coadjoint.runs.times import times_of
 
@@ -147,28 +146,28 @@ def test_the_save_every_that_is_said_fits(members, end, little):
         layout = ready.loops(0.1).plan(members, times.points, 0, 1).layout
         check_run_memory(layout, times, members)
 
-    room(every)
+    check_memory(every)
     with pytest.raises(ValueError, match="saved points"):
-        room(every - 1)
+        check_memory(every - 1)
 
 
-def test_members_that_do_not_fit_however_few_points_are_saved(monkeypatch):
+def test_too_many_members_are_refused(monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 100 * 10**6)
     with pytest.raises(ValueError, match="run fewer members at a time"):
         co.integrate(BODY, np.ones((300_000, 3)), (0, 1), 0.5, save_every=2)
 
 
-def test_what_is_small_is_not_asked_about(monkeypatch):
-    def asked():
+def test_small_requests_are_not_checked(monkeypatch):
+    def called():
         raise AssertionError
 
-    monkeypatch.setattr("coadjoint.memory.available", asked)
+    monkeypatch.setattr("coadjoint.memory.available", called)
     co.integrate(BODY, X, (0, 10), 0.1)
     co.algebras.so(20)
 
 
-def test_groups_of_linux(tmp_path):
-    """A batch job has what is left in the group above it; files held in memory do not count as used."""
+def test_cgroup_limits(tmp_path):
+    """A batch job has the remainder of its parent group; cached files do not count as used."""
     own, root = tmp_path / "cgroup", tmp_path / "fs"
     job = root / "slurm" / "job"
     job.mkdir(parents=True)
@@ -189,7 +188,7 @@ def test_groups_of_linux(tmp_path):
     assert memory._available_in_cgroups(str(root), str(tmp_path / "absent")) == memory.NO_LIMIT
 
 
-def test_available_is_asked_of_this_machine():
+def test_available_memory_of_this_machine():
     assert 2**20 < memory.available() <= memory.NO_LIMIT
 
 
@@ -198,7 +197,7 @@ MEMINFO = "MemTotal:       16000000 kB\nMemFree:         1000000 kB\nMemAvailabl
 
 @pytest.fixture
 def files(monkeypatch):
-    """Contents of the files from which the system reports memory; others do not exist."""
+    """Contents of the files in which the system reports memory; others do not exist."""
     found = {}
 
     def read(self, **kwargs):
@@ -210,8 +209,8 @@ def files(monkeypatch):
     return found
 
 
-def test_memory_of_the_machine(files, monkeypatch):
-    """What can be taken without swapping, in bytes; the total where that is not reported; a limit of the shell."""
+def test_sources_of_available_memory(files, monkeypatch):
+    """Memory without swapping, in bytes; the total if that is not reported; a limit of the shell."""
     sizes = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096}
     monkeypatch.setattr("os.sysconf", sizes.__getitem__)
     assert memory.available() == 4096 * 1000
@@ -230,8 +229,8 @@ def test_memory_of_the_machine(files, monkeypatch):
     assert memory.available() == 1024 * 3000000
 
 
-def test_the_group_with_the_least_counts(files, monkeypatch):
-    """Groups of both kinds, at every depth, those above included; a group without a limit does not count."""
+def test_smallest_cgroup_limit_counts(files, monkeypatch):
+    """Groups of both versions at every depth, parents included; groups without a limit are ignored."""
     groups = {
         "/sys/fs/cgroup": (9000, 1000, 0),
         "/sys/fs/cgroup/user": (5000, 4000, 500),
@@ -241,32 +240,32 @@ def test_the_group_with_the_least_counts(files, monkeypatch):
     }
     names = {False: ("memory.max", "memory.current", "file"), True: ("memory.limit_in_bytes", "memory.usage_in_bytes")}
 
-    def put(place, most, used, cached):
-        old = place.startswith("/sys/fs/cgroup/memory")
-        files[f"{place}/{names[old][0]}"], files[f"{place}/{names[old][1]}"] = f"{most}\n", f"{used}\n"
-        files[f"{place}/memory.stat"] = f"anon 1\n{'total_cache' if old else 'file'} {cached}\ncache 7\n"
+    def put(group, most, used, cached):
+        old = group.startswith("/sys/fs/cgroup/memory")
+        files[f"{group}/{names[old][0]}"], files[f"{group}/{names[old][1]}"] = f"{most}\n", f"{used}\n"
+        files[f"{group}/memory.stat"] = f"anon 1\n{'total_cache' if old else 'file'} {cached}\ncache 7\n"
 
-    for place, numbers in groups.items():
-        put(place, *numbers)
+    for group, numbers in groups.items():
+        put(group, *numbers)
     files["/proc/meminfo"] = MEMINFO
     files["/proc/self/cgroup"] = "5:cpu,memory:/own\n4:cpuset:/none\n0::/user/job\n"
-    left = {place: most - used + cached for place, (most, used, cached) in groups.items()}
+    left = {group: most - used + cached for group, (most, used, cached) in groups.items()}
     assert memory.available() == min(left.values()) == 1500
-    for place in groups:
+    for group in groups:
         for other, numbers in groups.items():
-            put(other, *(numbers if other != place else (1200, 300, 20)))
-        assert memory.available() == 920, place
-    for place, numbers in groups.items():
-        put(place, *numbers)
+            put(other, *(numbers if other != group else (1200, 300, 20)))
+        assert memory.available() == 920, group
+    for group, numbers in groups.items():
+        put(group, *numbers)
     files["/sys/fs/cgroup/user/memory.max"] = "max\n"
     assert memory.available() == 3000
     put("/sys/fs/cgroup/user/job", 1200, 300, 20)
     files["/proc/self/cgroup"] = "0::/../user/job\n"
-    assert memory.available() == 920, "a process of another namespace has a path above the root"
+    assert memory.available() == 920, "paths of other namespaces lie above the root"
 
 
-def test_what_just_fits_is_made(monkeypatch):
-    """The limit itself fits; what is small is not checked."""
+def test_requests_up_to_the_limit_are_accepted(monkeypatch):
+    """The limit itself fits; small requests are not checked."""
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**9)
     for count in (0, memory.UNCHECKED_BYTES, 10**9):
         memory.check_available_memory(count, "it")

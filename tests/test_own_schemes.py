@@ -1,4 +1,4 @@
-"""What `docs/own_schemes.md` shows beside its doctests: the scheme in C++, and a package that brings schemes."""
+"""Examples of `docs/own_schemes.md` beside its doctests: a scheme in C++, and a package of schemes."""
 
 import importlib.util
 import json
@@ -60,14 +60,14 @@ file = "out.nc"
 
 
 def blocks(language):
-    """Return the fenced blocks of the page in a language that are no doctests."""
+    """Return the fenced blocks of the page in a language, without doctests."""
     found = re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     return [block for block in found if ">>>" not in block]
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
 @pytest.mark.long
-def test_the_scheme_in_cpp_is_compiled_and_is_its_reading(tmp_path, monkeypatch):
+def test_cpp_scheme_equals_its_python_version(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (step,), (scheme,) = blocks("cpp"), blocks("python")
     (tmp_path / "heun.cpp").write_text(step)
@@ -96,7 +96,7 @@ def test_the_scheme_in_cpp_is_compiled_and_is_its_reading(tmp_path, monkeypatch)
 
 @pytest.fixture
 def installed(tmp_path):
-    """A folder in which the package of the page is installed, and one that is broken."""
+    """Return a folder with the installed package of the page, and a broken package."""
     project = tomllib.loads(blocks("toml")[0])["project"]
     (point,) = project["entry-points"]["coadjoint.methods"].items()
     broken = "Missing = no_such_module_anywhere:Missing\n"
@@ -111,30 +111,23 @@ def installed(tmp_path):
     return tmp_path
 
 
-def told(folder, *command):
+def run_python(folder, *command):
     paths = os.pathsep.join([str(folder), str(SOURCE)])
-    done = subprocess.run(
-        [sys.executable, *command],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": paths},
-        timeout=300,
-        check=False,
-    )
+    env = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=folder, env=env, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout, done.stderr
 
 
 @pytest.mark.long
-def test_a_package_brings_schemes_to_the_command_and_to_files(installed):
-    listed, warned = told(installed, "-m", "coadjoint", "methods")
+def test_installed_package_registers_schemes(installed):
+    listed, warned = run_python(installed, "-m", "coadjoint", "methods")
     assert "Kutta3(part=1.0)\n    A scheme of another package." in listed
     assert "the scheme Missing (no_such_module_anywhere:Missing) is skipped" in warned
-    told(installed, "-m", "coadjoint", "run", "run.toml")
+    run_python(installed, "-m", "coadjoint", "run", "run.toml")
     again = (
         "import json, xarray; from coadjoint.files.datasets.export import rebuild; "
         "dataset = xarray.open_dataset('out.nc', engine='h5netcdf'); sol = rebuild(dataset); "
         "print(json.dumps([repr(sol.method), bool((sol.x == dataset['x'].values).all())]))"
     )
-    assert json.loads(told(installed, "-W", "ignore", "-c", again)[0]) == ["Kutta3(part=0.5)", True]
+    assert json.loads(run_python(installed, "-W", "ignore", "-c", again)[0]) == ["Kutta3(part=0.5)", True]

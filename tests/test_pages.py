@@ -1,4 +1,4 @@
-"""The pages of `docs/` name what there is: every public name, and no file that has moved."""
+"""Documentation pages: every public name is listed, and links and file names are valid."""
 
 import importlib.util
 import re
@@ -20,7 +20,7 @@ def api():
     return module
 
 
-def test_every_public_name_is_on_the_page(api):
+def test_every_public_name_is_listed(api):
     from coadjoint import commands
 
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
@@ -34,23 +34,23 @@ def test_every_public_name_is_on_the_page(api):
     assert "|  |" not in text, "a name without a text"
 
 
-def test_the_page_is_what_the_texts_say(api):
+def test_api_page_is_up_to_date(api):
     written = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     assert api.page() == written, "run python docs/write_api.py"
 
 
-def test_editors_know_every_ready_made_system(api):
+def test_stub_file_is_up_to_date(api):
     written = (ROOT / "src/coadjoint/systems/__init__.pyi").read_text(encoding="utf-8")
     assert api.names_of_systems() == written, "run python docs/write_api.py"
 
 
-def test_the_schema_is_what_the_models_say(api):
+def test_schema_file_is_up_to_date(api):
     written = (ROOT / "docs" / "configuration.schema.json").read_text(encoding="utf-8")
     assert api.written_schema() == written, "run python docs/write_api.py"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_links_lead_somewhere(page):
+def test_links_are_valid(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text):
         file, _, anchor = target.partition("#")
@@ -63,14 +63,14 @@ def test_links_lead_somewhere(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_files_that_are_named_are_there(page):
-    """What stands in backticks and looks like a file of the sources is one, from the root or from a folder of them."""
+def test_named_files_exist(page):
+    """File names in backticks exist, relative to the root or to a folder of the sources."""
     text = page.read_text(encoding="utf-8")
-    places = [ROOT, ROOT / "src", ROOT / "src/coadjoint", ROOT / "src/coadjoint/kernels/source", page.parent]
-    places += [folder for folder in (ROOT / "src/coadjoint").iterdir() if folder.is_dir()]
-    places += [ROOT / "tests", ROOT / "tests/verification", *(ROOT / "src/coadjoint/kernels/source").glob("*/")]
+    folders = [ROOT, ROOT / "src", ROOT / "src/coadjoint", ROOT / "src/coadjoint/kernels/source", page.parent]
+    folders += [folder for folder in (ROOT / "src/coadjoint").iterdir() if folder.is_dir()]
+    folders += [ROOT / "tests", ROOT / "tests/verification", *(ROOT / "src/coadjoint/kernels/source").glob("*/")]
     for name in re.findall(r"`([\w/]+\.(?:py|hpp|cpp|md|json|toml))`", text):
         shown = name in ("heun.py", "heun.cpp", "conftest.py", "pyproject.toml") or "NAME" in name
-        assert shown or any((place / name).exists() for place in places), name
+        assert shown or any((parent / name).exists() for parent in folders), name
     for folder in re.findall(r"`((?:src|tests|docs|kernels|methods|runs|program|systems|algebra)/[\w/]*/?)`", text):
-        assert any((place / folder).exists() for place in places), folder
+        assert any((parent / folder).exists() for parent in folders), folder

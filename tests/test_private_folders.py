@@ -1,4 +1,4 @@
-"""Folders in which other users can change or replace files are recognised, wherever they lie above a file."""
+"""Private folders: those that other users can change are recognized at any depth."""
 
 import errno
 import os
@@ -14,13 +14,13 @@ import coadjoint as co
 from coadjoint.optional_packages import installed
 from coadjoint.private_folders import check_private, private_folder
 
-STRANGER = 65534
+OTHER_USER = 65534
 AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 
 
 @pytest.fixture
 def folders(tmp_path):
-    """Three folders in each other, all safe."""
+    """Return three nested folders, all private."""
     path = tmp_path.resolve()
     try:
         check_private(path)
@@ -39,8 +39,8 @@ def folders(tmp_path):
     ("mode", "safe"),
     [(0o700, True), (0o755, True), (0o500, True), (0o720, False), (0o702, False), (0o777, False), (0o1777, None)],
 )
-def test_modes(folders, place, mode, safe):
-    """In a sticky folder others cannot replace a folder, but they can add files."""
+def test_writable_modes_are_refused(folders, place, mode, safe):
+    """In a sticky folder others cannot replace folders, but can add files."""
     folders[place].chmod(mode)
     if safe is None:
         safe = place < 2
@@ -54,14 +54,14 @@ def test_modes(folders, place, mode, safe):
 @AS_ROOT
 @pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("mode", [0o700, 0o755, 0o1777])
-def test_owners(folders, place, mode):
-    os.chown(folders[place], STRANGER, STRANGER)
+def test_other_owners_are_refused(folders, place, mode):
+    os.chown(folders[place], OTHER_USER, OTHER_USER)
     folders[place].chmod(mode)
     with pytest.raises(PermissionError, match=f"{folders[place]} belongs to another user"):
         check_private(folders[-1])
 
 
-def test_links_and_files(folders):
+def test_links_and_files_are_refused(folders):
     link, file = folders[0] / "link", folders[0] / "file"
     link.symlink_to(folders[1])
     file.touch(mode=0o600)
@@ -72,7 +72,7 @@ def test_links_and_files(folders):
         check_private(folders[0] / "none")
 
 
-def test_temporary_folders(folders, monkeypatch):
+def test_temporary_folder_is_private(folders, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
     old = os.umask(0)
     try:
@@ -97,8 +97,8 @@ def test_temporary_folders(folders, monkeypatch):
 WAYS = ["link", "relative link", "link to link", "above/b/c", "above/b/beside", "a/b/c", "a/../above/b/c", "link/"]
 
 
-def linked(folders):
-    """Make links to the last folder, to one above it, and to another link; return the folder that has them."""
+def create_links(folders):
+    """Link to the last folder, to one above it, and to another link; return the folder of the links."""
     top = folders[0].parent
     (top / "link").symlink_to(folders[-1])
     (top / "relative link").symlink_to(os.path.join("a", "b", "c"))
@@ -110,9 +110,9 @@ def linked(folders):
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("absolute", [True, False])
-def test_temporary_folders_by_any_name(folders, monkeypatch, way, absolute):
-    """TMPDIR may be a link or a relative path: its real folder counts, as /tmp is a link on some systems."""
-    top = linked(folders)
+def test_temporary_folder_by_any_path(folders, monkeypatch, way, absolute):
+    """TMPDIR may be a link or a relative path: its real folder counts."""
+    top = create_links(folders)
     monkeypatch.chdir(top)
     monkeypatch.setenv("TMPDIR", f"{top}/{way}" if absolute else way)
     monkeypatch.setattr(tempfile, "tempdir", None)
@@ -126,8 +126,8 @@ def test_temporary_folders_by_any_name(folders, monkeypatch, way, absolute):
     assert not os.listdir(folders[-1])
 
 
-def test_links_where_others_can_replace_them(folders, monkeypatch):
-    """The folder was made behind the link, and stays where it is."""
+def test_replaced_link_does_not_move_the_folder(folders, monkeypatch):
+    """The folder was created behind the link and remains there."""
     (folders[0] / "link").symlink_to(folders[-1])
     other = folders[0].parent / "other"
     other.mkdir()
@@ -139,8 +139,7 @@ def test_links_where_others_can_replace_them(folders, monkeypatch):
 
 
 @pytest.mark.parametrize("case", ["missing", "file", "below a file", "link to nothing", "link to itself", "unwritable"])
-def test_temporary_folders_that_cannot_be_made(folders, monkeypatch, case):
-    """The reason is in the error, which is one line."""
+def test_failed_creation_has_the_reason(folders, monkeypatch, case):
     place = folders[-1] / "place"
     if case in ("file", "below a file"):
         place.touch()
@@ -170,8 +169,8 @@ def test_temporary_folders_that_cannot_be_made(folders, monkeypatch, case):
 
 
 @pytest.mark.parametrize("error", [OSError, PermissionError, RuntimeError, KeyboardInterrupt])
-def test_errors_of_what_uses_a_temporary_folder(folders, monkeypatch, error):
-    """They are raised as they are, and nothing stays behind."""
+def test_errors_in_a_temporary_folder_are_raised(folders, monkeypatch, error):
+    """Nothing is left behind."""
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
     with pytest.raises(error, match="of the user"), private_folder() as own:
         (own / "file").touch()
@@ -179,8 +178,8 @@ def test_errors_of_what_uses_a_temporary_folder(folders, monkeypatch, error):
     assert not os.listdir(folders[-1])
 
 
-def test_a_temporary_folder_that_cannot_be_removed(folders, monkeypatch):
-    """A library in use, for instance: the result counts."""
+def test_failed_removal_is_ignored(folders, monkeypatch):
+    """For instance a library in use."""
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
 
     def busy(*args, **kwargs):
@@ -192,8 +191,8 @@ def test_a_temporary_folder_that_cannot_be_removed(folders, monkeypatch):
         assert own.is_dir()
 
 
-def test_a_temporary_folder_that_is_taken_away(folders, monkeypatch):
-    """It cannot be examined, which is as bad as one that others can change."""
+def test_removed_temporary_folder_is_refused(folders, monkeypatch):
+    """It cannot be examined."""
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
 
     def gone(path):
@@ -206,7 +205,7 @@ def test_a_temporary_folder_that_is_taken_away(folders, monkeypatch):
 
 
 @pytest.mark.skipif(not installed("distributed"), reason="distributed is not installed")
-def test_workers_are_not_started_where_others_replace_files(folders, monkeypatch):
+def test_workers_require_a_private_folder(folders, monkeypatch):
     """A worker imports from its temporary folder."""
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
     folders[1].chmod(0o777)
@@ -215,15 +214,15 @@ def test_workers_are_not_started_where_others_replace_files(folders, monkeypatch
 
 
 @AS_ROOT
-def test_folders_of_another_user_than_root(tmp_path):
-    """What root owns is safe for everybody, and what another user owns is not safe for root."""
+def test_folders_of_root_are_private_for_all(tmp_path):
+    """Folders of other users are not private for root."""
     code = (
         "import os, sys; from pathlib import Path; from coadjoint.private_folders import check_private; "
-        f"os.setuid({STRANGER}); check_private(Path(sys.argv[1]))"
+        f"os.setuid({OTHER_USER}); check_private(Path(sys.argv[1]))"
     )
     own = Path(tempfile.mkdtemp(dir="/tmp")).resolve()
     try:
-        os.chown(own, STRANGER, STRANGER)
+        os.chown(own, OTHER_USER, OTHER_USER)
         paths = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
         assert subprocess.run([sys.executable, "-c", code, str(own)], env=paths, timeout=60).returncode == 0
         with pytest.raises(PermissionError, match="belongs to another user"):

@@ -1,16 +1,15 @@
-"""How processes end: daemon threads inside loops, and standard streams that are closed or full."""
+"""Ends of processes: daemon threads inside loops, and closed or full standard streams."""
 
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 import coadjoint
+from core_only import ENVIRONMENT, run_python
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
-# The main thread exits when a loop of the daemon thread has begun; further loops begin while the interpreter ends.
+# The main thread exits after a loop of the daemon thread has begun; further loops begin while the interpreter ends.
 DAEMON = """
 import dataclasses, sys, threading
 import numpy as np
@@ -52,7 +51,7 @@ import atexit; atexit.register(follow)
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize(
-    "members, options, before",
+    ("members", "options", "before"),
     [
         (64, "threads=1", ""),
         (64, "threads=1", LATER),
@@ -64,13 +63,13 @@ import atexit; atexit.register(follow)
 )
 def test_daemon_threads_end_with_the_process(members, options, before):
     code = DAEMON.format(members=members, options=options, before=before)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=200)
+    done = run_python(code)
     assert done.returncode == 3, done.stderr
     assert "terminate" not in done.stderr and "Traceback" not in done.stderr and "Fatal" not in done.stderr
     assert ("integrated" in done.stdout) == bool(before)
 
 
-def test_threads_of_a_run_begin_after_the_main_thread():
+def test_run_threads_start_after_the_main_thread():
     code = """
 import threading
 import numpy as np
@@ -82,13 +81,13 @@ def work():
     print("integrated")
 threading.Thread(target=work).start()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=200)
+    done = run_python(code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "integrated\n", "")
 
 
 @pytest.mark.thinned(3)
 @pytest.mark.parametrize(
-    "arguments, streams, status, said",
+    ("arguments", "streams", "status", "message"),
     [
         ("--version", ">&-", 1, "cannot be written"),
         ("--version", "2>&-", 0, ""),
@@ -100,7 +99,7 @@ threading.Thread(target=work).start()
         ("schema", "| true; exit ${PIPESTATUS[0]}", 141, ""),
     ],
 )
-def test_standard_streams_that_are_closed_or_full(arguments, streams, status, message):
+def test_closed_or_full_standard_streams(arguments, streams, status, message):
     if "/dev/full" in streams and not os.path.exists("/dev/full"):
         pytest.skip("this system has no /dev/full")
     command = f'"{sys.executable}" -m coadjoint {arguments} {streams}'
@@ -109,7 +108,7 @@ def test_standard_streams_that_are_closed_or_full(arguments, streams, status, me
     assert message in done.stderr and len(done.stderr.splitlines()) == bool(message)
 
 
-def test_no_file_of_a_run_gets_the_number_of_a_closed_stream(tmp_path):
+def test_closed_streams_keep_their_descriptors(tmp_path):
     code = (
         "import os, sys; from coadjoint import cli; cli._open_closed_streams(); "
         f"file = os.open({str(tmp_path / 'file')!r}, os.O_CREAT | os.O_WRONLY); sys.exit(file)"
@@ -119,7 +118,7 @@ def test_no_file_of_a_run_gets_the_number_of_a_closed_stream(tmp_path):
     assert done.returncode > 2
 
 
-def test_numba_without_its_compiler_is_named(monkeypatch):
+def test_disabled_numba_is_named(monkeypatch):
     pytest.importorskip("numba")
     separable = coadjoint.Separable({0: (lambda y: 0.5 * y * y, lambda y: y)})
     system = coadjoint.LiePoissonSystem(coadjoint.algebras.so(3), separable)

@@ -1,7 +1,10 @@
-"""What `dir` lists, what type checkers and editors know, and what is said of a name that is not there."""
+"""Public names: imports, `dir`, docstrings, type checkers, and errors for unknown names."""
 
+import importlib
 import importlib.util
+import inspect
 import os
+import pkgutil
 import subprocess
 import sys
 import types
@@ -16,7 +19,7 @@ SPACES = {"co.systems": co.systems, "co.algebras": co.algebras, "co.methods": co
 
 
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
-def test_namespaces_show_what_is_public_and_nothing_else(space):
+def test_namespaces_list_exactly_the_public_names(space):
     shown = dir(space)
     assert sorted(space.__all__) == sorted(shown)
     for name in shown:
@@ -25,7 +28,7 @@ def test_namespaces_show_what_is_public_and_nothing_else(space):
     assert {"get", "names"} <= set(shown)
 
 
-def test_everything_of_a_solution_is_listed_from_the_start():
+def test_solution_attributes_are_listed():
     sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
     parts = {"t", "x", "energy", "casimirs", "attitude", "observed", "stats", "failed", "events", "system", "method"}
     assert parts | {"drift", "at", "plot", "movie", "to_xarray"} <= set(dir(sol))
@@ -37,7 +40,7 @@ def test_everything_of_a_solution_is_listed_from_the_start():
         (
             "co.systems",
             "heavi_top",
-            r"co.systems has no attribute 'heavi_top'; did you mean 'heavy_top'\? It has: cleb",
+            r"no attribute 'heavi_top'; did you mean 'heavy_top'\?",
         ),
         ("co.systems", "frisbee", r"has no attribute 'frisbee'. It has: clebsch_body, .*vlasov_moments"),
         ("co.algebras", "so3", r"did you mean 'so'\? It has: A3_7"),
@@ -46,7 +49,7 @@ def test_everything_of_a_solution_is_listed_from_the_start():
         ("co", "integrat", r"did you mean 'integrate'\? dir\(coadjoint\) lists what it has"),
     ],
 )
-def test_a_name_that_is_not_there(space, name, message):
+def test_unknown_names_are_suggested(space, name, message):
     with pytest.raises(AttributeError, match=message):
         getattr({**SPACES, "co": co}[space], name)
     assert not hasattr(co.systems, "__wrapped__")
@@ -71,14 +74,99 @@ co.methods.Spliting
 
 @pytest.mark.long
 @pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
-def test_a_type_checker_knows_every_name_and_no_other(tmp_path):
+def test_type_checker_knows_the_public_names(tmp_path):
     file = tmp_path / "user.py"
     file.write_text(USER, encoding="utf-8")
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file", "", str(file)]
     paths = {**os.environ, "MYPYPATH": str(ROOT / "src")}
-    message = subprocess.run(command, capture_output=True, text=True, env=paths, cwd=ROOT).stdout
+    output = subprocess.run(command, capture_output=True, text=True, env=paths, cwd=ROOT).stdout
     for line, kind in [(5, "LiePoissonSystem"), (6, "LiePoissonSystem"), (7, "LieAlgebra"), (8, "Torque")]:
-        assert any(f":{line}: note: Revealed" in row and f".{kind}" in row for row in message.splitlines()), message
-    assert ":10: note: Revealed type is" in message and "ndarray" in message
+        assert any(f":{line}: note: Revealed" in row and f".{kind}" in row for row in output.splitlines()), output
+    assert ":10: note: Revealed type is" in output and "ndarray" in output
     for line, name in [(11, "frisbee"), (12, "integrat"), (13, "so3"), (14, "Spliting")]:
-        assert f'user.py:{line}: error: Module has no attribute "{name}"' in message, message
+        assert f'user.py:{line}: error: Module has no attribute "{name}"' in output, output
+
+
+# Imports.
+
+HEAVY = ("scipy", "numba", "llvmlite", "xarray", "matplotlib", "pydantic", "click", "tqdm", "zarr", "flint", "h5netcdf")
+
+
+def loaded_after(statement):
+    code = f"{statement}\nimport sys\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import coadjoint",
+        "import coadjoint; coadjoint.Splitting(order=4), coadjoint.LieAlgebra, coadjoint.IntegrationError",
+        "import coadjoint; coadjoint.LiePoissonSystem(coadjoint.algebras.so(3), coadjoint.Quadratic([1, 2, 3]))",
+    ],
+    ids=["package", "names", "system"],
+)
+def test_import_loads_no_heavy_packages(statement):
+    loaded = loaded_after(statement)
+    assert "coadjoint" in loaded
+    assert sorted(name for name in HEAVY if name in loaded) == []
+
+
+def test_every_public_name_exists():
+    for name in co.__all__:
+        assert getattr(co, name) is not None
+    assert set(co.__all__) <= set(dir(co))
+
+
+def test_unknown_name_raises_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'Spliting'"):
+        _ = co.Spliting
+
+
+# Docstrings.
+
+
+def modules():
+    names = [name for _, name, _ in pkgutil.walk_packages(co.__path__, "coadjoint.")]
+    return [name for name in names if not name.rpartition(".")[2].startswith("_")]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_every_public_name_has_a_docstring(name):
+    module = importlib.import_module(name)
+    assert module.__doc__
+    for label, item in vars(module).items():
+        if label.startswith("_") or getattr(item, "__module__", None) != name or not callable(item):
+            continue
+        assert inspect.getdoc(item) or (not inspect.isroutine(item) and not inspect.isclass(item)), f"{name}.{label}"
+        if not inspect.isclass(item):
+            continue
+        for member, value in vars(item).items():
+            documented = isinstance(value, property | classmethod | staticmethod) or inspect.isfunction(value)
+            if documented and not member.startswith("_"):
+                assert inspect.getdoc(getattr(item, member)), f"{name}.{label}.{member}"
+
+
+def overridden(kind, member):
+    """Return the docstring of the member that a member of a class overrides, from the nearest base of this package."""
+    bases = (base for base in kind.__mro__[1:] if base.__module__.startswith("coadjoint."))
+    found = (vars(base)[member] for base in bases if member in vars(base))
+    return next((inspect.cleandoc(text) for one in found if (text := own_docstring(one))), None)
+
+
+def own_docstring(value):
+    value = value.fget if isinstance(value, property) else getattr(value, "__func__", getattr(value, "func", value))
+    return value.__doc__ if inspect.isfunction(value) else None
+
+
+@pytest.mark.parametrize("name", modules())
+def test_overrides_do_not_repeat_docstrings(name):
+    for label, kind in vars(importlib.import_module(name)).items():
+        if not inspect.isclass(kind) or kind.__module__ != name:
+            continue
+        for member, value in vars(kind).items():
+            own, base = own_docstring(value), overridden(kind, member)
+            if own and base:
+                summary = inspect.cleandoc(own).split("\n\n")[0].rstrip(".")
+                assert not base.startswith(summary), f"{name}.{label}.{member} repeats: {summary}"

@@ -1,4 +1,4 @@
-"""Mistakes of new users, each with the message that answers it: what was wrong, where, and what would be right."""
+"""Typical mistakes of new users, and the key words of the messages that answer them."""
 
 import re
 
@@ -24,7 +24,7 @@ SYSTEM = co.LiePoissonSystem
 E3 = co.algebras.e(3)
 CUBE = co.LiePoissonSystem(SO3, co.Polynomial({(1, 1, 1): 1.0}))
 
-# what is done, the message in full or its first words, and what users of other libraries would have said
+# Calls and the beginnings of their messages.
 MISTAKES = {
     # keywords of other libraries
     "dt": (lambda: run(X0, SPAN, dt=0.1), "integrate has no dt; give step=, the size of a step"),
@@ -122,7 +122,7 @@ MISTAKES = {
         lambda: BODY.energy(np.ones((4, 2))),
         "x has shape (4, 2); a point of this system has shape (3,), many have (k, 3)",
     ),
-    # what is looked at
+    # observables and attributes
     "a function, no mapping": (
         lambda: full(observe=lambda x: x[0]),
         "observe is a lambda; it must map names to Polynomials or functions of x",
@@ -227,29 +227,29 @@ MISTAKES = {
 }
 
 
-def test_there_are_as_many_as_are_promised():
+def test_number_of_mistakes():
     assert len(MISTAKES) >= 58
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_the_message(name):
+def test_message_answers_the_mistake(name):
     make, expected = MISTAKES[name]
     with pytest.raises((TypeError, ValueError, IndexError, AttributeError)) as caught:
         make()
     message = str(caught.value)
     assert message.startswith(expected), message
-    # In one line, short enough to be read, and no address of an object.
+    # One short line, without addresses of objects.
     assert "\n" not in message and " at 0x" not in message
     assert len(message) < 700
     assert not re.search(r"unexpected keyword|positional argument|NoneType", message)
 
 
-def test_more_numbers_than_a_state_has_are_not_told_to_be_one():
+def test_no_ravel_hint_for_several_states():
     with pytest.raises(ValueError, match=r"must be \(3,\) or \(members, 3\)$"):
         run(np.ones((3, 1, 3)), SPAN, 0.1)
 
 
-def test_names_and_lines_make_algebras():
+def test_algebras_from_names_and_lines():
     names = co.LieAlgebra.from_brackets(
         3, {("h", "e"): {"e": 2}, ("h", "f"): {"f": -2}, ("e", "f"): {"h": 1}}, basis=("h", "e", "f")
     )
@@ -263,7 +263,7 @@ def test_names_and_lines_make_algebras():
 @pytest.mark.parametrize(
     "arguments", ["Splitting", {"name": "Splitting", "order": 2}, {"name": "Splitting", "parameters": {"order": 2}}]
 )
-def test_a_scheme_by_its_name_or_as_a_mapping(arguments):
+def test_schemes_by_name_or_mapping(arguments):
     for sol in (full(method=arguments), co.prepare(BODY, arguments, 0.1).run(X0, SPAN)):
         assert sol.method == co.Splitting() and (sol.x == RUN.x).all()
     assert (co.stepper(BODY, arguments, 0.1)(X0) == RUN.x[1]).all()
@@ -271,7 +271,7 @@ def test_a_scheme_by_its_name_or_as_a_mapping(arguments):
     assert co.integrate(BODY, X0, SPAN, 0.1, "rk4").method == co.ExplicitRungeKutta("rk4")
 
 
-def test_no_polynomial_casimir_is_said():
+def test_missing_polynomial_casimirs_are_explained():
     found = co.algebras.get("A3_7", a=0.5).casimirs()
     assert found == {} and not found
     assert repr(found) == (
@@ -281,7 +281,7 @@ def test_no_polynomial_casimir_is_said():
     assert repr(SO3.casimirs()) == "{'C2': x1^2 + x2^2 + x3^2}"
 
 
-def test_parts_that_cannot_be_made_say_why():
+def test_broken_solution_raises_attribute_error():
     broken = co.integrate(BODY, X0, SPAN, 0.1)
     del broken.__dict__["_times"]
     with pytest.raises(AttributeError, match="_times"):

@@ -1,4 +1,4 @@
-"""Fluids on the torus for tests: modes, random states, and a reference to 40 digits."""
+"""Fluids on the torus: modes, random states, and a reference to 40 digits."""
 
 import json
 from pathlib import Path
@@ -17,12 +17,12 @@ def first_modes(N):
 
 
 def last_modes(N):
-    """Those at t = 1."""
+    """Return the modes of the reference at t = 1."""
     return {(m1, m2): complex(float(re), float(im)) for m1, m2, re, im in REFERENCE[str(N)]}
 
 
 def mode(N, n):
-    """T_n."""
+    """Return T_n."""
     w = np.zeros((N, N), dtype=complex)
     w[n[0] % N, n[1] % N] = 1.0
     return matrix_of_modes(w) / (-1j * N / (4 * np.pi))
@@ -34,7 +34,7 @@ def of_size(N):
 
 
 def smooth(system, seed, width=2.0):
-    """A random state of large waves, its vorticity of size one."""
+    """Return a random state of long waves, with vorticity of size one."""
     N, rng = system.algebra.N, np.random.default_rng(seed)
     w = (rng.standard_normal((N, N)) + 1j * rng.standard_normal((N, N))) * np.exp(-of_size(N) / (2 * width**2))
     w[0, 0] = 0.0

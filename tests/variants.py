@@ -1,8 +1,8 @@
-"""Repeats the tests marked `sensitive`, and digests of runs, as on other machines: `python variants.py`.
+"""Repeat the tests marked `sensitive` and digests of runs under settings of other machines: `python variants.py`.
 
-Each variant sets what a machine may change: the BLAS kernels, NumPy's vector instructions, those of the C library, the
-level of the kernels, the share of the processor. One that does not apply here is named and left out. Variants that set
-different things are set together, and one by one where that fails.
+Variants set the BLAS kernels, vector instructions of NumPy and the C library, the level of the kernels, or the share of
+the processor. Those that do not apply are named and skipped. Independent variants run together, and one by one after a
+failure.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ CORES = {"Haswell": 3, "SkylakeX": 4, "Prescott": 1}
 LEVELS = (1, 3)
 HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F"
 PERIOD, SHARE = 0.1, 0.2
-"""Seconds, of which the processes run this share."""
-# Tests that wait for other processes run under a quota, and only there: the others compute the same in five times the
-# time, and these compute nothing that depends on instructions.
+"""Period (s) and share of it in which the processes run."""
+# Tests that wait for other processes run under a quota, and only there: other tests do not depend on the quota, and
+# these do not depend on instructions.
 WAITING = {"test_interrupted_imports.py", "test_interrupted_preparation.py", "test_interrupted_runs.py"}
 
 
 class Variant(NamedTuple):
-    """A setting of the environment; `lacks` names what it would need, where it does not apply."""
+    """A setting of the environment; `lacks` names a missing requirement."""
 
     name: str
     setting: dict[str, str]
@@ -50,12 +50,10 @@ def variants() -> Iterator[Variant]:
     for core, least in CORES.items():
         lacks = "" if openblas and level >= least else f"OpenBLAS on an x86-64 processor of level v{least}"
         yield Variant(f"OPENBLAS_CORETYPE={core}", {"OPENBLAS_CORETYPE": core}, lacks)
-    # Their names differ by the version of NumPy, which refuses those that it does not know.
+    # Names depend on the version of NumPy, which refuses unknown ones.
     features = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     setting = {"NPY_DISABLE_CPU_FEATURES": " ".join(features)}
-    yield Variant(
-        "NumPy without SIMD", setting, "" if features else "a NumPy that chooses instructions when it is loaded"
-    )
+    yield Variant("NumPy without SIMD", setting, "" if features else "a NumPy with runtime dispatch")
     glibc = platform.libc_ver()[0] == "glibc" and platform.machine() == "x86_64"
     yield Variant("glibc without AVX and FMA", {"GLIBC_TUNABLES": HWCAPS}, "" if glibc else "glibc on x86-64")
     for one in LEVELS:
@@ -66,7 +64,7 @@ def variants() -> Iterator[Variant]:
 
 
 def together(ones: list[Variant]) -> list[list[Variant]]:
-    """Group variants that set different things; one with a quota stays alone."""
+    """Group independent variants; one with a quota stays alone."""
     groups: list[list[Variant]] = []
     for one in ones:
         fitting = (
@@ -82,18 +80,18 @@ def together(ones: list[Variant]) -> list[list[Variant]]:
 
 
 def joined(group: list[Variant]) -> Variant:
-    """Return the one that sets everything that these set."""
+    """Return the combined variant of a group."""
     setting = {name: value for one in group for name, value in one.setting.items()}
     return Variant(", ".join(one.name for one in group), setting, quota=group[0].quota)
 
 
 def passed(variant: Variant) -> bool:
     """Run the sensitive tests under a setting."""
-    # These files alone: to collect all tests takes longer than to run these.
+    # Only these files: collecting all tests takes longer than running these.
     paths = [path for path in (ROOT / "tests").rglob("test_*.py") if "mark.sensitive" in path.read_text("utf-8")]
     chosen = sorted(str(path) for path in paths if (path.name in WAITING) == variant.quota)
     command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-m", "sensitive and not long", *chosen]
-    # In a process group, so that all of its processes can be stopped at once; Linux gives a session a share of its own.
+    # A process group can be stopped at once; Linux gives a session a share of its own.
     with subprocess.Popen(command, cwd=ROOT, env=os.environ | variant.setting, process_group=0) as tests:
         try:
             while variant.quota and tests.poll() is None:
@@ -116,7 +114,7 @@ def digests(setting: dict[str, str]) -> dict[str, str]:
 
 
 def wrong_under(variant: Variant, expected: dict[str, str]) -> str:
-    """Return what differs under a setting, or nothing."""
+    """Return the differences under a setting, or an empty string."""
     print(f"{variant.name}:", flush=True)
     began = time.monotonic()
     wrong = "" if passed(variant) else "tests"

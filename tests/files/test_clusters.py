@@ -347,10 +347,7 @@ def test_command_runs_a_sweep_on_workers(tmp_path, monkeypatch, capsys):
     [
         (("[sweep.over]", "[sweep]"), "run.toml: sweep"),
         (("workers = 2", "workers = 0"), "run.toml: run.workers: must be 1 or more, not 0"),
-        (
-            ("workers = 2", "workers = 2\nt_eval = [0.5]"),
-            "run.toml: run.t_eval: ",
-        ),
+        (("workers = 2", "workers = 2\nt_eval = [0.5]"), "run.toml: run.t_eval: "),
     ],
 )
 def test_invalid_workers_in_a_file_are_refused(tmp_path, monkeypatch, capsys, change, message):

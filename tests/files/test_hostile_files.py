@@ -303,15 +303,11 @@ PACKED_CHUNKS = {
     "longer": (("deflate",), zlib.compress(bytes(25)), 0, "another length"),
     "shorter": (("deflate",), zlib.compress(bytes(23)), 0, "another length"),
     "far longer": (("deflate",), zlib.compress(bytes(2**20)), 0, "another length"),
-    "longer, with a sum behind": (
-        ("deflate", "fletcher32"), sums(zlib.compress(bytes(28))), 0, "another length",
-    ),
+    "longer, with a sum behind": (("deflate", "fletcher32"), sums(zlib.compress(bytes(28))), 0, "another length"),
     "without the sum inside": (("fletcher32", "deflate"), zlib.compress(bytes(24)), 0, "another length"),
     "filter left out": (("deflate",), bytes(24), 1, "without all of its filters"),
     "second filter left out": (("shuffle", "deflate"), bytes(24), 2, "without all of its filters"),
-    "first filter left out": (
-        ("shuffle", "deflate"), zlib.compress(bytes(24)), 1, "without all of its filters",
-    ),
+    "first filter left out": (("shuffle", "deflate"), zlib.compress(bytes(24)), 1, "without all of its filters"),
     "packed twice": (("deflate", "deflate"), zlib.compress(zlib.compress(bytes(24))), 0, "has the filters"),
     "not packed": (("deflate",), bytes(24), 0, "."),
 }  # fmt: skip
@@ -361,14 +357,8 @@ def change_both(name, **kwargs):
 
 
 CONTRADICTIONS = {
-    "chunks in the array only": (
-        change_array(lambda about: about.update(chunks=[33, 1, 3])),
-        "contradict each other",
-    ),
-    "codec in the array only": (
-        change_array(lambda about: about.update(compressor=None)),
-        "contradict each other",
-    ),
+    "chunks in the array only": (change_array(lambda about: about.update(chunks=[33, 1, 3])), "contradict each other"),
+    "codec in the array only": (change_array(lambda about: about.update(compressor=None)), "contradict each other"),
     "type in the array only": (change_array(lambda about: about.update(dtype="<f4")), "contradict each other"),
     "two packers": (change_both("x", filters=[{"id": "blosc"}], compressor={"id": "zstd"}), "the codecs of"),
     "objects": (change_both("x", dtype="|O"), "neither numbers nor text"),

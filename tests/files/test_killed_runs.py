@@ -92,11 +92,11 @@ def test_full_disk_at_any_write(tmp_path, monkeypatch, small_pieces, call, every
 def test_errors_of_syncing_a_folder(tmp_path, monkeypatch, number, raised):
     """File systems that cannot sync folders are accepted; full or broken ones are not."""
 
-    def said(descriptor):
+    def failing_sync(descriptor):
         if stat.S_ISDIR(os.fstat(descriptor).st_mode):
             raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(os, "fsync", said)
+    monkeypatch.setattr(os, "fsync", failing_sync)
     if raised:
         with pytest.raises(ArchiveError, match=re.escape(f"cannot be created ({os.strerror(number)})")):
             co.integrate(*RUN, archive=tmp_path / "run.zarr")

@@ -178,10 +178,7 @@ def test_check_command_output(folder, capsys):
     [
         (READY_MADE.replace("step", "stpe"), "run.toml: run.stpe: unknown key; did you mean 'step'?\n"),
         (READY_MADE + '[output]\nfile = "none/a.nc"\n', "run.toml: output.file: none/a.nc: "),
-        (
-            READY_MADE.replace("[0, 1]", "[0, 1e13]"),
-            "run.toml: run.save_every: ",
-        ),
+        (READY_MADE.replace("[0, 1]", "[0, 1e13]"), "run.toml: run.save_every: "),
         (
             READY_MADE.replace('"Splitting"\norder = 4', '"SphericalMidpoint"').replace("rigid_body", "heavy_top"),
             "run.toml: ",

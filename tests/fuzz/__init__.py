@@ -1,1 +1,1 @@
-"""Input of every kind, by the thousand: each ends in a result or in one sentence."""
+"""Random input for calls and configuration files: each gives a result or a refusal in one sentence."""

@@ -1,4 +1,4 @@
-"""Does every public function, whatever it is given, end in a result or in one sentence? For the calls of seeds."""
+"""Random calls of public functions, which must give a result or a refusal in one sentence."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ OBJECTS = {
     "a phase drift": co.phase_drift(ALONG),
     "a field at points": SAMPLED,
 }
-RIGHT = {
+VALID = {
     "system": BODY, "algebra": SO3, "method": co.Splitting(), "base": co.GaussLegendre(1), "x": X, "x0": X, "x0s": [X],
     "t": 0.25, "t_span": (0, 1), "step": 0.125, "h": 0.1, "tau": 0.1, "ratio": 1.0, "n": 3, "u": X, "v": X, "w": X,
     "i": 0, "j": 1, "k": 2, "dim": 3, "order": 4, "accuracy": 1e-3, "event": co.Event(0), "polynomial": P, "name": "a",
@@ -73,11 +73,11 @@ RIGHT = {
     "forces": forces.LinearDamping(0.1), "systems": [BODY, BODY], "path": "run.nc", "places": [[1.0, 1.0]],
     "strengths": 1.0, "widths": 0.5, "radii": 0.5, "vorticities": 1.0, "invariant": "energy", "other": P,
 }  # fmt: skip
-# Who asks for a long run, or for Casimirs of a high degree, waits; they hear an interrupt.
-AS_LONG_AS_ASKED = {"casimirs", "max_degree", "t_span", "steps", "step", "t"}
-LEFT_OUT = {"movie", "plot"}  # which take seconds
-# What steps and readers call with states that were read: they look at nothing again.
-INNER = {"absolute", "among", "both", "bracket", "chosen", "disc_profile", "dual", "ends", "from_coordinates",
+# Long runs and Casimirs of high degree may take long; they can be interrupted.
+MAY_TAKE_LONG = {"casimirs", "max_degree", "t_span", "steps", "step", "t"}
+LEFT_OUT = {"movie", "plot"}  # these take seconds
+# Internal functions that are called with validated states, and do not validate again.
+INTERNAL = {"absolute", "among", "both", "bracket", "chosen", "disc_profile", "dual", "ends", "from_coordinates",
          "from_vector", "is_in_numbers", "mode_array", "numbered_from",
          "pairing", "point_modes", "projected", "random_modes",
          "read", "read_places", "relative", "side_by_side", "slope_of", "spectrum_of_modes", "states",
@@ -85,12 +85,12 @@ INNER = {"absolute", "among", "both", "bracket", "chosen", "disc_profile", "dual
 
 
 def _of_objects():
-    """Yield what can be called of each object, with the parameters that it has."""
+    """Yield the callables of each object with their parameters."""
     for label, thing in OBJECTS.items():
         kind = type(thing)
         for name in sorted(dir(kind)):
             member = inspect.getattr_static(kind, name)
-            inner = name in INNER and label not in ("so(3)", "A5,23")
+            inner = name in INTERNAL and label not in ("so(3)", "A5,23")
             if name.startswith("_") or name in LEFT_OUT or inner or not callable(getattr(member, "__func__", member)):
                 continue
             if isinstance(member, property | type) or hasattr(dict, name):  # a drift is a dict
@@ -101,11 +101,11 @@ def _of_objects():
 
 
 def _parameters(function):
-    """Return the parameters of a function by name, with a right value where one is known."""
+    """Return the parameters of a function by name, with a valid value if one is known."""
     known = inspect.signature(function).parameters.values()
     named = [each for each in known if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
     empty = inspect.Parameter.empty
-    return {each.name: RIGHT.get(each.name, None if each.default is empty else each.default) for each in named}
+    return {each.name: VALID.get(each.name, None if each.default is empty else each.default) for each in named}
 
 
 def _all():
@@ -125,7 +125,7 @@ ENTRIES = list(_all())
 
 
 def returning(value):
-    """Return a function of anything that returns a value."""
+    """Return a constant function."""
 
     def returned(*_):
         return value
@@ -134,7 +134,7 @@ def returning(value):
 
 
 class Arrays:
-    """What says that it is an array, and is none."""
+    """An object that claims to be an array, but fails."""
 
     def __array__(self, dtype=None, copy=None):
         raise RuntimeError("no array")
@@ -146,7 +146,7 @@ def _itself():
     return found
 
 
-MADE = (
+CONSTRUCTED = (
     lambda chosen: np.full(chosen.choice(((3,), (6,), (1, 3), (2, 3), (3, 3), (0,), (3, 0), ())), _number(chosen)),
     lambda chosen: np.arange(3, dtype=chosen.choice(("f4", "i1", "u8", "c16", "f2", "O", "m8[s]"))),
     lambda chosen: np.float64(_number(chosen)),
@@ -179,11 +179,11 @@ def _any(chosen):
         return wild(chosen)
     if kind < 0.6:
         return chosen.choice(list(HOSTILE.values()))
-    return chosen.choice(MADE)(chosen)
+    return chosen.choice(CONSTRUCTED)(chosen)
 
 
 def drawn(seed):
-    """Return the name, the function and the arguments of the call that a seed draws."""
+    """Return name, function and arguments of the call of a seed."""
     chosen = random.Random(f"call {seed}")
     name, function, known = chosen.choice(ENTRIES)
     optional = {
@@ -205,12 +205,12 @@ def drawn(seed):
     return name, function, [arguments.pop(key) for key in positional if key in arguments], arguments
 
 
-_PLACE = tempfile.TemporaryDirectory()
+_FOLDER = tempfile.TemporaryDirectory()
 
 
 def tried(seed):
-    """Return what is wrong with the end of the call of a seed, as sentences."""
-    folder = pathlib.Path(_PLACE.name, "outside", "work")
+    """Return descriptions of what is wrong with the outcome of a call."""
+    folder = pathlib.Path(_FOLDER.name, "outside", "work")
     if not folder.exists():
         make(folder.parent)
     os.chdir(folder)
@@ -220,12 +220,12 @@ def tried(seed):
         warnings.simplefilter("always")
         try:
             result = function(*positional, **arguments)
-            if type(result).__module__.partition(".")[0] == "coadjoint":  # others show what they like
+            if type(result).__module__.partition(".")[0] == "coadjoint":
                 repr(result)
         except Exception as raised:
             error = raised
         except TooLong:
-            if not AS_LONG_AS_ASKED & {name, *arguments}:
+            if not MAY_TAKE_LONG & {name, *arguments}:
                 raise
             return []
     sentences = [found for found in (error and wrong_error(error, name), wrong_warning(noticed)) if found]

@@ -1,4 +1,4 @@
-"""Configuration files that a seed draws: examples with wild values, other keys and names, or other bytes."""
+"""Random configuration files: examples with random values, keys, names or bytes changed."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ FURTHER = (
 
 
 def bases():
-    """Return the configurations that are changed, as tables: those that ship, and some for what they do not have."""
+    """Return the configurations to be changed, as tables: the examples, and some with further features."""
     shipped = [path.read_text(encoding="utf-8") for path in sorted(EXAMPLES.glob("*.toml"))]
     return [_quick(tomllib.loads(text)) for text in (*shipped, *FURTHER)]
 
 
 def _quick(table):
-    """Return a configuration that takes few steps, small where it is a fluid."""
+    """Return a configuration with few steps, and of small matrices for fluids."""
     table["system"] = {**table.get("system", {})}
     table["system"]["parameters"] = {
         key: min(value, 7) if key == "N" else value for key, value in table["system"].get("parameters", {}).items()
@@ -60,7 +60,7 @@ def _quick(table):
 
 
 def draw(seed):
-    """Return the bytes of a configuration file that a seed draws."""
+    """Return the bytes of the configuration file of a seed."""
     chosen = random.Random(f"configuration {seed}")
     kind = chosen.random()
     table = plausible(chosen) if kind < 0.5 else copy.deepcopy(chosen.choice(_BASES))
@@ -74,7 +74,7 @@ def draw(seed):
 
 
 def _slots(table, inside=()):
-    """Yield each place of a value: the container, and the key or the index."""
+    """Yield container and key or index of each value."""
     for key, value in list(table.items() if isinstance(table, dict) else enumerate(table)):
         yield table, key
         if isinstance(value, dict | list):
@@ -82,7 +82,7 @@ def _slots(table, inside=()):
 
 
 def _slot(chosen, table):
-    """Return one place; those deep in long lists are no more likely than others."""
+    """Return a random slot, mostly of a table, so that long lists do not dominate."""
     found = list(_slots(table))
     if not found:
         return table, "run"
@@ -153,7 +153,7 @@ def _wrapped(chosen, table):
 
 
 def _of_one_name(chosen, table):
-    """Take another system, scheme, algebra, force or state, with what is left of the parameters of the one before."""
+    """Replace a system, scheme, algebra, force or state by name, with the parameters of the old one."""
     kind = chosen.choice(("system", "method", "algebra", "forces", "initial", "method", "system"))
     if kind == "system":
         table["system"] = {**_table(table.get("system")), "name": chosen.choice(systems.names())}
@@ -183,17 +183,17 @@ _GENTLE = (*4 * (_gently_changed,), _number_changed, _replaced, _taken_out, _of_
 
 
 def _other_bytes(chosen, text):
-    place = chosen.randrange(len(text) + 1)
-    end = min(len(text), place + chosen.choice((1, 1, 4, 40)))
+    at = chosen.randrange(len(text) + 1)
+    end = min(len(text), at + chosen.choice((1, 1, 4, 40)))
     kind = chosen.randrange(5)
     if kind == 0:
-        return text[:place] + bytes([chosen.randrange(256)]) + text[place + 1 :]
+        return text[:at] + bytes([chosen.randrange(256)]) + text[at + 1 :]
     if kind == 1:
-        return text[:place] + text[end:]
+        return text[:at] + text[end:]
     if kind == 2:
-        return text[:end] + text[place:]
+        return text[:end] + text[at:]
     if kind == 3:
-        return text[:place]
+        return text[:at]
     extra = (
         b"[",
         b"]",
@@ -210,7 +210,7 @@ def _other_bytes(chosen, text):
         b'"""',
         b"[[" * 200,
     )
-    return text[:place] + chosen.choice(extra) + text[place:]
+    return text[:at] + chosen.choice(extra) + text[at:]
 
 
 _BASES = bases()

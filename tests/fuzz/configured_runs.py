@@ -1,4 +1,4 @@
-"""Is what the command makes of a configuration file a result, or one line? For the files that seeds draw."""
+"""Random configuration files run by the command, which must write a result or print one line per error."""
 
 from __future__ import annotations
 
@@ -17,31 +17,19 @@ from coadjoint.files.configuration.configuration import Configuration, Configura
 from coadjoint.files.output.output_files import OutputError
 
 from .configurations import draw
-from .folder import make, seen
+from .folder import make, snapshot
 from .judging import wrong_error
 
-MOST_STEPS = 40  # a longer run is right, and not what is tried here
+MOST_STEPS = 40  # longer runs are cut
 LONGEST_LINE, MOST_LINES = 420, 21
-UNFORESEEN = tuple(
-    f"coadjoint: {kind}: "
-    for kind in (
-        "ValueError",
-        "TypeError",
-        "ArithmeticError",
-        "OverflowError",
-        "ZeroDivisionError",
-        "FloatingPointError",
-        "RecursionError",
-        "MemoryError",
-        "LinAlgError",
-    )
-)
+KINDS = "Value Type Arithmetic Overflow ZeroDivision FloatingPoint Recursion Memory LinAlg"
+UNFORESEEN = tuple(f"coadjoint: {kind}Error: " for kind in KINDS.split())
 
 _integrate = Configuration.integrate
 
 
 def shortened(configuration, *args, **kwargs):
-    """Run a configuration, no longer than `MOST_STEPS`."""
+    """Run a configuration for at most `MOST_STEPS` steps."""
     configuration.check_memory()
     start, end = configuration.t_span
     steps = abs(end - start) / configuration.step
@@ -52,19 +40,19 @@ def shortened(configuration, *args, **kwargs):
 
 
 class Runs:
-    """The command, in a folder of its own."""
+    """The command in a temporary folder."""
 
     def __init__(self):
         self._place, self._home = tempfile.TemporaryDirectory(), tempfile.TemporaryDirectory()
         self._outside = Path(self._place.name).resolve()
         self._folder = make(self._outside)
         os.chdir(self._folder)
-        os.environ["HOME"] = self._home.name  # where other packages keep what they remember
+        os.environ["HOME"] = self._home.name  # caches of other packages
         Configuration.integrate = shortened
         self._raised = None
         self._invoke = type(commands.commands).invoke
         commands.commands.invoke = self._recording
-        self._before = seen(self._outside)
+        self._before = snapshot(self._outside)
 
     def _recording(self, context):
         try:
@@ -74,11 +62,11 @@ class Runs:
             raise
 
     def tried(self, seed):
-        """Return what is wrong with the end of the run of a seed, as sentences."""
+        """Return descriptions of what is wrong with the outcome of a run."""
         (self._folder / "run.toml").write_bytes(draw(seed))
         self._raised = None
         message, printed = io.StringIO(), io.StringIO()
-        self._before = seen(self._outside)
+        self._before = snapshot(self._outside)
         with warnings.catch_warnings(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(message):
             warnings.simplefilter("default")
             try:
@@ -96,12 +84,12 @@ class Runs:
             if " encountered in " in line:
                 yield f"a warning: {line[:200]!r}"
             return
-        # A file with several mistakes is told all of them, each in a line.
-        reported = line.split("\n")
-        if not all(reported) or not all(each.isprintable() and len(each) <= LONGEST_LINE for each in reported):
+        # All errors of a file are reported, one per line.
+        lines = line.split("\n")
+        if not all(lines) or not all(each.isprintable() and len(each) <= LONGEST_LINE for each in lines):
             yield f"not one line for each mistake: {line[:500]!r}"
-        if len(reported) > MOST_LINES:
-            yield f"{len(reported)} lines: {line[:500]!r}"
+        if len(lines) > MOST_LINES:
+            yield f"{len(lines)} lines: {line[:500]!r}"
         if line.startswith(UNFORESEEN):
             yield f"unforeseen: {line[:300]!r} {wrong_error(self._raised, '')}"
         error = self._raised
@@ -111,7 +99,7 @@ class Runs:
                 yield wrong
 
     def _of_the_folder(self):
-        now, targets = seen(self._outside), [*self._targets()]
+        now, targets = snapshot(self._outside), [*self._targets()]
         for name, state in now.items():
             path = self._outside / name
             if name == "work/run.toml" or state == self._before.get(name, "new"):
@@ -125,7 +113,7 @@ class Runs:
         self._tidied(now)
 
     def _targets(self):
-        """Yield where the file says that results go."""
+        """Yield the output paths of the file."""
         with contextlib.suppress(ValueError, RecursionError, OSError, AttributeError):
             table = tomllib.loads((self._folder / "run.toml").read_bytes().decode())
             for named in filter(lambda arguments: isinstance(arguments, str), table.get("output", {}).values()):
@@ -133,7 +121,7 @@ class Runs:
                 yield Path(os.path.normpath(self._folder / named))
 
     def _tidied(self, now):
-        """Take away what was written, so that each seed finds the same folder."""
+        """Remove written files, so that each seed finds the same folder."""
         for name in sorted(now, reverse=True):
             path = self._outside / name
             if name not in self._before and name != "work/run.toml" and os.path.lexists(path):

@@ -1,4 +1,4 @@
-"""The folder in which configurations are run: files that they may name, and a watch over what is written."""
+"""The folder of configuration runs: files that configurations may name, and snapshots of its content."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 
 class Touching:
-    """What a pickle would make when it is read: a file."""
+    """An object that creates a file when it is unpickled."""
 
     def __reduce__(self):
         return (open, ("pwned", "w"))
 
 
 def make(outside):
-    """Return the folder of a run inside of another one, with states in files, right and wrong ones."""
+    """Create and return the folder of a run inside of another one, with valid and invalid state files."""
     folder = outside / "work"
     (folder / "a").mkdir(parents=True)
     (folder / "folder.npy").mkdir()
@@ -39,8 +39,8 @@ def make(outside):
     return folder
 
 
-def seen(outside):
-    """Return what lies in the folders, by name, with what a change would change."""
+def snapshot(outside):
+    """Return sizes and times of all files by name."""
     found = {}
     for place, folders, files in os.walk(outside):
         for name in (*folders, *files):

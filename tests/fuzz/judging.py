@@ -1,4 +1,4 @@
-"""What may a call or a command end in? A result, or one sentence that the library itself says."""
+"""Checks of outcomes: a result, or a refusal in one sentence raised by the library itself."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from coadjoint.optional_packages import MissingPackageError
 TESTS = Path(__file__).parents[1]
 SOURCE = str(Path(co.__file__).parent)
 SENTENCES = (ValueError, TypeError, ArithmeticError, co.IntegrationError, MissingPackageError)
-INSIDE = (ZeroDivisionError, FloatingPointError)  # of which a user learns nothing
+INSIDE = (ZeroDivisionError, FloatingPointError)  # uninformative for users
 LONGEST = 1000  # characters of a sentence
 
 
 class TooLong(BaseException):
-    """A call is still at work when its time is over; it heard that."""
+    """Raised in a call that exceeds its time limit."""
 
 
 def wrong_error(error, here):
-    """Return what is wrong with an error, or None; `here` says what was called."""
+    """Return a description of an unacceptable error of the call `here`, or None."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(last.filename).name}:{last.lineno}"
     message = str(error)
     shown = f"{type(error).__name__}: {message[:300]!r} ({place})"
-    if str(TESTS) in last.filename:  # Python itself refuses the call, or what was made of wild values
+    if str(TESTS) in last.filename:  # refused by Python itself, or by a function of the tests
         return None
     if isinstance(error, TypeError) and ("unexpected keyword argument" in message or "multiple values for" in message):
         return None
@@ -42,9 +42,9 @@ def wrong_error(error, here):
 
 
 def wrong_warning(noticed):
-    """Return the first warning that is not the library's own, or None."""
+    """Return the first floating-point warning outside of the tests, or None."""
     for found in noticed:
-        if found.filename.startswith(str(TESTS)):  # in a function that was given
+        if found.filename.startswith(str(TESTS)):
             continue
         if issubclass(found.category, RuntimeWarning) and " encountered in " in str(found.message):
             return f"a warning: {found.message} ({Path(found.filename).name}:{found.lineno})"

@@ -1,4 +1,4 @@
-"""Configurations that might well be right: any system with any scheme, of the right dimension."""
+"""Plausible random configurations: any system with any scheme, of the right dimension."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def system_of(name):
 
 @cache
 def schemes():
-    """Return a description of every example of every scheme that can be written down."""
+    """Return the descriptions of all serializable examples of schemes."""
     found = []
     for name in registry.names():
         for method in registry.scheme(name).examples():
@@ -71,13 +71,13 @@ def plausible(chosen):
     }
     likely = (*list(further)[:-3], *list(further)[:-3], *list(further)[-3:])
     for key in {chosen.choice(likely) for _ in range(chosen.choice((0, 1, 2, 3)))}:
-        if key != "figure" or chosen.random() < 0.1:  # which take a second
+        if key != "figure" or chosen.random() < 0.1:  # figures take a second
             further[key]()
     return table
 
 
 def without_none(value):
-    """Return what TOML can hold of a description."""
+    """Return a description without None, which TOML does not have."""
     if isinstance(value, dict):
         return {key: without_none(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):
@@ -110,7 +110,7 @@ def _sweep(chosen, table):
 
 
 def gently(chosen, value):
-    """Return a number that is like another one, a list with another length, or the value itself."""
+    """Return a similar number, a list of another length, or the value itself."""
     if isinstance(value, bool) or value is None:
         return value
     if isinstance(value, int):

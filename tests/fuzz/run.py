@@ -1,7 +1,7 @@
-"""Input of every kind by the thousand: `python -m fuzz.run configurations FIRST COUNT`, in the folder of the tests.
+"""Fuzzing from the command line: `python -m fuzz.run configurations FIRST COUNT` (or `calls`), in the folder `tests`.
 
-Or `calls`. Prints what does not end in a result or in one sentence, with its seed, and exits with status 1 where
-anything does not. Seeds are tried in processes of their own: one that crashes, or does not end, is named.
+Prints unacceptable outcomes with their seeds; the exit status is then 1. Seeds run in separate processes, so that
+crashes and hangs are reported as well.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-SECONDS = 30.0  # of a call; most take milliseconds, functions that are compiled seconds
-DEAF = 20.0  # further seconds until whoever did not hear the end is taken for hung
-MEMORY = 4 * 2**30  # bytes of addresses
+SECONDS = 30.0  # per call; most take milliseconds, compiled functions seconds
+DEAF = 20.0  # further seconds until a call counts as hung
+MEMORY = 4 * 2**30  # bytes of address space
 BLOCK = 2000
 
 
 def tried(kind, seeds):
-    """Try seeds in this process, and print a line of JSON before each, and one for what is wrong with it."""
+    """Try seeds in this process; print a line of JSON before each, and one for each failure."""
     from .judging import TooLong
 
     if kind == "configurations":
@@ -42,7 +42,7 @@ def tried(kind, seeds):
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     signal.signal(signal.SIGALRM, over)
-    out, sys.stdout = sys.stdout, open(os.devnull, "w")  # some functions that calls are given print
+    out, sys.stdout = sys.stdout, open(os.devnull, "w")  # some arguments are functions that print
     for seed in seeds:
         print(json.dumps([seed]), file=out, flush=True)
         faulthandler.dump_traceback_later(SECONDS + DEAF, exit=True)
@@ -59,7 +59,7 @@ def tried(kind, seeds):
 
 
 def in_processes(kind, seeds):
-    """Try seeds in other processes, another one after each crash; yield seeds and what is wrong with them."""
+    """Try seeds in other processes, a new one after each crash; yield seeds and descriptions of failures."""
     first = seeds.start
     while first < seeds.stop:
         numbers = str(first), str(seeds.stop - first)
@@ -81,7 +81,7 @@ def in_processes(kind, seeds):
 
 
 def fuzz(kind, first, count, jobs):
-    """Try seeds on several processes; return how many were wrong, and print each."""
+    """Try seeds in several processes; print failures and return their number for each seed."""
     blocks = [range(start, min(start + BLOCK, first + count)) for start in range(first, first + count, BLOCK)]
     wrong = Counter()
 

@@ -1,4 +1,4 @@
-"""Some hundred inputs that seeds draw: each ends in a result or in one sentence. `make fuzz` tries many more."""
+"""A few hundred random calls and configurations; `make fuzz` tries many more."""
 
 import inspect
 import statistics
@@ -19,18 +19,18 @@ COUNTS = [("configurations", FEW), ("calls", FEW), ("configurations", 1200), ("c
 
 
 @pytest.mark.parametrize(("kind", "count"), long_beyond(2, COUNTS))
-def test_a_result_or_one_sentence(kind, count):
+def test_outcome_is_a_result_or_one_sentence(kind, count):
     assert [f"{seed}: {found}" for seed, found in in_processes(kind, range(count))] == []
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["configurations", "calls"])
-def test_many_more(kind):
+def test_many_more_outcomes(kind):
     seeds = range(10**6, 10**6 + LONG)
     assert [f"{seed}: {found}" for seed, found in in_processes(kind, seeds)] == []
 
 
-def test_seeds_draw_the_same_again_and_many_kinds():
+def test_seeds_are_reproducible_and_varied():
     assert draw(7) == draw(7) != draw(8)
     read = Counter()
     for seed in range(400):
@@ -44,8 +44,8 @@ def test_seeds_draw_the_same_again_and_many_kinds():
     assert all(read[key] > 5 for key in ("TOML", "no TOML", "sweep", "forces", "events", "output", "observe"))
 
 
-def test_a_crash_and_a_hang_are_named(monkeypatch, tmp_path):
-    """In the place of the workers a program that crashes, or does not end, at two seeds."""
+def test_crashes_are_reported(monkeypatch, tmp_path):
+    """A program that crashes or fails at two seeds replaces the workers."""
     worker = tmp_path / "worker"
     worker.write_text(
         "#!/bin/sh\n"
@@ -59,7 +59,7 @@ def test_a_crash_and_a_hang_are_named(monkeypatch, tmp_path):
     assert found[0][1].startswith("ended by -11")
 
 
-def test_errors_are_judged():
+def test_acceptable_errors():
     def raised(function, *args):
         try:
             function(*args)

@@ -1,4 +1,4 @@
-"""Values that nobody expects, and somebody gives."""
+"""Unexpected values of configuration files."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ KEYS = (
 
 
 def wild(chosen, depth=0):
-    """Return a value that nobody expects."""
+    """Return an unexpected value."""
     kind = chosen.random()
     if kind < 0.4:
         return chosen.choice(NUMBERS)

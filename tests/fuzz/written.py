@@ -1,4 +1,4 @@
-"""TOML from tables: what `tomllib` reads again, whatever the values are."""
+"""TOML text of tables with any values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 
 
 def toml(table):
-    """Return a table as the text of a file, one key a line, tables in it inline."""
+    """Return the TOML text of a table, one key per line, inner tables inline."""
     return "".join(f"{quoted(key)} = {value(entry)}\n" for key, entry in table.items())
 
 

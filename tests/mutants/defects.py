@@ -1,41 +1,47 @@
-"""The list of defects: small changes of one place each that a test must notice, read from the TOML files beside."""
+"""Planted defects: small changes of the sources that a test must notice, read from the TOML files of this folder."""
 
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 FIELDS = {"name", "file", "old", "new", "tests", "equivalent", "compile"}
+# A number, a word, an operator or any other character; ">>" is two tokens, since it also closes two templates.
+TOKEN = re.compile(
+    r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?\w*|\w+"
+    r"|\*\*=|//=|<<=|->|::|:=|\*\*|//|<<|&&|\|\||\+\+|--|[-+*/%&|^<>=!@]=|\S"
+)
 
 
 @dataclass(frozen=True)
 class Defect:
-    """One change of one place.
+    """One change in one place.
 
     Attributes
     ----------
-    room : str
-        The TOML file that it stands in.
+    folder : str
+        The TOML file, which is named for the folder of the source.
     name : str
         What goes wrong.
     file : str
-        From the root of the repository.
+        Path from the root of the repository.
     old, new : str
-        The text, which occurs once, and what takes its place.
+        The text to replace, whose tokens occur once in the file, and its replacement.
     tests : tuple of str
         As pytest names them; one of them must fail.
     equivalent : str
-        Why nothing can notice it; empty where something must.
+        Why no test can notice the defect; empty otherwise.
     compile : tuple of str
-        The C++ sources that are compiled again.
+        The C++ sources to compile again.
     """
 
-    room: str
+    folder: str
     name: str
     file: str
     old: str
@@ -45,31 +51,50 @@ class Defect:
     compile: tuple[str, ...] = ()
 
     def planted(self, text: str) -> str:
-        """Return the text of the file with the defect; a text that does not hold `old` exactly once is an error."""
-        found = text.count(self.old)
-        if found != 1:
-            raise ValueError(f"{self.room}: {self.name!r}: the old text occurs {found} times in {self.file}, not once")
-        if self.old == self.new:
-            raise ValueError(f"{self.room}: {self.name!r} changes nothing")
-        return text.replace(self.old, self.new)
+        """Return the text of the file with the defect; raise unless `old` occurs in it exactly once."""
+        old, words, tokens = words_of(self.old), words_of(text), tokens_of(text)
+        starts = [i for i in range(len(words) - len(old) + 1) if words[i : i + len(old)] == old]
+        if len(starts) != 1:
+            raise ValueError(f"{self.folder}: {self.name!r}: `old` occurs {len(starts)} times in {self.file}, not once")
+        if old == words_of(self.new):
+            raise ValueError(f"{self.folder}: {self.name!r} changes nothing")
+        begin, end = tokens[starts[0]].start(), tokens[starts[0] + len(old) - 1].end()
+        line = text[text.rfind("\n", 0, begin) + 1 : begin]
+        indentation = line[: len(line) - len(line.lstrip())]
+        return text[:begin] + self.new.replace("\n", f"\n{indentation}") + text[end:]
+
+
+@lru_cache(maxsize=4)
+def tokens_of(text: str) -> tuple[re.Match[str], ...]:
+    """Return the tokens of a source, without trailing commas before closing brackets."""
+    found = list(TOKEN.finditer(text))
+    closes = [each.group() in {")", "]", "}"} for each in found[1:]]
+    trailing = {i for i, closing in enumerate(closes) if closing and found[i].group() == ","}
+    return tuple(each for i, each in enumerate(found) if i not in trailing)
+
+
+@lru_cache(maxsize=4)
+def words_of(text: str) -> tuple[str, ...]:
+    """Return the texts of the tokens of a source."""
+    return tuple(each.group() for each in tokens_of(text))
 
 
 @cache
 def defects() -> tuple[Defect, ...]:
-    """Return the whole list, room after room."""
+    """Return the list of all folders."""
     found: list[Defect] = []
     for path in sorted(HERE.glob("*.toml")):
         for entry in tomllib.loads(path.read_text(encoding="utf-8"))["defect"]:
             if unknown := entry.keys() - FIELDS:
                 raise ValueError(f"{path.name}: {entry.get('name')!r} has the unknown field {min(unknown)!r}")
             lists = {key: tuple(entry.pop(key, ())) for key in ("tests", "compile")}
-            found.append(Defect(room=path.stem, **entry, **lists))
+            found.append(Defect(folder=path.stem, **entry, **lists))
     return tuple(found)
 
 
 @cache
 def functions_of(file: Path) -> frozenset[str]:
-    """Return the names of the functions of a file, those in classes after the name of the class and two colons."""
+    """Return the names of the functions of a file; methods are written `Class::name`."""
     names: set[str] = set()
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
         inner = node.body if isinstance(node, ast.ClassDef) else [node]
@@ -79,7 +104,7 @@ def functions_of(file: Path) -> frozenset[str]:
 
 
 def missing_test(test: str, root: Path = ROOT) -> str:
-    """Return what is wrong with the name of a test; empty where there is such a test."""
+    """Return why there is no such test; empty if it exists."""
     path, _, function = test.partition("::")
     if not (root / path).is_file():
         return f"there is no file {path}"

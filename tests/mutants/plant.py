@@ -1,4 +1,4 @@
-"""Plants each defect of the list in a copy of the tree, runs the tests that should notice it, and prints survivors."""
+"""Plant each defect in a copy of the tree, run the tests that should notice it, and print the survivors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Tree:
 
     @classmethod
     def of_checkout(cls, folder: Path, compiled: bool) -> Tree:
-        """Return a copy of what the tests need, its kernels built if they are to change."""
+        """Return a copy of the files that the tests need; build its kernels if a defect changes them."""
         for name in COPIED:
             if (ROOT / name).is_dir():
                 shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
@@ -44,17 +44,17 @@ class Tree:
         mode = py_compile.PycInvalidationMode.CHECKED_HASH
         compileall.compile_dir(folder / "src", quiet=2, invalidation_mode=mode)
         kernels = Kernels(folder) if compiled else None
-        if kernels is not None and (said := kernels.build()):
-            raise RuntimeError(f"the kernels cannot be built: {said}")
+        if kernels is not None and (message := kernels.build()):
+            raise RuntimeError(f"the kernels cannot be built: {message}")
         return cls(folder, kernels)
 
-    def again(self, folder: Path) -> Tree:
-        """Return a copy of this copy."""
+    def copied(self, folder: Path) -> Tree:
+        """Return a copy of this tree."""
         shutil.copytree(self.root, folder)
         return Tree(folder, None if self.kernels is None else Kernels(folder))
 
     def pytest(self, tests: Iterable[str], seconds: float) -> tuple[int, str]:
-        """Run tests; return pytest's exit status, 0 where all passed, and what it printed. Too long is a failure."""
+        """Run tests; return pytest's exit status, 0 if all passed, and its output. A timeout is a failure."""
         environment = {
             **os.environ,
             "PYTHONPATH": str(self.root / "src"),
@@ -70,71 +70,71 @@ class Tree:
         return run.returncode, run.stdout + run.stderr
 
     def verdict(self, defect: Defect, seconds: float) -> tuple[str, str]:
-        """Plant a defect, run its tests, and take it out again; return the verdict and what shows it."""
-        place = self.root / defect.file
-        text = place.read_text(encoding="utf-8")
-        kept = self.kernels.keep(defect.compile) if self.kernels is not None and defect.compile else {}
+        """Plant a defect, run its tests, and restore the source; return the verdict and its reason."""
+        path = self.root / defect.file
+        text = path.read_text(encoding="utf-8")
+        objects = self.kernels.keep(defect.compile) if self.kernels is not None and defect.compile else {}
         try:
-            place.write_text(defect.planted(text), encoding="utf-8")
-            if kept and self.kernels is not None and (said := self.kernels.build(defect.compile)):
-                return WRONG, f"it does not compile: {said}"
-            status, said = self.pytest(defect.tests, seconds)
+            path.write_text(defect.planted(text), encoding="utf-8")
+            if objects and self.kernels is not None and (message := self.kernels.build(defect.compile)):
+                return WRONG, f"it does not compile: {message}"
+            status, output = self.pytest(defect.tests, seconds)
         finally:
-            place.write_text(text, encoding="utf-8")
-            if kept and self.kernels is not None:
-                self.kernels.restore(defect.compile, kept)
+            path.write_text(text, encoding="utf-8")
+            if objects and self.kernels is not None:
+                self.kernels.restore(defect.compile, objects)
         if status == 0:
             return (EQUIVALENT if defect.equivalent else SURVIVED), defect.equivalent
         if status > STOPPED:
-            return WRONG, f"pytest ended with status {status}: {said[-500:]}"
+            return WRONG, f"pytest ended with status {status}: {output[-500:]}"
         if defect.equivalent:
-            return WRONG, f"it is listed as equivalent ({defect.equivalent}), but is noticed: {_failure(said)}"
-        return NOTICED, _failure(said)
+            return WRONG, f"it is listed as equivalent ({defect.equivalent}), but is noticed: {_failure(output)}"
+        return NOTICED, _failure(output)
 
 
-def _failure(said: str) -> str:
-    lines = [line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return lines[0] if lines else said.strip().rpartition("\n")[2]
+def _failure(output: str) -> str:
+    lines = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return lines[0] if lines else output.strip().rpartition("\n")[2]
 
 
-def checked(chosen: Sequence[Defect]) -> None:
-    """Refuse a list that no longer fits the sources."""
+def check(chosen: Sequence[Defect]) -> None:
+    """Raise ValueError if a defect does not fit the sources or a test is missing."""
     for defect in chosen:
         defect.planted((ROOT / defect.file).read_text(encoding="utf-8"))
         for test in defect.tests:
             if wrong := missing_test(test):
-                raise ValueError(f"{defect.room}: {defect.name!r}: {wrong}")
+                raise ValueError(f"{defect.folder}: {defect.name!r}: {wrong}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0 where all defects were noticed but those that are listed as equivalent, else 1."""
+    """Return 0 if all defects were noticed or are listed as equivalent, else 1."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("only", nargs="*", help="rooms, or words in the names of defects; all by default")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="trees at work side by side")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="time for the tests of one defect")
+    parser.add_argument("only", nargs="*", help="folders, or words in the names of defects; all by default")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of trees used in parallel")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="time limit for the tests of one defect")
     options = parser.parse_args(arguments)
-    chosen = [d for d in defects() if not options.only or any(w == d.room or w in d.name for w in options.only)]
+    chosen = [d for d in defects() if not options.only or any(w == d.folder or w in d.name for w in options.only)]
     if not chosen:
         print("no defect has such a name")
         return 1
-    checked(chosen)
+    check(chosen)
     compiled = any(defect.compile for defect in chosen)
     counts = dict.fromkeys((NOTICED, SURVIVED, EQUIVALENT, WRONG), 0)
-    left: list[tuple[str, Defect, str]] = []
+    remaining: list[tuple[str, Defect, str]] = []
     with tempfile.TemporaryDirectory(prefix="defects-") as folder:
         first = Tree.of_checkout(Path(folder) / "0", compiled)
         tests = sorted({test for defect in chosen for test in defect.tests})
-        status, said = first.pytest(tests, 20 * options.seconds)
+        status, output = first.pytest(tests, 20 * options.seconds)
         if status:
-            print(said)
+            print(output)
             print("the tests fail without a defect")
             return 1
         trees: SimpleQueue[Tree] = SimpleQueue()
         trees.put(first)
         for number in range(1, min(options.jobs, len(chosen))):
-            trees.put(first.again(Path(folder) / str(number)))
+            trees.put(first.copied(Path(folder) / str(number)))
 
-        def judged(defect: Defect) -> tuple[Defect, str, str, float]:
+        def tested(defect: Defect) -> tuple[Defect, str, str, float]:
             tree = trees.get()
             began = time.perf_counter()
             try:
@@ -143,15 +143,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 trees.put(tree)
 
         with ThreadPoolExecutor(max(1, options.jobs)) as pool:
-            for defect, verdict, shown, seconds in pool.map(judged, chosen):
+            for defect, verdict, reason, seconds in pool.map(tested, chosen):
                 counts[verdict] += 1
-                print(f"{verdict:10} {seconds:5.1f} s  {defect.room}: {defect.name}  ({shown})", flush=True)
+                print(f"{verdict:10} {seconds:5.1f} s  {defect.folder}: {defect.name}  ({reason})", flush=True)
                 if verdict in (SURVIVED, WRONG):
-                    left.append((verdict, defect, shown))
+                    remaining.append((verdict, defect, reason))
     print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
-    for verdict, defect, shown in left:
-        print(f"{verdict}: {defect.room}: {defect.name} in {defect.file}{f': {shown}' if shown else ''}")
-    return 1 if left else 0
+    for verdict, defect, reason in remaining:
+        print(f"{verdict}: {defect.folder}: {defect.name} in {defect.file}{f': {reason}' if reason else ''}")
+    return 1 if remaining else 0
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Random systems, schemes and crowds, each made again from its seed, and what must not change their bits."""
+"""Random runs from seeds, and comparisons that must preserve their bits."""

@@ -1,4 +1,4 @@
-"""Random algebras: the catalogue with random parameters, families of every size, nilpotent and solvable ones, bases."""
+"""Random algebras: catalogue, families, nilpotent and solvable algebras, and changes of basis."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FAMILIES = {
 
 
 def low_dimensional(rng: np.random.Generator) -> co.LieAlgebra:
-    """Return one of dimension 2 to 5, with parameters that it accepts."""
+    """Return an algebra of dimension 2 to 5, with valid parameters."""
     names = [name for name in co.algebras.names() if name.startswith("A")]
     name = names[rng.integers(len(names))]
     while True:
@@ -33,7 +33,7 @@ def low_dimensional(rng: np.random.Generator) -> co.LieAlgebra:
 
 
 def nilpotent(rng: np.random.Generator) -> co.LieAlgebra:
-    """Return one of two steps: brackets of some elements are random sums of central ones."""
+    """Return a two-step nilpotent algebra, whose brackets are random sums of central elements."""
     a, b = int(rng.integers(2, 6)), int(rng.integers(1, 4))
     constants = rng.integers(-3, 4, (a, a, b)) * (rng.random((a, a, b)) < 0.5)
     rows = [(i, j, a + k, float(constants[i, j, k])) for i, j, k in np.argwhere(constants) if i < j]
@@ -41,7 +41,7 @@ def nilpotent(rng: np.random.Generator) -> co.LieAlgebra:
 
 
 def solvable(rng: np.random.Generator) -> co.LieAlgebra:
-    """Return one element that acts on commuting ones by a random matrix: motions grow, die, and turn."""
+    """Return an algebra of one element that acts on commuting ones by a random matrix."""
     n = int(rng.integers(2, 6))
     matrix = rng.integers(-2, 3, (n, n))
     rows = [(0, 1 + int(i), 1 + int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
@@ -49,7 +49,7 @@ def solvable(rng: np.random.Generator) -> co.LieAlgebra:
 
 
 def another_basis(rng: np.random.Generator, algebra: co.LieAlgebra) -> co.LieAlgebra:
-    """Return it in a random basis of whole numbers, its elements in another order."""
+    """Return the algebra in a random integer basis, permuted."""
     n = algebra.dim
     basis = np.eye(n, dtype=int)
     for _ in range(int(rng.integers(1, 2 * n))):

@@ -1,4 +1,4 @@
-"""A random run from a seed: system or batch, scheme, crowd, span, what is carried and watched, and looked for."""
+"""Random runs from a seed: system or batch, scheme, states, span, attitude and events."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .hamiltonians import matrix, some_hamiltonian
 
 MEMBERS = (1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 34, 40)
 STEPS = (0, 1, 2, 3, 5, 7, 8, 11, 16, 17, 23, 29, 40)
-LARGEST_BATCH = 300  # numbers in the states of a batch: each member is taken apart by itself
-# Drawn with options of their own; of all other schemes that are registered, their examples are.
+LARGEST_BATCH = 300  # numbers in the states of a batch, whose members are decomposed one by one
+# Schemes with random options; of other registered schemes the examples are drawn.
 DRAWN = (
     co.Splitting,
     co.GaussLegendre,
@@ -30,15 +30,15 @@ DRAWN = (
     co.ReversibleSteps,
 )
 REFUSALS = (ValueError, TypeError, OverflowError)
-"""What the library raises where it refuses a system, a scheme or a state: OverflowError where a number is too large."""
-MOST_TURNS = 30.0  # of a motion that is followed by steps of its own: how often it changes by its size
-CUBE_ROOT_OF_2 = 1.2599210498948732  # not by a power of floats, which is that of the C library
+"""Errors of refused systems, schemes or states; OverflowError if a number is too large."""
+MOST_TURNS = 30.0  # relative change of a motion that adaptive steps follow
+CUBE_ROOT_OF_2 = 1.2599210498948732  # powers of floats depend on the C library
 TRIPLE_JUMP = (1 / (2 - CUBE_ROOT_OF_2), 1 - 2 / (2 - CUBE_ROOT_OF_2), 1 / (2 - CUBE_ROOT_OF_2))
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """What `integrate` is given; `systems` are those of the members."""
+    """Arguments of `integrate`; `systems` are those of the members."""
 
     systems: tuple[Any, ...]
     x0: np.ndarray
@@ -68,15 +68,8 @@ def some_method(rng: np.random.Generator) -> Any:
     if kind <= 3:
         compensated = (None, True, False)[rng.integers(3)]
         if rng.random() < 0.25:
-            schemes = (
-                "yoshida4",
-                "suzuki4",
-                "blanes_moan6",
-                "blanes_casas_murua6",
-                "kahan_li8a",
-                "sofroniou_spaletta10",
-            )
-            return co.Splitting(scheme=schemes[rng.integers(len(schemes))], compensated=compensated)
+            names = "yoshida4 suzuki4 blanes_moan6 blanes_casas_murua6 kahan_li8a sofroniou_spaletta10".split()
+            return co.Splitting(scheme=names[rng.integers(len(names))], compensated=compensated)
         order = int(rng.choice([1, 2, 4, 6, 8, 10], p=[0.15, 0.4, 0.25, 0.1, 0.05, 0.05]))
         draw = rng.random()
         parts = "coordinates" if draw < 0.3 else "bonds" if draw > 0.95 else "free_body" if draw > 0.85 else "auto"
@@ -104,16 +97,16 @@ def some_method(rng: np.random.Generator) -> Any:
 
 @cache
 def other_schemes() -> Sequence[Any]:
-    """Return the examples of the registered schemes that are not drawn with options of their own."""
+    """Return the examples of the registered schemes that are not in DRAWN."""
     classes = (co.methods.registry.scheme(name) for name in co.methods.names())
     return [method for scheme in classes if scheme not in DRAWN for method in scheme.examples()]
 
 
 def crowd(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
-    """Return states that are strangers to each other, or neighbours; some at rest, some far beyond all others."""
+    """Return independent or neighbouring states, some at rest, some much larger than others."""
     states = 10.0 ** rng.choice([-3, 0, 0, 0, 1]) * rng.standard_normal((members, n))
     if rng.random() < 0.3:
-        # Neighbours meet the limits of an iteration in the same step.
+        # Neighbours reach the limits of an iteration in the same step.
         states = states[0] * (1.0 + 10.0 ** -rng.integers(1, 7) * np.arange(members)[:, None])
     if rng.random() < 0.25:
         far = rng.random(members) < 0.3
@@ -124,7 +117,7 @@ def crowd(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
 
 
 def some_systems(rng: np.random.Generator, members: int) -> tuple[Any, ...]:
-    """Return one system, or as many as members that differ in their constants."""
+    """Return one system, or one per member with different constants."""
     algebra, sign = some_algebra(rng), int(rng.choice([-1, 1]))
     if 1 < members <= LARGEST_BATCH / algebra.dim and rng.random() < 0.15:
         M = matrix(rng, algebra.dim)
@@ -134,7 +127,7 @@ def some_systems(rng: np.random.Generator, members: int) -> tuple[Any, ...]:
 
 
 def case_of(seed: int) -> tuple[Case, np.random.Generator]:
-    """Return the case of a seed, and where to draw from for what is compared."""
+    """Return the case of a seed, and the generator for its comparisons."""
     rng = np.random.default_rng(seed)
     while True:
         members = int(rng.choice(MEMBERS))
@@ -142,7 +135,7 @@ def case_of(seed: int) -> tuple[Case, np.random.Generator]:
             systems, method = some_systems(rng, members), some_method(rng)
             keeps = method.properties(systems[0])
         except REFUSALS:
-            # Refused by name, as the tests of refusals see; another is drawn.
+            # Refusals are tested elsewhere; draw again.
             continue
         n = systems[0].dim
         step = float(rng.choice([0.01, 0.0625, 0.1, 0.3, 1.0]))
@@ -155,12 +148,12 @@ def case_of(seed: int) -> tuple[Case, np.random.Generator]:
         save_every, watch = int(rng.choice([1, 1, 2, 3, 5, 7, 9, 13, 100])), bool(rng.random() < 0.6)
         x0 = crowd(rng, members, n)
         case = Case(systems, x0, (t0, end), step, method, attitude, save_every, watch)
-        # By numbers of their own, so that they change nothing of what is drawn above.
+        # A separate generator does not affect the draws above.
         return with_more(case, np.random.default_rng([seed, 1])), rng
 
 
 def with_more(case: Case, rng: np.random.Generator) -> Case:
-    """Return the case, sometimes in steps of the scheme's own, and sometimes with events."""
+    """Return the case, sometimes with adaptive steps, and sometimes with events."""
     if rng.random() < 0.25:
         case = with_own_steps(case, rng)
     if rng.random() < 0.35 and np.abs(case.x0).max() < 1e6:
@@ -170,7 +163,7 @@ def with_more(case: Case, rng: np.random.Generator) -> Case:
 
 
 def with_own_steps(case: Case, rng: np.random.Generator) -> Case:
-    """Return the case in steps that follow the motion, where it is not too fast for that."""
+    """Return the case with adaptive steps, unless the motion is too fast."""
     if rng.random() < 0.6:
         tolerance = 10.0 ** float(rng.uniform(-14, -2))
         method: Any = co.Taylor(tolerance=tolerance, projected=bool(rng.random() < 0.7))

@@ -1,4 +1,4 @@
-"""The same run in other company, in another order, prepared, watched or not, on other threads: the same bits."""
+"""Runs repeated on other threads, prepared, watched, in another order or alone: the bits must be the same."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import coadjoint as co
 
 from .cases import REFUSALS, Case, case_of
 
-SLOW = 2.0  # seconds: near a blow-up a run may take that, and is then compared with itself alone
+SLOW = 2.0  # seconds; slower runs, near a blow-up, are only repeated
 
 
-class Left(NamedTuple):
-    """What a run leaves: arrays by name, members second where the name has no star; and how it failed.
+class Result(NamedTuple):
+    """Results of a run: arrays by name, with members on the second axis unless the name has a star; and its failure.
 
     Crossings are rows of numbers for each member: time, event, direction, state. `failed` are the status and the step
     of members that failed, and zeros.
@@ -31,8 +31,8 @@ class Left(NamedTuple):
     failed: np.ndarray
 
 
-def left_by(solution: co.Solution, failure: tuple[Any, ...] | None) -> Left:
-    """Return every number of a solution; of one state it is an ensemble of one."""
+def result_of(solution: co.Solution, failure: tuple[Any, ...] | None) -> Result:
+    """Return every number of a solution; a single state is an ensemble of one."""
     along = {"x": solution.x, "energy": solution.energy, **{f"C {n}": v for n, v in solution.casimirs.items()}}
     if solution.attitude is not None:
         along["attitude"] = solution.attitude
@@ -42,18 +42,18 @@ def left_by(solution: co.Solution, failure: tuple[Any, ...] | None) -> Left:
         arrays[f"*{name}"] = np.atleast_2d(drift.tenths)
     state = solution._state
     failed = np.column_stack([state["status"], np.where(state["status"] != 0, state["step"], 0)])
-    return Left(arrays, failure, crossings_of(solution.events, 1 if single else solution.x.shape[1]), failed)
+    return Result(arrays, failure, crossings_of(solution.events, 1 if single else solution.x.shape[1]), failed)
 
 
 def crossings_of(events: Any, members: int) -> tuple[np.ndarray, ...]:
-    """Return the crossings of each member, a row of numbers each."""
+    """Return the crossings of each member, one per row."""
     if events is None:
         return ()
     rows = np.column_stack([events.t, events.which, events.direction, events.x])
     return tuple(rows[events.member == m] for m in range(members))
 
 
-def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
+def run(case: Case, members: Any = slice(None), **changes: Any) -> Result:
     """Run the case, or some of its members, with something changed."""
     chosen = np.arange(len(case.x0))[members]
     if case.batch:
@@ -65,13 +65,13 @@ def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
     try:
         with contextlib.redirect_stderr(io.StringIO()):
             solution = co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **arguments)
-            return left_by(solution, None)
+            return result_of(solution, None)
     except co.IntegrationError as error:
-        return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
+        return result_of(error.partial, (error.step, error.time, repr(error.residual), str(error)))
 
 
-def prepared_twice(case: Case) -> Left:
-    """Run the case by a prepared run that has just run other states."""
+def prepared_twice(case: Case) -> Result:
+    """Run the case by a prepared run that was used for other states before."""
     system = co.batch(list(case.systems)) if case.batch else case.systems[0]
     ready = co.prepare(system, case.method, case.step, attitude=case.attitude, watch=case.watch, threads=1)
     with contextlib.suppress(co.IntegrationError):
@@ -79,16 +79,16 @@ def prepared_twice(case: Case) -> Left:
     return prepared_by(ready, case)
 
 
-def prepared_by(ready: co.PreparedRun, case: Case) -> Left:
+def prepared_by(ready: co.PreparedRun, case: Case) -> Result:
     """Run the case by a prepared run."""
     try:
-        return left_by(ready.run(case.x0, case.t_span, case.save_every, events=case.events), None)
+        return result_of(ready.run(case.x0, case.t_span, case.save_every, events=case.events), None)
     except co.IntegrationError as error:
-        return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
+        return result_of(error.partial, (error.step, error.time, repr(error.residual), str(error)))
 
 
 def same(one: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two arrays have the same bits; one NaN is as good as another."""
+    """Return whether two arrays have the same bits; all NaNs are equal."""
     one, other = np.ascontiguousarray(one), np.ascontiguousarray(other)
     if one.shape != other.shape:
         return False
@@ -96,10 +96,10 @@ def same(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((none == np.isnan(other)).all()) and one[~none].tobytes() == other[~none].tobytes()
 
 
-def differing(one: Left, other: Left, members: Any = slice(None), followed: bool = False) -> list[str]:
+def differing(one: Result, other: Result, members: Any = slice(None), followed: bool = False) -> list[str]:
     """Return the names of arrays whose bits differ, of these members of the first.
 
-    Casimirs with several values are `followed` from look to look: they differ by whole periods where looks do.
+    Multivalued Casimirs are `followed` between evaluations, and may differ by whole periods if these differ.
     """
     found = []
     if one.crossings and other.crossings:
@@ -112,14 +112,14 @@ def differing(one: Left, other: Left, members: Any = slice(None), followed: bool
         actual, expected = one.arrays[name], other.arrays[name]
         actual = actual[members] if name.startswith("*") else actual[:, members]
         if not name.startswith("*") and other.failure is not None and expected.shape[1] == 1:
-            actual = actual[: len(expected)]  # of a single state what comes after its failure is left out
+            actual = actual[: len(expected)]  # a single state ends at its failure
         if not same(actual, expected) and not (followed and name.startswith("C ") and "log" in name):
             found.append(name)
     return found
 
 
-def at_any_time(case: Case, rng: np.random.Generator, every: Left) -> Iterator[str]:
-    """Yield what is wrong with the states between the steps of a run that does not fail."""
+def at_any_time(case: Case, rng: np.random.Generator, every: Result) -> Iterator[str]:
+    """Yield differences of the states between the steps of a successful run."""
     steps = round(abs(case.t_span[1] - case.t_span[0]) / case.step)
     way, count = (1.0 if case.t_span[1] >= case.t_span[0] else -1.0), len(case.x0)
     numbers = np.sort(np.append(rng.integers(0, steps + 1, 3), [0, steps]))
@@ -129,7 +129,7 @@ def at_any_time(case: Case, rng: np.random.Generator, every: Left) -> Iterator[s
     arguments = {"t_eval": times, "save_every": 1}
     checked = run(case, **arguments)
     if checked.failure is not None:
-        # Between two steps there may be none, where a force is a noise; or the energy is no number there.
+        # Noise has no states between steps, or the energy is not finite there.
         return
     if differing(checked, run(case, threads=3, **arguments)):
         yield "states at any time: other bits on threads"
@@ -143,8 +143,8 @@ def at_any_time(case: Case, rng: np.random.Generator, every: Left) -> Iterator[s
             yield f"states at any time: {', '.join(sorted(names))} of member {m} differ from those that it has alone"
 
 
-def ended(case: Case, rng: np.random.Generator, expected: Left) -> Iterator[str]:
-    """Yield what is wrong with a run that one of its events ends."""
+def ended(case: Case, rng: np.random.Generator, expected: Result) -> Iterator[str]:
+    """Yield differences of a run that is ended by one of its events."""
     chosen = int(rng.integers(len(case.events)))
     ending = dataclasses.replace(case.events[chosen], terminal=True)
     events = (*case.events[:chosen], ending, *case.events[chosen + 1 :])
@@ -161,7 +161,7 @@ def ended(case: Case, rng: np.random.Generator, expected: Left) -> Iterator[str]
         actual, second = crowd.crossings[m], expected.crossings[m]
         agree = same(alone.crossings[0], actual)
         if over:
-            # No value of g follows the step of the end, so that it may show pairs which the whole run misses there.
+            # No value of g follows the last step, which may show pairs of crossings that the full run misses.
             agree &= any(same(actual[-1], row) for row in second)
             step = np.floor(abs(actual[:, 0] - case.t_span[0]) / case.step)
             actual = actual[step < step[-1]]
@@ -174,61 +174,63 @@ def ended(case: Case, rng: np.random.Generator, expected: Left) -> Iterator[str]
             ):
                 yield f"ended by an event: {name} of member {m} has other bits before its end"
             if not np.isnan(actual[points:]).all():
-                yield f"ended by an event: {name} of member {m} goes on after its end"
+                yield f"ended by an event: {name} of member {m} continues after its end"
         if over and not same(alone.arrays["x"][-1, 0].ravel(), at_end[-1, 3:]):
             yield f"ended by an event: the last state of member {m} is not that of the event"
 
 
 def differences(seed: int) -> Iterator[str]:
-    """Yield what changes bits in the case of a seed, in a sentence each."""
+    """Yield a description of every difference of bits in the case of a seed."""
     case, rng = case_of(seed)
     began = time.perf_counter()
     try:
         expected = run(case)
     except REFUSALS:
-        return  # refused, before the first step
+        return  # refused before the first step
     count = len(case.x0)
 
-    def told(what: str, other: Left, failing: bool = True, looked: bool = True, **where: Any) -> Iterator[str]:
+    def compared(
+        label: str, other: Result, failing: bool = True, same_steps: bool = True, **where: Any
+    ) -> Iterator[str]:
         names = differing(expected, other, **where)
         if names:
-            yield f"{what}: {', '.join(sorted(names))} differ"
-        # Where other steps are looked at, an energy that is not finite may be seen in one of them alone.
-        of_energy = not looked and any(left.failure and "energy" in left.failure[3] for left in (expected, other))
+            yield f"{label}: {', '.join(sorted(names))} differ"
+        # With other watched steps, a non-finite energy may occur in one run only.
+        of_energy = not same_steps and any(left.failure and "energy" in left.failure[3] for left in (expected, other))
         if failing and not of_energy and expected.failure != other.failure:
-            yield f"{what}: failed as {other.failure}, not as {expected.failure}"
+            yield f"{label}: failed as {other.failure}, not as {expected.failure}"
 
-    yield from told("again", run(case))
+    yield from compared("again", run(case))
     if time.perf_counter() - began > 2 * SLOW:
         return
-    yield from told("threads", run(case, threads=int(rng.integers(2, 5))))
-    yield from told("with a progress bar, in pieces", run(case, progress=True))
-    yield from told("prepared, after other states", prepared_twice(case))
+    yield from compared("threads", run(case, threads=int(rng.integers(2, 5))))
+    yield from compared("with a progress bar, in pieces", run(case, progress=True))
+    yield from compared("prepared, after other states", prepared_twice(case))
     unwatched = run(case, watch=not case.watch)
     arrays = {n: v for n, v in unwatched.arrays.items() if not n.startswith("*")}
     saved = unwatched._replace(arrays=arrays)
-    yield from told("watched or not", saved, looked=False, followed=True)
+    yield from compared("watched or not", saved, same_steps=False, followed=True)
     steps = round(abs(case.t_span[1] - case.t_span[0]) / case.step)
     every = run(case, save_every=1)
     stored = sorted({*range(0, steps + 1, case.save_every), steps})
     within = {n: v[[k for k in stored if k < len(v)]] for n, v in every.arrays.items() if not n.startswith("*")}
     if case.watch:
         within |= {n: v for n, v in every.arrays.items() if n.startswith("*")}
-    kept_every = every._replace(arrays=within)
-    yield from told("every step saved", kept_every, looked=False, followed=not case.watch)
+    saved_every = every._replace(arrays=within)
+    yield from compared("every step saved", saved_every, same_steps=False, followed=not case.watch)
     if expected.failure is None:
         yield from at_any_time(case, rng, every)
         if case.events:
             yield from ended(case, rng, expected)
     if case.attitude is not False and expected.failure is None:
-        yield from told("without attitude", run(case, attitude=False), failing=False)
+        yield from compared("without attitude", run(case, attitude=False), failing=False)
     turned = rng.permutation(count)[: max(1, count // 2)]
-    yield from told("some, in another order", run(case, turned), failing=False, members=turned)
+    yield from compared("some, in another order", run(case, turned), failing=False, members=turned)
     backward = np.arange(count)[::-1]
-    yield from told("in the opposite order", run(case, backward), failing=False, members=backward)
+    yield from compared("in the opposite order", run(case, backward), failing=False, members=backward)
     for m in sorted({0, count - 1, int(rng.integers(count))}):
         alone = run(case, m)
-        yield from told(f"member {m} alone", alone, failing=False, members=slice(m, m + 1))
+        yield from compared(f"member {m} alone", alone, failing=False, members=slice(m, m + 1))
         if count > 1 and (alone.failure is not None) != bool(np.isnan(expected.arrays["x"][-1, m]).any()):
             if not (alone.failure and "energy" in alone.failure[3]):
                 yield f"member {m} alone: failed as {alone.failure}, other than in the crowd"

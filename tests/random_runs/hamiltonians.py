@@ -53,7 +53,7 @@ FUNCTIONS = ((well, well_slope, well_curvature), (driven, driven_slope, driven_c
 
 
 def matrix(rng: np.random.Generator, n: int):
-    """Return what `Quadratic` takes: a number, a diagonal, or a matrix; singular, indefinite and large ones too."""
+    """Return a number, diagonal or matrix for `Quadratic`, also singular, indefinite and large ones."""
     B = rng.standard_normal((n, n))
     symmetric = (B + B.T) / (2 * math.sqrt(n))
     kind = rng.integers(8)

@@ -1,6 +1,6 @@
-"""Random ensembles on several threads at once: `python -m random_runs.on_threads FIRST COUNT`, for a thread sanitizer.
+"""Random ensembles on several threads, for a thread sanitizer: `python -m random_runs.on_threads FIRST COUNT`.
 
-Each is run by four threads of its own, and by three threads of Python that share one prepared run.
+Each runs on four threads of its own, and in three Python threads that share a prepared run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .comparisons import differing, prepared_by, run
 
 
 def differences(seed: int) -> list[str]:
-    """Return the arrays that were not the same on all threads."""
+    """Return the names of arrays that differ between threads."""
     case, _ = case_of(seed)
     try:
         alone = run(case)

@@ -1,7 +1,7 @@
-"""Random runs by the thousand: `python -m random_runs.soak FIRST COUNT`, in the folder of the tests.
+"""Thousands of random runs: `python -m random_runs.soak FIRST COUNT`, in the folder `tests`.
 
-Prints what changes bits, and exits with status 1 where anything does. A seed that takes longer than the limit ends its
-process, with the place where it was.
+Prints differences of bits; the exit status is then 1. A seed that exceeds the time limit ends its process with a
+traceback.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from coadjoint import LongWait
 from .cases import case_of
 from .comparisons import differences
 
-SECONDS = 120.0  # for all runs of a seed: some take a splitting of forty members to pieces
+SECONDS = 120.0  # for all runs of a seed
 
 
 def tried(seeds: range, limit: float) -> int:
-    """Try seeds one after the other; return how many were wrong."""
+    """Try seeds in sequence; return the number of failures."""
     warnings.simplefilter("error")
     warnings.simplefilter("default", LongWait)
     wrong = 0
@@ -43,7 +43,7 @@ def tried(seeds: range, limit: float) -> int:
 
 
 def shown(seed: int) -> str:
-    """Return the case of a seed as text, also where drawing it is what fails."""
+    """Return the case of a seed as text, also if drawing it fails."""
     try:
         return str(case_of(seed)[0])
     except Exception as error:
@@ -51,7 +51,7 @@ def shown(seed: int) -> str:
 
 
 def main() -> int:
-    """Return 0 where no seed was wrong, in any of the processes."""
+    """Return 0 if no seed failed in any process."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("first", type=int, help="the first seed")
     parser.add_argument("count", type=int, help="how many seeds")

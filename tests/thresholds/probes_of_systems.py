@@ -67,7 +67,7 @@ def two_principal_values_of_a_tensor_vanish(light):
     tensor = np.diag([0.0, 2.0**-20 * (light * 2.0**20), 1.0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return not accepted(lambda: co.systems.so_n_body(tensor), "whose sum")
+        return not accepted(lambda: co.systems.so_n_body(tensor), "their sum")
 
 
 @probe(("systems/bodies/clebsch_body.py", "abs(defect) > 8 * UNIT_ROUNDOFF * size"), at=8 * U)

@@ -30,7 +30,7 @@ class FormalInterpreter(Interpreter):
 
     def __init__(self, program: Program) -> None:
         self.program = program
-        self._called = body_flow_parts(program)
+        self._is_body_flow = body_flow_parts(program)
 
     def pieces(self, reach: Callable[[], Any]) -> int:
         """Return 1: a power series in h needs no subdivision of the time of a free body."""

@@ -1,4 +1,4 @@
-"""How values from outside are shown: short, in one line, in bounded time."""
+"""Short representations of values from the user: one line, in bounded time."""
 
 import dataclasses
 import functools
@@ -76,8 +76,8 @@ HOSTILE = {
 
 @pytest.mark.parametrize("limit", [4, 20, 80, 200])
 @pytest.mark.parametrize("name", HOSTILE)
-def test_anything_is_shown_in_one_short_line(name, limit):
-    with bounded_work():  # an unbounded one takes minutes, or all memory
+def test_any_value_is_one_short_line(name, limit):
+    with bounded_work():
         text = short(HOSTILE[name], limit)
     assert 0 < len(text) <= limit
     assert text.isprintable()
@@ -89,15 +89,15 @@ def test_anything_is_shown_in_one_short_line(name, limit):
      [1, "a", [2.0]], {"a": 1, (0, 1): {2: 3.0}}, {1}, frozenset({1}), Fraction(1, 3), np.float64(2.0),
      np.array([1.0, 2.0]), range(3), int],
 )  # fmt: skip
-def test_what_is_small_is_its_repr(value):
+def test_small_values_have_their_repr(value):
     assert short(value) == repr(value)
 
 
-def test_an_array_of_objects_shows_them():
+def test_object_arrays_show_their_entries():
     assert short(np.array(["1", 2], dtype=object)) == "array(['1', 2], dtype=object)"
 
 
-def test_a_list_subclass_without_its_own_repr_is_cut_as_a_list():
+def test_list_subclass_is_cut_as_a_list():
     class Own(list):
         pass
 
@@ -105,8 +105,8 @@ def test_a_list_subclass_without_its_own_repr_is_cut_as_a_list():
 
 
 @pytest.mark.parametrize("limit", [4, 10, 80])
-def test_no_more_is_shown_than_the_limit_and_no_less(limit):
-    """Strings, lists and integers around the limit: all of what fits, and else its beginning up to the limit."""
+def test_representations_fill_the_limit(limit):
+    """Strings, lists and integers around the limit: in full, or their beginning up to the limit."""
     for size in range(1, 2 * limit + 4):
         for value in ("x" * size, [7] * size, (1.5,) * size, 10 ** (size - 1), b"x" * size, dict.fromkeys(range(size))):
             text, expected = short(value, limit), repr(value)
@@ -141,7 +141,7 @@ def test_functions_have_no_addresses():
         assert short(value) == shown
 
 
-def test_tables_show_text_as_text():
+def test_tables_escape_text():
     table = html_table("<b>&", {"<i>": "<td>", "two": ("<1>", 2), "none": ()})
     assert table == (
         "<table><caption><b>&lt;b&gt;&amp;</b></caption><tr><th>&lt;i&gt;</th><td>&lt;td&gt;</td></tr>"
@@ -149,7 +149,7 @@ def test_tables_show_text_as_text():
     )
 
 
-def test_fields_that_are_not_shown():
+def test_hidden_fields_are_omitted():
     @dataclasses.dataclass(repr=False)
     class Own:
         first: object

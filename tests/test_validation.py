@@ -1,4 +1,4 @@
-"""Numbers, names and flags from outside are what they look like, or are refused by name."""
+"""Validation of numbers, names, flags and lists from the user."""
 
 from decimal import Decimal
 from fractions import Fraction
@@ -50,7 +50,7 @@ HUGE = 10**400
         np.array(3),
     ],
 )
-def test_every_real_number_is_one(value):
+def test_real_number_types_are_accepted(value):
     assert read_number(value, "step") == 3.0 and type(read_number(value, "step")) is float
     entry = value[()] if isinstance(value, np.ndarray) else value
     held = np.empty(2, dtype=object)
@@ -62,7 +62,7 @@ def test_every_real_number_is_one(value):
     "value",
     [None, True, np.True_, "3", b"3", 3j, [3], np.array([3]), np.ma.masked, np.datetime64(3, "D"), mpmath.mpc(3)],
 )
-def test_what_is_no_number_is_refused(value):
+def test_other_types_are_refused_as_numbers(value):
     with pytest.raises(TypeError, match=r"^step is .*; it must be a number$"):
         read_number(value, "step")
 
@@ -70,7 +70,7 @@ def test_what_is_no_number_is_refused(value):
 @pytest.mark.parametrize(
     "value", [HUGE, -HUGE, Fraction(HUGE), Decimal(10) ** 400, np.longdouble("1e400"), mpmath.mpf(10) ** 400]
 )
-def test_what_is_too_large_is_refused(value):
+def test_numbers_beyond_float64_are_refused(value):
     with pytest.raises(ValueError, match=r"^step is .*(too large for float64|must be finite)$"):
         read_number(value, "step")
     held = np.empty(1, dtype=object)
@@ -102,12 +102,12 @@ def test_what_is_too_large_is_refused(value):
         np.zeros(2, dtype="datetime64[D]"),
     ],
 )
-def test_what_are_no_numbers_are_refused(values):
+def test_other_arrays_are_refused(values):
     with pytest.raises(TypeError, match=r"^M is .*; it must be an array of real numbers"):
         read_numbers(values, "M")
 
 
-def test_masks_are_not_lost():
+def test_masked_entries_are_refused():
     masked = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
     for values in (masked, [masked, masked], [np.ma.masked, 1.0, 2.0]):
         with pytest.raises(ValueError, match="x0 has masked entries"):
@@ -121,7 +121,7 @@ def test_masks_are_not_lost():
         BODY.energy(masked)
 
 
-def test_labels_of_pandas_are_not_lost():
+def test_pandas_labels_are_refused():
     pd = pytest.importorskip("pandas")
     series = pd.Series([1.0, 2.0, 3.0])
     assert co.Quadratic(series).gradient([1.0, 1.0, 1.0]).tolist() == [1.0, 2.0, 3.0]
@@ -136,7 +136,7 @@ def test_labels_of_pandas_are_not_lost():
             co.integrate(BODY, labelled, (0, 1), 0.1)
 
 
-def objects_of_others():
+def foreign_objects():
     pd = pytest.importorskip("pandas")
     return [pd.Series([1.0, 2.0, 3.0]), pd.DataFrame(np.eye(3)), scipy.sparse.eye(3), np.eye(3), pd.NA]
 
@@ -167,8 +167,8 @@ def objects_of_others():
         lambda v: co.systems.get(v),
     ],
 )
-def test_arrays_where_there_is_none_to_be(call):
-    for value in objects_of_others():
+def test_unexpected_arrays_are_refused(call):
+    for value in foreign_objects():
         with pytest.raises((TypeError, ValueError), match=r"(must|give|needs)") as refusal:
             call(value)
         assert "ambiguous" not in str(refusal.value) and len(str(refusal.value)) < 1000
@@ -202,12 +202,12 @@ def test_arrays_where_there_is_none_to_be(call):
         lambda: co.Invariant(lambda x: x[0], period=HUGE),
     ],
 )
-def test_what_no_float_holds_is_a_value_error(call):
+def test_huge_arguments_raise_value_error(call):
     with pytest.raises(ValueError):
         call()
 
 
-def test_small_integers_do_not_wrap():
+def test_small_integer_types_do_not_overflow():
     """200 + 200, 2 * 200 and -200 do not fit into eight bits without a sign."""
     two, many = np.uint8(2), np.uint8(200)
     assert co.algebras.get("sp(2n)", n=two) == co.algebras.sp(4)
@@ -228,7 +228,7 @@ def test_small_integers_do_not_wrap():
 
 
 @pytest.mark.parametrize("value", [3, None, [], {}, 10**5000, np.eye(3), "x" * 10**6], ids=list("abcdefg"))
-def test_an_unknown_name_of_any_kind(value):
+def test_unknown_names_of_any_type(value):
     assert len(str(unknown_name("algebra", value, ["so(3)", "sl(2)"]))) < 200
     with pytest.raises(ValueError, match="unknown rotation"):
         read_choice(value, "rotation", ("exact", "rational"))
@@ -237,7 +237,7 @@ def test_an_unknown_name_of_any_kind(value):
     assert len(str(refusal.value)) < 1000
 
 
-def test_bounds():
+def test_bounds_of_numbers():
     assert read_integer(1e6, "save_every", floats=True) == 10**6
     for value in (1e6, 0, 1.5, "1", None, True, np.nan):
         with pytest.raises(ValueError, match="n must be a whole number from 1 to 5, not"):
@@ -253,13 +253,13 @@ def test_bounds():
             read_title(name, "name")
 
 
-def test_an_array_is_not_copied_before_it_must_be():
+def test_arrays_are_copied_only_if_needed():
     arguments = np.ones(3)
     assert to_array(arguments, "x") is arguments
     assert not np.shares_memory(read_numbers(arguments, "x"), arguments)
 
 
-def test_polynomials_have_bounded_degrees():
+def test_polynomial_degrees_are_limited():
     assert co.Polynomial({(1024,): 1}).degree == 1024
     for call in (
         lambda: co.Polynomial({(1000, 25): 1}),
@@ -271,7 +271,7 @@ def test_polynomials_have_bounded_degrees():
             call()
 
 
-def test_one_system_is_asked_for_by_name():
+def test_batches_are_refused_where_one_system_is_needed():
     batch = co.batch([BODY, BODY])
     calls = [
         lambda: co.choose(batch, X, (0, 1), 1e-3),
@@ -282,17 +282,11 @@ def test_one_system_is_asked_for_by_name():
         *(
             lambda m=m: m.properties(batch)
             for m in (
-                co.Splitting(),
-                co.Taylor(),
-                co.GaussLegendre(),
-                co.ModifiedGaussLegendre(),
-                co.RadauEnergy(),
-                co.IteratedGaussLegendre(),
-                co.ExplicitRungeKutta(),
-                co.Composition(co.Splitting(), (1.0,)),
+                co.Splitting(), co.Taylor(), co.GaussLegendre(), co.ModifiedGaussLegendre(), co.RadauEnergy(),
+                co.IteratedGaussLegendre(), co.ExplicitRungeKutta(), co.Composition(co.Splitting(), (1.0,)),
             )
         ),
-    ]
+    ]  # fmt: skip
     for call in calls:
         with pytest.raises(TypeError, match=r"batch"):
             call()
@@ -300,7 +294,7 @@ def test_one_system_is_asked_for_by_name():
         co.Taylor().properties(None)
 
 
-def test_round_off_of_a_batch_is_that_of_its_members():
+def test_round_off_of_a_batch():
     from coadjoint.analysis.round_off import round_off
 
     bodies = [co.systems.rigid_body((1, 2, third)) for third in (2.5, 3.0)]
@@ -311,7 +305,7 @@ def test_round_off_of_a_batch_is_that_of_its_members():
     assert found["energy"].worst == worst
 
 
-def test_an_ensemble_of_one_that_fails_is_as_long_as_others():
+def test_failed_ensemble_of_one_has_full_length():
     g = co.algebras.so(3)
     system = co.LiePoissonSystem(g, co.Polynomial({(4, 0, 0): 1.0, (0, 4, 0): 2.0, (0, 0, 4): 3.0}))
     x0 = np.array([1e160, 1e160, 1e160])
@@ -329,7 +323,7 @@ def test_an_ensemble_of_one_that_fails_is_as_long_as_others():
 @pytest.mark.parametrize(
     "x0", [(1e100, 2e100, 3e100), (1e200, 1e200, 1.0), [(0.1, 1, 0.2), (1e200, 1e200, 1)], [(1e160,) * 3] * 9]
 )
-def test_near_a_blow_up_the_rule_says_so_without_warnings(x0):
+def test_choice_near_a_blow_up_is_refused_without_warnings(x0):
     system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0]))
     with pytest.raises(ValueError, match=r"not finite|blows up|no step|too irregular|rounding|no accuracy"):
         co.choose(system, x0, (0, 1), 1e-6)
@@ -338,8 +332,8 @@ def test_near_a_blow_up_the_rule_says_so_without_warnings(x0):
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("size", [1e3, 1e20, 1e155, 1e300])
 @pytest.mark.parametrize("name", ["so(3)", "so(2,1)", "sl(2)", "so(4)", "su(3)"])
-def test_an_attitude_near_a_blow_up_does_not_warn(name, size):
-    """What a shift leaves to an exponential may overflow where the momentum does not."""
+def test_attitude_near_a_blow_up_does_not_warn(name, size):
+    """The exponential of a shift may overflow where the momentum does not."""
     g = co.algebras.get(name)
     system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
     x0 = size * np.cos(np.arange(3 * g.dim)).reshape(3, g.dim)
@@ -359,14 +353,14 @@ def test_an_attitude_near_a_blow_up_does_not_warn(name, size):
         lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
     ],
 )
-def test_names_can_be_shown(call):
+def test_names_are_one_short_line(call):
     for name in ("x" * 10**6, "a\nb", "\x1b[31m"):
         with pytest.raises(ValueError, match="one line of at most 200 characters") as refusal:
             call(name)
         assert len(str(refusal.value)) < 1000
 
 
-def test_names_made_of_names_stay_short():
+def test_composed_names_stay_short():
     g = co.algebras.direct_sum(*[co.algebras.so(3)] * 100)
     for _ in range(10):
         g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
@@ -376,13 +370,13 @@ def test_names_made_of_names_stay_short():
 @pytest.mark.parametrize("start", [-3, 0, 5])
 @pytest.mark.parametrize("stop", [-4, 0, 1, 7])
 @pytest.mark.parametrize("step", [-3, -1, 1, 2, 5])
-def test_ranges_have_the_length_of_their_numbers(start, stop, step):
+def test_length_of_ranges(start, stop, step):
     values = range(start, stop, step)
     assert size_of_range(values) == len(values) and size_of_range(range(0, 10**30, 3)) == (10**30 + 2) // 3
     assert read_numbers(values, "x").tolist() == list(values)
 
 
-def test_arrays_beyond_memory_are_refused_before_they_are_made(monkeypatch):
+def test_arrays_beyond_memory_are_refused_early(monkeypatch):
     with pytest.raises(ValueError, match=r"^x, range\(0, 1000000000000000\), needs about"):
         read_numbers(range(10**15), "x")
     broad = np.broadcast_to(np.float32(1.0), (10**8, 10**8))
@@ -392,16 +386,16 @@ def test_arrays_beyond_memory_are_refused_before_they_are_made(monkeypatch):
         read_list(broad.reshape(-1), "events", "give a list")
 
 
-def test_all_infinite_numbers_are_found():
-    """Near the size up to which plain Python sums, and beyond it; finite numbers whose sum overflows are finite."""
+def test_infinite_numbers_are_found():
+    """Below and above the size up to which plain Python sums; finite numbers with an overflowing sum are finite."""
     for size in (1, 2, 63, 64, 65, 200):
         assert are_finite(np.zeros(size)) and are_finite(np.full(size, 1e308)) and are_finite(-np.full(size, 1e308))
-        for place in {0, size // 2, size - 1}:
+        for index in {0, size // 2, size - 1}:
             for wrong in (np.nan, np.inf, -np.inf):
                 numbers = np.full(size, 1e308)
-                numbers[place] = wrong
+                numbers[index] = wrong
                 assert not are_finite(numbers)
-                with pytest.raises(ValueError, match=rf"^x0\[{place}\] is -?(nan|inf); give finite numbers$"):
+                with pytest.raises(ValueError, match=rf"^x0\[{index}\] is -?(nan|inf); give finite numbers$"):
                     check_finite(numbers, "x0")
     assert not are_finite(np.array([np.inf, -np.inf])) and are_finite(np.zeros((0, 3)))
     with pytest.raises(ValueError, match=r"^x0\[0, 1\] is inf"):
@@ -419,7 +413,7 @@ def test_powers_stay_within_float64():
     check_power(-1.0, 10**6, "x")
 
 
-def test_what_is_returned_is_of_plain_types():
+def test_results_have_plain_types():
     for value in (np.int8(5), 5, np.uint64(5)):
         assert type(read_integer(value, "n")) is int
     for value in (5.0, np.float16(5), np.float32(5)):
@@ -458,7 +452,7 @@ def test_titles_and_lists():
             read_list(wrong, "a", "rule")
 
 
-def test_parameters_are_known_and_complete():
+def test_unknown_and_missing_parameters():
     check_parameters("F", ["b", "a"], ["a", "b", "c"], ["a"])
     for arguments, known, required, message in (
         (["d"], ["delta"], [], "unknown parameter of F 'd'"),
@@ -471,7 +465,7 @@ def test_parameters_are_known_and_complete():
         assert str(refused.value).startswith(message)
 
 
-def test_what_is_in_lists_is_looked_at_to_the_depth_of_arrays():
+def test_nested_lists_are_checked():
     deep = masked = 1.0
     for _ in range(30):
         deep, masked = [deep], [masked]
@@ -487,7 +481,7 @@ def test_what_is_in_lists_is_looked_at_to_the_depth_of_arrays():
         read_numbers(inner, "x")
 
 
-def test_labels_along_any_axis_are_not_lost():
+def test_pandas_labels_along_any_axis_are_refused():
     pd = pytest.importorskip("pandas")
     for labelled in (pd.DataFrame(np.eye(2), columns=["a", "b"]), pd.DataFrame(np.eye(2), columns=[1, 0])):
         for values in (labelled, [labelled]):
@@ -497,7 +491,7 @@ def test_labels_along_any_axis_are_not_lost():
 
 
 @pytest.mark.skipif(int(np.__version__.partition(".")[0]) < 2, reason="arrays have 32 dimensions at most")
-def test_objects_in_more_dimensions_than_can_be_looked_at():
+def test_object_arrays_of_many_dimensions_are_refused():
     for dimensions in (33, 64):
         with pytest.raises(TypeError, match=r"^x is .*; it must be an array of real numbers"):
             to_array(np.full((1,) * dimensions, Fraction(1, 3), dtype=object), "x")

@@ -1,4 +1,4 @@
-"""What objects say of themselves: short in one line, a small table in a notebook, and no address of a function."""
+"""Representations: one short line, a small table in notebooks, and no addresses of functions."""
 
 import html
 import re
@@ -33,7 +33,7 @@ SYSTEMS = {
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_systems_say_what_they_are(name):
+def test_tables_of_systems(name):
     system = SYSTEMS[name]()
     table = system._repr_html_()
     assert table.startswith("<table>") and table.endswith("</table>")
@@ -43,7 +43,7 @@ def test_systems_say_what_they_are(name):
     assert len(repr(system)) < 200 and len(table) < 3000
 
 
-def test_a_table_of_a_body():
+def test_table_of_a_rigid_body():
     table = co.systems.rigid_body(inertia=(1, 2, 2.5))._repr_html_()
     for text in (
         "<b>rigid_body</b>",
@@ -61,7 +61,7 @@ def rows_of(table):
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8])
-def test_a_table_names_six_coordinates_and_casimirs_and_counts_the_others(count):
+def test_table_names_six_coordinates_and_casimirs(count):
     system = co.systems.spin_lattice("chain", count, exchange=-0.5, field=(0.0, 0.25, 0.0))
     rows = rows_of(system._repr_html_())
     assert list(rows) == ["coordinates", "algebra", "Hamiltonian", "sign", "Casimirs", "parameters"]
@@ -78,7 +78,7 @@ def test_a_table_names_six_coordinates_and_casimirs_and_counts_the_others(count)
         assert f"{name} = {value!r}" in rows["parameters"]
 
 
-def test_a_table_of_what_has_no_name_algebra_or_casimirs():
+def test_tables_of_unnamed_systems():
     g = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
     rows = rows_of(co.LiePoissonSystem(g, co.Quadratic([1.0, 2.0]), sign=-1, name="<own>")._repr_html_())
     assert rows == {
@@ -97,7 +97,7 @@ def test_a_table_of_what_has_no_name_algebra_or_casimirs():
     assert "LinearDamping" in " ".join(rows.values())
 
 
-def test_a_table_of_a_run():
+def test_table_of_a_run():
     sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
     assert repr(sol) == "<solution of rigid_body by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>"
     table = sol._repr_html_()
@@ -107,7 +107,7 @@ def test_a_table_of_a_run():
     assert repr(crowd).endswith("step 0.1, 4 members>") and "<th>members</th><td>4</td>" in crowd._repr_html_()
 
 
-def test_what_is_driven_or_forced_changes_and_does_not_drift():
+def test_driven_and_forced_systems_show_changes():
     driven = co.integrate(_driven(), (1, 0.2, 0.1), (0, 1), 0.1, co.GaussLegendre(2))
     assert is_driven(driven.system) and not is_driven(co.systems.rigid_body())
     table = driven._repr_html_()
@@ -116,7 +116,7 @@ def test_what_is_driven_or_forced_changes_and_does_not_drift():
     assert "<th>change of energy</th>" in forced and "<th>change of |x|^2</th>" in forced and "drift" not in forced
 
 
-def test_of_many_casimirs_the_worst_are_shown():
+def test_worst_casimirs_are_shown():
     x0 = np.random.default_rng(2).normal(size=(10, 3))
     sol = co.integrate(co.systems.spin_lattice("chain", 10), x0.ravel(), (0, 5), 0.1)
     table, moved = sol._repr_html_(), sol.drift()
@@ -127,7 +127,7 @@ def test_of_many_casimirs_the_worst_are_shown():
     assert f"<th>other Casimirs</th><td>6, none beyond {falling[4]:.2g}</td>" in table
 
 
-def test_what_holds_functions_shows_no_address():
+def test_functions_show_no_address():
     body = co.systems.rigid_body()
     shown = {
         "Event(g=a lambda, direction=0, count=None, terminal=False, name=None)": co.Event(lambda x: x[0]),
@@ -137,23 +137,23 @@ def test_what_holds_functions_shows_no_address():
         ),
         "Torque(torque=(0.0, 0.0, 1.0))": co.forces.Torque((0, 0, 1)),
     }
-    for text, thing in shown.items():
-        assert repr(thing) == text
+    for text, value in shown.items():
+        assert repr(value) == text
     assert " at 0x" not in repr(body.with_forces(co.forces.Torque(lambda t: np.zeros(3))))
 
 
-def test_a_phase_drift_is_one_line():
+def test_phase_drift_is_one_line():
     drift = co.phase_drift(co.integrate(co.systems.rigid_body((1, 2, 2.5)), (1, 0.2, 0.1), (0, 50), 0.1))
     assert repr(drift).startswith("<phase drift 3.78e-06 +- ") and repr(drift).endswith(": bounded, 501 points>")
 
 
-def test_a_table_of_matrices():
+def test_table_of_matrices():
     table = co.systems.torus_euler(N=5)._repr_html_()
     for text in ("<b>torus_euler</b>", "5 x 5, of 50 real numbers", "<td>su(5)</td>", "4, traces of powers"):
         assert text in table, table
 
 
-def test_states_at_times_are_one_short_line():
+def test_states_at_times_are_one_line():
     body = co.systems.rigid_body((1, 2, 3))
     run = co.integrate(body, (0.1, 1.0, 0.1), (0, 10), 0.125, attitude=True)
     one, many = repr(run.at(3.3)), repr(run.at(np.linspace(0, 10, 1000)))
@@ -163,7 +163,7 @@ def test_states_at_times_are_one_short_line():
     assert repr(spins.at(0.5)).endswith("and 5 more}>")
 
 
-def test_a_certificate_is_a_table_of_its_rows():
+def test_table_of_a_certificate():
     found = co.certify(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(), (1.0, 0.2, 0.1), 0.1, steps=20)
     table = found._repr_html_()
     assert table.count("<tr>") == len(found.rows) + 1 and "passed: every declared property holds" in table
