@@ -126,9 +126,8 @@ def _named_table(
 def _parameters(function: Callable[..., Any]) -> tuple[dict[str, Schema], list[str]]:
     """Return the schemas of the parameters of a callable, and the names of those without default."""
     documented = documented_parameters(function)
-    parameters = {
-        key: parameter for key, parameter in inspect.signature(function).parameters.items() if key != "system"
-    }
+    named = inspect.signature(function).parameters.items()
+    parameters = {key: parameter for key, parameter in named if key not in ("self", "system")}
     schemas = {}
     for key, parameter in parameters.items():
         kind, meaning = (documented.get(key, {}).get(part, "") for part in ("kind", "meaning"))
