@@ -142,7 +142,10 @@ def test_exact_algebra():
             "co.integrate(body, x0, (0.0, 1.0), 0.1).to_xarray()",
             r'a dataset of a solution needs the package xarray, .*coadjoint\[io\]"',
         ),
-        ("co.integrate(body, x0, (0.0, 1.0), 0.1, progress=True)", r'progress=True needs the package tqdm, .*coadjoint\[cli\]"'),
+        (
+            "co.integrate(body, x0, (0.0, 1.0), 0.1, progress=True)",
+            r'progress=True needs the package tqdm, .*coadjoint\[cli\]"',
+        ),
         (
             "from coadjoint.choosing import accuracy\n"
             "accuracy.choose = None\n"
@@ -213,7 +216,7 @@ def test_own_steps_are_python_calls():
         warnings.simplefilter("always")
         sol = co.integrate(body, np.array([x0, 2 * x0]), (0.0, 1.0), 0.1, Euler())
     print(sol.x.shape, len(warned))
-    print(warned[0].warned)
+    print(warned[0].message)
     """
     first, second = printed(code)
     assert first == "(11, 2, 3) 1"

@@ -224,5 +224,5 @@ def test_caller_is_found_through_library_decorators_only():
     (one,) = found
     assert (
         one.filename == __file__
-        and "return warn_if_long(*given)" in Path(__file__).read_text().splitlines()[one.lineno - 1]
+        and "return warn_if_long(*args)" in Path(__file__).read_text().splitlines()[one.lineno - 1]
     )
