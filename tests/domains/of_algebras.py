@@ -139,7 +139,7 @@ ALGEBRAS = {
         {
             "kind": choice("u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)").plus(
                 outside=("U", "SO", "sum")
-            ).but_called("kind|sum"),
+            ).but_called("kind|sum|blocks"),
             "N": whole(2, 4096, usual=4, tried=6),
             "q": whole(0, 4, tried=4),
             "blocks": Domain(((),), (None, [], 1.0, "", "so", True, (1.0,), (co.MatrixAlgebra("so", 3),), 1j)),

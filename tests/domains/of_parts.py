@@ -147,7 +147,7 @@ HAMILTONIANS = {
                  {(True, 0, 0): 1.0},
                  {(1, 0, 0): math.nan}, {(1, 0, 0): math.inf}, {(1, 0, 0): 1j}, {(1, 0, 0): True}, {(1, 0, 0): "1"},
                  {"x1": 1.0}, {1: 1.0}, "", "x4", "x1^-1", "x1 +", None, 1.0, True, [], 1j),
-                "exponents|coefficient|coordinate|monomials|cannot be read",
+                "exponents|coefficient|coordinate|monomials|cannot be parsed",
             ),
             "dim": optional(DIM),
             "basis": Domain((None,), (("a", "b", "c"), ["x"], "", 1.0, True, ("a", "a", "b"))),
@@ -188,7 +188,7 @@ HAMILTONIANS = {
                  [((0.5,), co.Quadratic(1.0))],
                  [((0, 1), co.Quadratic((1.0, 2.0, 3.0)))], [((0,), 1.0)], [((0,),)], [((True,), co.Quadratic(1.0))],
                  [(("0",), co.Quadratic(1.0))], [], None, "", 1.0, True, 1j, {}, [()]),
-                r"\bpiece\b|SplitHamiltonian",
+                r"\bpieces?\b|SplitHamiltonian",
             )
         },
         then=lambda H: H.bind(3),
