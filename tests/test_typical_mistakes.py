@@ -94,7 +94,7 @@ MISTAKES = {
     "no stage": (lambda: co.GaussLegendre(0), "stages of GaussLegendre must be a whole number from 1 up, not 0"),
     "coupled functions": (
         lambda: co.Splitting().properties(CUBE),
-        "Splitting cannot be used for Lie-Poisson system on so(3): its monomial x1*x2*x3 couples e1 and e2, which do "
+        "Splitting cannot be used for Lie-Poisson system on so(3): its monomial x1*x2*x3 couples x1 and x2, which do "
         "not",
     ),
     "matrices for a vector": (

@@ -78,7 +78,7 @@ def test_variables_and_attributes():
     )
     dataset = sol.to_xarray()
     assert dict(dataset.sizes) == {"time": 21, "component": 3, "invariant": 2, "tenth": 10, "row": 3, "column": 3}
-    assert dataset["component"].values.tolist() == ["e1", "e2", "e3"]
+    assert dataset["component"].values.tolist() == ["x1", "x2", "x3"]
     assert dataset["x"].dims == ("time", "component")
     assert dataset["attitude"].dims == ("time", "row", "column")
     assert dataset["casimir_x_2"].attrs["long_name"] == "|x|^2"

@@ -67,12 +67,12 @@ def test_declarations_refuse_what_a_run_refuses(name):
 def test_the_words_of_a_refusal():
     system = SYSTEMS["coupled cubic"]
     said = (
-        r"Splitting cannot be used for .*: its monomial x1\*x2\*x3 couples e1 and e2, which do not commute; give H as "
+        r"Splitting cannot be used for .*: its monomial x1\*x2\*x3 couples x1 and x2, which do not commute; give H as "
         r"a sum"
     )
     with pytest.raises(ValueError, match=said):
         co.Splitting(order=4).properties(system)
     with pytest.raises(ValueError, match=said):
         co.stepper(system, co.Splitting(), 0.1)
-    with pytest.raises(ValueError, match="parts leave out e3"):
+    with pytest.raises(ValueError, match="parts leave out x3"):
         co.Splitting(parts=((0,), (1,))).properties(co.systems.rigid_body((1, 2, 3)))

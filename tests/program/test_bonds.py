@@ -95,7 +95,7 @@ def test_bonds_of_one_colour_share_no_spin_and_are_few(seed):
 def test_a_ring_has_two_parts_and_a_description():
     ring = co.systems.spin_lattice("ring", 4)
     said = str(by_bonds().describe(ring))
-    assert "2 parts" in said and "bond of e1[1], e2[1], e3[1] and e1[2], e2[2], e3[2]" in said
+    assert "2 parts" in said and "bond of S1[1], S2[1], S3[1] and S1[2], S2[2], S3[2]" in said
 
 
 ANISOTROPIC = co.systems.spin_lattice("chain", 3, tensor=(1.0, 1.0, 0.9))
@@ -152,7 +152,7 @@ def test_other_refusals(monkeypatch):
     bound = graph(1)
     for spin in range(bound.dim // 3):
         # Each of them is the first or the second one of some bond.
-        with pytest.raises(ValueError, match=rf'parts="bonds" takes no inputs for e1\[{spin + 1}\]'):
+        with pytest.raises(ValueError, match=rf'parts="bonds" takes no inputs for S1\[{spin + 1}\]'):
             co.prepare(bound, by_bonds(), 0.1, inputs={"field": (3 * spin, 3 * spin + 1, 3 * spin + 2)})
     monkeypatch.setattr("coadjoint.program.parts.bonds.MAX_BONDS", 4)
     with pytest.raises(ValueError, match=r"it has 5 bonds; .* at most 4"):

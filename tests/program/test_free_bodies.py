@@ -89,7 +89,7 @@ def test_bodies_of_a_sum_that_do_not_touch_are_one_part():
     first = [s for s in found.bodies if s < found.share[1]]
     assert [found.bodies[s].coordinates for s in first] == [(0, 1, 2), (3, 4, 5), (6, 7, 8)]
     said = str(free_body().describe(SYSTEMS[-1]))
-    assert all(f"free body of e1[{k}], e2[{k}], e3[{k}]" in said.split("\n")[1] for k in (1, 2, 3))
+    assert all(f"free body of x1[{k}], x2[{k}], x3[{k}]" in said.split("\n")[1] for k in (1, 2, 3))
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_gravity_may_be_an_input_and_rotors_may_not():
         found = prepared.run(x0, (0.0, 2.0), gravity=gravity).x[-1]
         expected = co.integrate(top([0, 0, 0, *gravity]), x0, (0.0, 2.0), 0.125, free_body(order=4)).x[-1]
         np.testing.assert_allclose(found, expected, rtol=0, atol=2.0**8 * U)
-    with pytest.raises(ValueError, match=r"no inputs for e2 \(coordinate 1\)"):
+    with pytest.raises(ValueError, match=r"no inputs for x2 \(coordinate 1\)"):
         co.prepare(top([0, 0, 0, 0.1, 0.2, 0.3]), free_body(), 0.125, inputs={"rotors": (1,)})
 
 

@@ -255,7 +255,7 @@ def test_explicit_parts_that_do_not_serve_are_refused(name, choice, message):
 def test_a_general_function_is_refused_by_name():
     H = co.Hamiltonian(lambda x: 0.5 * x[0] * x[0] * x[1], lambda x: np.array([x[0] * x[1], 0.5 * x[0] * x[0], 0.0]))
     s = co.LiePoissonSystem(SO3, H, name="top with a lid")
-    why = "a function in it couples e1 and e2, which do not commute; give H as .* \\(SplitHamiltonian\\), or use Gauss"
+    why = "a function in it couples x1 and x2, which do not commute; give H as .* \\(SplitHamiltonian\\), or use Gauss"
     with pytest.raises(ValueError, match=f"^{why}"):
         split(s)
     for scheme in (co.Splitting(), co.Splitting(order=1, parts="coordinates")):
@@ -274,7 +274,7 @@ def test_the_scheme_that_needs_the_parts_is_named():
 
 def test_a_monomial_of_coordinates_that_do_not_commute_is_refused_by_name():
     s = co.LiePoissonSystem(SO3, co.Polynomial({(2, 1, 0): 0.5, (0, 0, 2): 1.0}))
-    with pytest.raises(ValueError, match=r"its monomial 0\.5\*x1\^2\*x2 couples e1 and e2, which do not commute"):
+    with pytest.raises(ValueError, match=r"its monomial 0\.5\*x1\^2\*x2 couples x1 and x2, which do not commute"):
         split(s)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.description import coordinate_names
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.registry import gallery_entry_of, ready_made
 

@@ -14,6 +14,7 @@ from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
 from coadjoint.short_repr import html_table, short
@@ -118,7 +119,12 @@ class LieAlgebra(Structure):
         for column in (*triples, *(() if representation is None else (representation,))):
             column.flags.writeable = False
         self._triples, self._dim, self._basis, self._name = triples, dim, basis, name
-        self._representation, self._casimirs = representation, dict(casimirs)
+        self._representation = representation
+        coordinates = names_of_basis(basis)
+        self._casimirs = {
+            key: casimir.named(coordinates) if isinstance(casimir, Polynomial) else casimir
+            for key, casimir in casimirs.items()
+        }
 
     @classmethod
     def _from_valid(cls, *data: Any) -> LieAlgebra:
@@ -287,5 +293,8 @@ class LieAlgebra(Structure):
         """
         from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
 
-        polynomials = casimirs(self._triples, self._dim, max_degree)
+        coordinates = names_of_basis(self._basis)
+        polynomials = {
+            key: casimir.named(coordinates) for key, casimir in casimirs(self._triples, self._dim, max_degree).items()
+        }
         return polynomials or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))

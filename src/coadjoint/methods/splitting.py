@@ -200,8 +200,8 @@ class Splitting(FlowMethod):
         >>> import coadjoint as co
         >>> print(co.Splitting().describe(co.systems.rigid_body(inertia=(1, 2, 3))))
         Splitting(order=2) on rigid_body: H - 0.25 |x|^2 in 2 parts
-          part 1: e1: 1 ROTATE
-          part 2: e3: 1 ROTATE
+          part 1: x1: 1 ROTATE
+          part 2: x3: 1 ROTATE
           a step: 2 flows, 10 multiplications, 2 sines and the like
         """
         from coadjoint.program.describe import describe

@@ -18,7 +18,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.summary import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.description import coordinate_names
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import GalleryEntry
 from coadjoint.systems.registry import gallery_entry_of

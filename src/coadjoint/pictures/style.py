@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
+from coadjoint.algebra.polynomials.polynomial_format import GREEK, latex_name
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -75,9 +77,6 @@ def symbol(name: str) -> str:
     return name.replace("$", r"\$")
 
 
-GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", "sigma")
-
-
 def coordinate(name: str) -> str:
     r"""Return the name of a coordinate as mathematical text; long names stay plain text.
 
@@ -89,7 +88,4 @@ def coordinate(name: str) -> str:
     match = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)(\[\d+\])?", name)
     if match is None or (len(match[1]) > 2 and match[1] not in GREEK):
         return name.replace("$", r"\$")
-    letters = rf"\{match[1]}" if match[1] in GREEK else match[1]
-    subscript = f"_{{{match[2]}}}" if match[2] else ""
-    superscript = f"^{{{match[3]}}}" if match[3] else ""
-    return f"${letters}{subscript}{superscript}$"
+    return f"${latex_name(name)}$"

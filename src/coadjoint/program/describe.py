@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from coadjoint.program.parts.part import BodyShare, Part
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.program.term_table import LINEAR
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_SHOWN = 6
@@ -28,8 +30,8 @@ BOND_WORK = 60
 class PartDescription:
     """Description of one part, with counts for one flow of it.
 
-    `generators` has the forms l_a in basis names, `blocks` the number of blocks of each kind in the coadjoint action.
-    `multiplications` include the additions; `functions` counts sincos, exponentials, and calls of user functions.
+    `generators` has the forms l_a in coordinate names, `blocks` the number of blocks of each kind in the coadjoint
+    action. `multiplications` include the additions; `functions` counts sincos, exponentials, and user functions.
     """
 
     generators: tuple[str, ...]
@@ -84,7 +86,8 @@ def _subtracted(name: str, factor: float) -> str:
 def describe(system: LiePoissonSystem, method: Swept) -> Description:
     """Describe a splitting of a system; the result is printable."""
     program = build_program(system, method)
-    parts = tuple(_describe_part(system, program, number, part) for number, part in enumerate(program.parts))
+    names = coordinate_names(system)
+    parts = tuple(_describe_part(names, program, number, part) for number, part in enumerate(program.parts))
     first, last = int(program.rows.section[1]), int(program.rows.section[2])
     step = [parts[int(program.rows.part[row])] for row in range(first, last)]
     return Description(
@@ -98,7 +101,7 @@ def describe(system: LiePoissonSystem, method: Swept) -> Description:
     )
 
 
-def _describe_part(system: LiePoissonSystem, program: Program, number: int, part: Part) -> PartDescription:
+def _describe_part(names: Sequence[str], program: Program, number: int, part: Part) -> PartDescription:
     blocks: Counter[str] = Counter()
     action = program.state
     for run in range(action.run[number], action.run[number + 1]):
@@ -108,16 +111,14 @@ def _describe_part(system: LiePoissonSystem, program: Program, number: int, part
     if bodies:
         acting = 0 if bodies[0].other else acting[0], 0
     multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
-    names = tuple(_form_name(system, form) for form in part.forms)
+    generators = tuple(_form_name(names, form) for form in part.forms)
     if bodies:
-        names = tuple(_body_name(system, body) for body in bodies)
-    return PartDescription(names, dict(blocks), multiplications, functions)
+        generators = tuple(_body_name(names, body) for body in bodies)
+    return PartDescription(generators, dict(blocks), multiplications, functions)
 
 
-def _body_name(system: LiePoissonSystem, body: BodyShare) -> str:
-    first, second = (
-        ", ".join(system.algebra.basis[i] for i in coordinates) for coordinates in (body.coordinates, body.other or ())
-    )
+def _body_name(names: Sequence[str], body: BodyShare) -> str:
+    first, second = (", ".join(names[i] for i in coordinates) for coordinates in (body.coordinates, body.other or ()))
     return f"bond of {first} and {second}" if second else f"free body of {first}"
 
 
@@ -168,8 +169,7 @@ def share_work(program: Program, number: int) -> tuple[int, int]:
     return multiplications, functions
 
 
-def _form_name(system: LiePoissonSystem, form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
-    basis = system.algebra.basis
-    words = [basis[i] if value == 1 else f"{float(value):.4g} {basis[i]}" for i, value in zip(*form, strict=True)]
+def _form_name(names: Sequence[str], form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
+    words = [names[i] if value == 1 else f"{float(value):.4g} {names[i]}" for i, value in zip(*form, strict=True)]
     shown = words if len(words) <= MAX_SHOWN else [*words[:MAX_SHOWN], "..."]
     return " + ".join(shown).replace("+ -", "- ")

@@ -1,4 +1,4 @@
-"""Reference interpreter of a program: NumPy, any number type, with the exact tangent map."""
+"""Reference interpreter of a program: NumPy, any number type or power series, with the exact tangent map."""
 
 from __future__ import annotations
 
@@ -18,15 +18,19 @@ from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
 
 class Interpreter:
-    """Reference interpreter of one program, in its number type.
+    """Reference interpreter of one program, in its number type or another one of the states.
 
-    Slow; used to check the compiled interpreter, to follow a formula, or for more digits.
+    Slow; used to check the compiled interpreter, to follow a formula, or for more digits. With power series truncated
+    after `count` terms as numbers, flows are Lie series, which end there: angles have no term without h.
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, number: Any = None) -> None:
         self.program = program
-        self.functions = elementary(program.number)
-        self._u = roundoff(program.number)
+        self.number = program.number if number is None else number
+        self._count: int | None = getattr(self.number, "count", None)
+        # Of the elementary functions, Lie series need the arc tangent only, a method of power series.
+        self.functions: Any = elementary(self.number) if self._count is None else self.number
+        self._u = roundoff(self.number)
         self._is_body_flow = body_flow_parts(program)
 
     def steps(
@@ -57,7 +61,7 @@ class Interpreter:
         return (x, *extra) if extra else x
 
     def _converted(self, values: NDArray[Any]) -> NDArray[Any]:
-        return array_of(self.program.number, np.ravel(values)).reshape(np.shape(values)).copy()
+        return array_of(self.number, np.ravel(values)).reshape(np.shape(values)).copy()
 
     def _apply_rows(self, rows: range, x: Any, h: Any, t: Any, group: Any, tangent: Any) -> None:
         table = self.program.rows
@@ -141,11 +145,13 @@ class Interpreter:
         return coefficient
 
     def pieces(self, reach: Callable[[], Any]) -> int:
-        """Return the number of time intervals in the flow of a free body."""
-        return pieces(reach(), self.functions.ceil)
+        """Return the number of time intervals in the flow of a free body; power series need no subdivision."""
+        return pieces(reach(), self.functions.ceil) if self._count is None else 1
 
     def negligible(self, terms: Sequence[FlowState]) -> bool:
-        """Test whether the last two terms of a series are below rounding."""
+        """Test whether the last two terms of a series are below rounding, or the next one beyond the truncation."""
+        if self._count is not None:
+            return len(terms) >= self._count
         first, last, previous = (largest_of(terms[k]) for k in (0, -1, -2))
         return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, previous, first, strict=True))
 
@@ -174,15 +180,24 @@ class Interpreter:
                 yield run, q
 
     def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
-        """Apply exp(sum theta_a D_a) of one part to vectors (n,) or (n, lanes), in place (operation `act` of the
-        table).
-        """
+        """Apply exp(sum theta_a D_a) of one part to vectors (n,) or (n, lanes), in place (operation `act`)."""
+        if self._count is not None:
+            self._act_by_series(part, theta, vectors, self._count)
+            return
         for run in range(action.run[part], action.run[part + 1]):
             for q in range(action.angles[run]):
                 angle = theta[int(action.angle[run]) + q]
                 for coordinates, block in run_blocks(action, run, q):
                     local = vectors[coordinates]
                     vectors[coordinates] = local + self._increment(action, run, angle, block, local)
+
+    def _act_by_series(self, part: int, theta: list[Any], vectors: NDArray[Any], count: int) -> None:
+        """Add the terms of the Lie series to vectors (n,) of power series with `count` terms, in place."""
+        power = vectors.copy()
+        for k in range(1, count + 1):
+            terms = [theta[a] * self._generator_on(part, a, power) for a in range(len(theta))]
+            power = np.add.reduce(terms) / k
+            vectors += power
 
     def _increment(self, action: Action, run: int, angle: Any, block: NDArray[Any], local: NDArray[Any]) -> Any:
         """Return (exp(angle B) - 1) on one block, by the closed form of its kind."""

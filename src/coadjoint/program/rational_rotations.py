@@ -13,6 +13,7 @@ from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts, PolynomialShare
 from coadjoint.program.sparse_rows import SparseRows, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -37,7 +38,8 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
     wrong = np.flatnonzero(~known | (turning & _coupled(parts)))
     if len(wrong):
         entries = slice(*parts.forms.start[[wrong[0], wrong[0] + 1]])
-        name = " + ".join(system.algebra.basis[i] for i in parts.forms.coordinate[entries])
+        names = coordinate_names(system)
+        name = " + ".join(names[i] for i in parts.forms.coordinate[entries])
         reason = "is a rotation whose angle depends on other quantities too"
         if not known[wrong[0]]:
             reason = "is neither nilpotent nor a rotation of a single frequency"

@@ -18,7 +18,7 @@ from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.root_search import minimize_each, roots
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.description import coordinate_names
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, unforced

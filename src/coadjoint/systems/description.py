@@ -1,4 +1,4 @@
-"""Descriptions of systems: names of coordinates, plain numbers and text, HTML tables for notebooks."""
+"""Descriptions of systems: plain numbers and text, HTML tables for notebooks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import html_table, short
+from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
@@ -54,7 +55,6 @@ def description(name: str) -> dict[str, Any]:
     equations = sections[""].partition("\n\n")[2]
     documented = documented_parameters(builder)
     entry = gallery_entry_of(name)
-    coordinates = () if entry is None else entry.names(system.dim)
     return {
         "name": name,
         "summary": summary_of(builder),
@@ -69,11 +69,11 @@ def description(name: str) -> dict[str, Any]:
         "algebra": None if system.algebra is None else system.algebra.name,
         "dimension": system.dim,
         "rank": _rank(system),
-        "casimirs": {key: _formula(value, coordinates) for key, value in system.casimirs.items()},
-        "integrals": {key: _formula(value, coordinates) for key, value in getattr(system, "integrals", {}).items()},
+        "casimirs": {key: _formula(value, system) for key, value in system.casimirs.items()},
+        "integrals": {key: _formula(value, system) for key, value in getattr(system, "integrals", {}).items()},
         "exact": system.closed_form is not None,
         "attitude": _attitude(system),
-        "coordinates": list(coordinates) or [f"x{i + 1}" for i in range(system.dim)],
+        "coordinates": list(coordinate_names(system)),
         "gallery": None
         if entry is None
         else {"caption": entry.caption, "t_span": list(entry.t_span), "step": entry.step},
@@ -123,13 +123,10 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
-def _formula(value: Any, coordinates: tuple[str, ...]) -> str | None:
+def _formula(value: Any, system: Any) -> str | None:
     if isinstance(value, Quadratic):
         value = value.to_polynomial() if value.dim is not None and value.dim <= 64 else None
-    if not isinstance(value, Polynomial):
-        return None
-    named = re.sub(r"x(\d+)", lambda match: coordinates[int(match[1]) - 1] if coordinates else match[0], str(value))
-    return short_formula(named)
+    return short_formula(str(in_coordinates_of(system, value))) if isinstance(value, Polynomial) else None
 
 
 def _attitude(system: Any) -> str:
@@ -161,33 +158,16 @@ def _rank(system: Any) -> int:
     return int(np.linalg.matrix_rank(system.structure_matrix(np.cos(1.0 + np.arange(system.dim)))))
 
 
-def coordinate_names(system: Any, count: int) -> tuple[str, ...]:
-    """Return `count` coordinate names as plain text: those of the system, else of the basis, else x1, x2, ...
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> coordinate_names(rigid_body((1, 2, 3)), 3)
-    ('x1', 'x2', 'x3')
-    """
-    entry = gallery_entry_of(system.name)
-    names = () if entry is None else entry.names(count)
-    if names:
-        return names
-    basis = getattr(system.algebra, "basis", ())
-    if len(basis) != count:
-        return tuple(f"x{i + 1}" for i in range(count))
-    # e1, e2, ... are default names of basis elements; the coordinate of e_i is x_i.
-    return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
-
-
 MAX_SHOWN_ENTRIES = 6
 """Number of Casimirs and coordinates in a table, and of coordinates of a Hamiltonian shown as a polynomial."""
 
 
-def _energy(H: Any) -> str:
-    """Return a Hamiltonian as text: a quadratic one of few coordinates as a polynomial."""
-    return short(H.to_polynomial() if isinstance(H, Quadratic) and (H.dim or 0) <= MAX_SHOWN_ENTRIES else H, 200)
+def _energy(system: Any) -> str:
+    """Return the Hamiltonian of a system as text: a quadratic one of few coordinates as a polynomial."""
+    H = system.hamiltonian
+    if isinstance(H, Quadratic) and (H.dim or 0) <= MAX_SHOWN_ENTRIES:
+        H = in_coordinates_of(system, H.to_polynomial())
+    return short(H, 200)
 
 
 def system_table(system: Any, **more: str) -> str:
@@ -200,7 +180,7 @@ def system_table(system: Any, **more: str) -> str:
     True
     """
     base = getattr(system, "system", system)
-    names = coordinate_names(base, system.dim)
+    names = coordinate_names(base)
     casimirs = base.casimirs
     listed = [f"{name} = {short(casimir, 100)}" for name, casimir in list(casimirs.items())[:MAX_SHOWN_ENTRIES]]
     rest = [f"and {len(casimirs) - MAX_SHOWN_ENTRIES} more"] if len(casimirs) > MAX_SHOWN_ENTRIES else []
@@ -208,7 +188,7 @@ def system_table(system: Any, **more: str) -> str:
     rows: dict[str, Any] = {
         "coordinates": f"{system.dim}: {', '.join(shown)}",
         "algebra": getattr(base.algebra, "name", None) or ("none" if base.algebra is None else "without a name"),
-        "Hamiltonian": _energy(system.hamiltonian),
+        "Hamiltonian": _energy(system),
         "sign": f"{system.sign:+d}",
         "Casimirs": ", ".join([*listed, *rest]) or "none is known",
     }

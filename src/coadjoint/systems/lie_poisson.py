@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from coadjoint.systems.closed_forms.closed_form import (
     checked_parameters,
     require_closed_form,
 )
+from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.evaluation import (
     checked_name,
     checked_sign,
@@ -159,6 +161,7 @@ class LiePoissonSystem:
             checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
             set_field(self, "representation", checked)
         set_field(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
+        set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
         set_field(self, "_parameters", checked_parameters(parameters))
         set_field(self, "_exact", checked_closed_form(exact))
         set_field(self, "_layout", checked_layout(layout))
@@ -188,12 +191,16 @@ class LiePoissonSystem:
         """Name to `Polynomial`, `Quadratic` or `Invariant` (a copy); empty by default for many `copies`."""
         if self._casimirs is None:
             object.__setattr__(self, "_casimirs", dict(known_or_found_casimirs(self.algebra)))
-        return dict(self._casimirs or {})
+        return dict(self._named_casimirs)
+
+    @cached_property
+    def _named_casimirs(self) -> dict[str, Any]:
+        return all_in_coordinates_of(self, self._casimirs or {})
 
     @property
     def integrals(self) -> dict[str, Any]:
         """Further constants of motion: name to `Polynomial`, `Quadratic` or `Invariant` (a copy)."""
-        return dict(self._integrals)
+        return all_in_coordinates_of(self, self._integrals)
 
     @property
     def parameters(self) -> dict[str, Any] | None:

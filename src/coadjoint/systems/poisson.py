@@ -13,6 +13,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import checked_closed_form, checked_parameters, require_closed_form
+from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.evaluation import checked_name, checked_sign, ignore_overflow, point, vectorized_over_states
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
@@ -120,6 +121,7 @@ class PoissonSystem:
         set_field(self, "structure_function", structure_matrix)
         set_field(self, "derivative_function", derivative)
         set_field(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
+        set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
         set_field(self, "_parameters", checked_parameters(parameters))
         set_field(self, "_exact", checked_closed_form(exact))
         for x in sample_points(self.dim):
@@ -161,7 +163,7 @@ class PoissonSystem:
     @property
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial` or `Invariant` (a copy)."""
-        return dict(self._casimirs)
+        return all_in_coordinates_of(self, self._casimirs)
 
     @property
     def parameters(self) -> dict[str, Any] | None:

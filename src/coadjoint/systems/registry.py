@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
+from functools import cache
 from types import MappingProxyType
 from typing import Any, TypeVar, overload
 
@@ -63,11 +64,16 @@ def ready_made(function: Any = None, *, gallery_entry: GalleryEntry | None = Non
 
 def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
     """Return all ready-made systems by name; imports every file of `FOLDERS`."""
+    _import_folders()
+    return MappingProxyType(_REGISTRY)
+
+
+@cache
+def _import_folders() -> None:
     for folder in FOLDERS:
         package = importlib.import_module(f"coadjoint.systems.{folder}")
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{package.__name__}.{module.name}")
-    return MappingProxyType(_REGISTRY)
 
 
 def gallery_entry_of(name: str) -> GalleryEntry | None:

@@ -92,7 +92,7 @@ def moments(degree: int = 4) -> LieAlgebra:
     >>> g.basis
     ('x20', 'x11', 'x02', 'x40', 'x31', 'x22', 'x13', 'x04')
     >>> g.casimirs_known["(form, form)_4"]
-    x4*x8 - 4*x5*x7 + 3*x6^2
+    x40*x04 - 4*x31*x13 + 3*x22^2
     """
     degree = read_integer(degree, "degree", 2, MAX_MOMENT_DEGREE)
     if degree % 2:

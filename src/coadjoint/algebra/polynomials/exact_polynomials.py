@@ -12,6 +12,7 @@ import numpy as np
 from coadjoint.algebra.exact.numbers import fraction, rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names
 
 Exact = Any
 """An element of the ring: `flint.fmpq_mpoly`, with its own +, -, *, / by numbers and ==."""
@@ -35,8 +36,7 @@ class ExactPolynomials:
         from flint import Ordering, fmpq_mpoly_ctx
 
         self.algebra, self.dim, self.symbols = algebra, algebra.dim, tuple(symbols)
-        names = [f"x{i + 1}" for i in range(self.dim)]
-        self._context = fmpq_mpoly_ctx.get([*names, *self.symbols], Ordering.degrevlex)
+        self._context = fmpq_mpoly_ctx.get([*coordinate_names(self.dim), *self.symbols], Ordering.degrevlex)
 
     @cached_property
     def coordinates(self) -> tuple[Exact, ...]:

@@ -48,7 +48,7 @@ class Polynomial:
     dim : int, optional
         Number of coordinates; required for text, and if `monomials` is empty (the zero polynomial).
     basis : sequence of str, optional
-        Names of the coordinates in the text, in their order, in place of x1, x2, ...
+        Names of the coordinates in the text, in their order, in place of x1, x2, ...; also used for printing.
 
     Raises
     ------
@@ -72,6 +72,8 @@ class Polynomial:
 
     # Prevents NumPy arrays from multiplying a polynomial entry by entry.
     __array_ufunc__ = None
+    _names: tuple[str, ...] | None = None
+    _renamed: Polynomial | None = None
 
     def __init__(
         self,
@@ -81,6 +83,8 @@ class Polynomial:
     ) -> None:
         if isinstance(monomials, str):
             monomials, dim = _read_text(monomials, dim, basis)
+            if basis is not None:
+                self._names = _names_if_special(tuple(basis))
         elif basis is not None:
             raise TypeError("basis is given with exponents; it names the coordinates of a text, so omit it")
         if not isinstance(monomials, Mapping):
@@ -153,8 +157,56 @@ class Polynomial:
         """The largest degree of a monomial; 0 for constants, and for the zero polynomial."""
         return sum(next(reversed(self._monomials))) if self._monomials else 0
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates in printed forms: x1, ..., xn, or those of a system; they do not affect equality."""
+        return self._names or tuple(coordinate_names(self._dim))
+
+    def named(self, names: Sequence[str]) -> Polynomial:
+        """Return this polynomial with other names of the coordinates in its printed forms.
+
+        Parameters
+        ----------
+        names : sequence of str
+            One for each coordinate.
+
+        Returns
+        -------
+        Polynomial
+            Equal to this one.
+
+        Raises
+        ------
+        ValueError
+            Another number of names.
+
+        Examples
+        --------
+        >>> Polynomial({(2, 1): 3}).named(("q", "p"))
+        3*q^2*p
+        """
+        if len(names) != self._dim:
+            raise ValueError(f"names has {len(names)} entries; this Polynomial has {self._dim} coordinates")
+        special = _names_if_special(tuple(names))
+        if special == self._names:
+            return self
+        if self._renamed is None or self._renamed._names != special:
+            renamed = Polynomial.__new__(Polynomial)
+            renamed.__dict__.update(self.__dict__, _names=special, _renamed=None)
+            self._renamed = renamed
+        return self._renamed
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_renamed"}
+
+    def _with_monomials(self, monomials: Mapping[Exponents, Coefficient], *others: Polynomial) -> Polynomial:
+        """Return a result in the same coordinates, with the names of this or of another operand."""
+        result = Polynomial._from_valid(monomials, self._dim)
+        result._names = next((p._names for p in (self, *others) if p._names is not None), None)
+        return result
+
     def __repr__(self) -> str:
-        return plain(self._monomials, coordinate_names(self._dim))
+        return plain(self._monomials, self.names)
 
     def to_latex(self) -> str:
         """Return the LaTeX form, without dollar signs.
@@ -168,13 +220,13 @@ class Polynomial:
         >>> print(Polynomial({(2, 0): 0.5, (0, 1): -3}).to_latex())
         -3 x_{2} + 0.5 x_{1}^{2}
         """
-        return latex(self._monomials, coordinate_names(self._dim))
+        return latex(self._monomials, self.names)
 
     def _repr_latex_(self) -> str:
         return f"${self.to_latex()}$"
 
     def to_sympy(self) -> Any:
-        """Return a SymPy expression in the symbols x1, ..., xn; fractions stay exact.
+        """Return a SymPy expression in symbols called `names`; fractions stay exact.
 
         Returns
         -------
@@ -185,7 +237,7 @@ class Polynomial:
         MissingPackageError
             SymPy is not installed.
         """
-        return sympy_of(self._monomials, coordinate_names(self._dim))
+        return sympy_of(self._monomials, self.names)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Polynomial):
@@ -211,12 +263,12 @@ class Polynomial:
         total = dict(self._monomials)
         for exponents, value in operand._monomials.items():
             total[exponents] = total[exponents] + value if exponents in total else value
-        return Polynomial._from_valid(total, self._dim)
+        return self._with_monomials(total, operand)
 
     __radd__ = __add__
 
     def __neg__(self) -> Polynomial:
-        return Polynomial._from_valid({exponents: -value for exponents, value in self._monomials.items()}, self._dim)
+        return self._with_monomials({exponents: -value for exponents, value in self._monomials.items()})
 
     def __sub__(self, other: Polynomial | Coefficient) -> Polynomial:
         operand = self._operand(other)
@@ -234,7 +286,7 @@ class Polynomial:
             for right, factor in operand._monomials.items():
                 exponents = tuple(map(operator.add, left, right))
                 total[exponents] = total[exponents] + value * factor if exponents in total else value * factor
-        return Polynomial._from_valid(total, self._dim)
+        return self._with_monomials(total, operand)
 
     __rmul__ = __mul__
 
@@ -244,13 +296,13 @@ class Polynomial:
         number = read_coefficient(divisor, "the divisor of a Polynomial")
         if number == 0:
             raise ValueError(f"a Polynomial can be divided by a number other than 0, not by {short(divisor)}")
-        return Polynomial._from_valid({e: quotient(value, number) for e, value in self._monomials.items()}, self._dim)
+        return self._with_monomials({e: quotient(value, number) for e, value in self._monomials.items()})
 
     def __pow__(self, power: int) -> Polynomial:
         exponent = read_integer(power, "the power of a Polynomial", 0, MAX_DEGREE, why=TOO_HIGH)
         if self.degree * exponent > MAX_DEGREE:
             raise ValueError(f"a Polynomial has at most degree {MAX_DEGREE}, not {self.degree * exponent}; {TOO_HIGH}")
-        result, square = Polynomial({(0,) * self._dim: 1}), self
+        result, square = self._with_monomials({(0,) * self._dim: 1}), self
         while exponent:
             if exponent & 1:
                 result = result * square
@@ -283,7 +335,7 @@ class Polynomial:
         """
         i = read_integer(i, "the index of a coordinate", 0, self._dim - 1)
         terms = {e[:i] + (e[i] - 1,) + e[i + 1 :]: e[i] * value for e, value in self._monomials.items() if e[i]}
-        return Polynomial._from_valid(terms, self._dim)
+        return self._with_monomials(terms)
 
     @cached_property
     def _factors(self) -> list[tuple[int, Coefficient, dict[int, int]]]:
@@ -358,6 +410,10 @@ class Polynomial:
         """
         check_available_memory(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
+
+
+def _names_if_special(names: tuple[str, ...]) -> tuple[str, ...] | None:
+    return None if all(name == f"x{i}" for i, name in enumerate(names, 1)) else names
 
 
 def _read_text(text: str, dim: int | None, basis: Sequence[str] | None) -> tuple[Mapping[Exponents, Coefficient], int]:

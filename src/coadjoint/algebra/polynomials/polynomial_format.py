@@ -20,6 +20,17 @@ def coordinate_names(dim: int) -> list[str]:
     return [f"x{i}" for i in range(1, dim + 1)]
 
 
+def names_of_basis(basis: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the coordinates for those of the basis elements; e1, e2, ... become x1, x2, ...
+
+    Examples
+    --------
+    >>> names_of_basis(("e1", "e2", "h")), names_of_basis(("e1[1]", "q1"))
+    (('x1', 'x2', 'h'), ('x1[1]', 'q1'))
+    """
+    return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
+
+
 def plain(monomials: Monomials, names: Sequence[str]) -> str:
     """Format a polynomial in the notation that `Polynomial` parses.
 
@@ -39,19 +50,29 @@ def latex(monomials: Monomials, names: Sequence[str]) -> str:
     >>> print(latex({(2, 0): Fraction(1, 2), (1, 1): -1}, ["x1", "m12"]))
     \frac{1}{2} x_{1}^{2} - x_{1} m_{12}
     """
-    return _format_sum(monomials, [latex_name(name) for name in names], "{0}^{{{1}}}", " ", _latex_size)
+    factors = [latex_name(name) for name in names]
+    braced = [f"{{{factor}}}" if "^" in factor else factor for factor in factors]
+    return _format_sum(monomials, braced, "{0}^{{{1}}}", " ", _latex_size)
+
+
+GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", "sigma")
 
 
 def latex_name(name: str) -> str:
-    """Format x12 as x_{12}, m1_2 as m_{1,2}.
+    r"""Format the name of a coordinate or symbol: x12 as x_{12}, m1_2 as m_{1,2}; other forms of names are unchanged.
 
     Examples
     --------
-    >>> latex_name("x12"), latex_name("m1_2"), latex_name("energy")
-    ('x_{12}', 'm_{1,2}', 'energy')
+    >>> print(latex_name("x12"), latex_name("m1_2"), latex_name("gamma3"), latex_name("S1[7]"), latex_name("energy"))
+    x_{12} m_{1,2} \gamma_{3} S_{1}^{[7]} energy
     """
-    match = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_]*)", name)
-    return f"{match[1]}_{{{match[2].replace('_', ',')}}}" if match else name
+    match = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_,]*)?(\[\d+\])?", name)
+    if match is None:
+        return name
+    letters = rf"\{match[1]}" if match[1] in GREEK else match[1]
+    subscript = f"_{{{match[2].replace('_', ',')}}}" if match[2] else ""
+    superscript = f"^{{{match[3]}}}" if match[3] else ""
+    return f"{letters}{subscript}{superscript}"
 
 
 def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
@@ -59,7 +80,7 @@ def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
     need("an expression of SymPy", "sympy")
     import sympy
 
-    symbols = sympy.symbols(list(names))
+    symbols = [sympy.Symbol(name) for name in names]  # sympy.symbols would split names with commas or brackets
     total = sympy.Integer(0)
     for exponents, value in monomials.items():
         exact = Fraction(value)

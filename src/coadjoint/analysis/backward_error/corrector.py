@@ -22,6 +22,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
+from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import check_power, read_finite, read_number
@@ -67,7 +68,7 @@ class Corrector:
     """
 
     def __init__(self, system: LiePoissonSystem, generator: Polynomial, order: int, remaining: float) -> None:
-        self.generator, self.order, self.remaining = generator, order, remaining
+        self.generator, self.order, self.remaining = in_coordinates_of(system, generator), order, remaining
         self._flow = LiePoissonSystem(
             system.algebra, generator, sign=system.sign, name=f"the corrector of {system.name}"
         )

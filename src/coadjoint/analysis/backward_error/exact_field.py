@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.exact_polynomials import Exact
 from coadjoint.algebra.polynomials.monomials import ProductSum
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, readable_latex
+from coadjoint.algebra.polynomials.polynomial_format import readable_latex
 from coadjoint.analysis.backward_error.field_of_step import Field, size_of
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
 from coadjoint.analysis.backward_error.polynomial_fields import Matrix, bracket_change, hamiltonian_of, skew_factor
@@ -50,7 +50,7 @@ class ExactField(ModifiedField):
     @cached_property
     def terms(self) -> Mapping[int, tuple[Polynomial, ...]]:
         """Power k -> the n polynomials of f_k."""
-        polynomial = self._exact_system.ring.polynomial
+        polynomial = self._exact_system.polynomial
         return MappingProxyType({k: tuple(map(polynomial, f)) for k, f in enumerate(self._fields)})
 
     @cached_property
@@ -78,7 +78,7 @@ class ExactField(ModifiedField):
         dict
             Power -> Polynomial.
         """
-        return {k: self._exact_system.ring.polynomial(F) for k, F in self._changes(self._polynomial(invariant)).items()}
+        return {k: self._exact_system.polynomial(F) for k, F in self._changes(self._polynomial(invariant)).items()}
 
     def keeps(self, invariant: Any) -> int | None:
         return next(iter(self._changes(self._polynomial(invariant))), None)
@@ -118,7 +118,7 @@ class ExactField(ModifiedField):
             K: Matrix = self._exact_system.structure
             if k:
                 K = skew_factor(ring, self._exact_system.energy, [sign * f for f in field])
-            terms[k] = tuple(tuple(map(ring.polynomial, row)) for row in K)
+            terms[k] = tuple(tuple(map(self._exact_system.polynomial, row)) for row in K)
         return MappingProxyType(terms)
 
     @cached_property
@@ -174,14 +174,14 @@ class ExactField(ModifiedField):
                     "Hamiltonian"
                 )
             terms[k] = H
-        return MappingProxyType({k: ring.polynomial(H) for k, H in terms.items()})
+        return MappingProxyType({k: self._exact_system.polynomial(H) for k, H in terms.items()})
 
     def to_latex(self) -> str:
         """Return the non-zero terms as lines of LaTeX ``f_{k} = ...``, transposed, with all digits."""
         return self._lines(Polynomial.to_latex)
 
     def _repr_latex_(self) -> str:
-        return f"$${self._lines(lambda F: readable_latex(F.monomials, coordinate_names(F.dim)))}$$"
+        return f"$${self._lines(lambda F: readable_latex(F.monomials, F.names))}$$"
 
     def _lines(self, to_text: Callable[[Polynomial], str]) -> str:
         lines = [

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, readable, readable_latex
+from coadjoint.algebra.polynomials.polynomial_format import readable, readable_latex
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.backward_error.modified_energy_at_points import ModifiedEnergyAtPoints
 from coadjoint.analysis.backward_error.scheme_terms import (
@@ -169,7 +169,7 @@ class ModifiedHamiltonian:
         return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
 
     def __repr__(self) -> str:
-        return self._format(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
+        return self._format(repr, lambda term: readable(term.monomials, term.names), "*")
 
     def to_latex(self) -> str:
         """Return the function as LaTeX without dollar signs, with all digits."""
@@ -177,13 +177,13 @@ class ModifiedHamiltonian:
 
     def _repr_latex_(self) -> str:
         def numeric(term: Polynomial) -> str:
-            return readable_latex(term.monomials, coordinate_names(term.dim))
+            return readable_latex(term.monomials, term.names)
 
         text = self._format(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
         return f"${text}$"
 
     def to_sympy(self) -> Any:
-        """Return the function as a SymPy expression in h, x1, ..., xn and the symbols; fractions stay exact."""
+        """Return the function as a SymPy expression in h, the coordinates and the symbols; fractions stay exact."""
         need("an expression of SymPy", "sympy")
         import sympy
 
@@ -225,7 +225,8 @@ def modified_hamiltonian(
         From 1 to 12. Order 2 is H for a scheme of order 2, order 4 is H + h^2 H2, and so on.
     symbols : bool or sequence of str
         Coefficients of H that become symbols: m1 is the factor of x1^2/2, m12 that of x1 x2, b1 that of x1, c113 that
-        of x1^2 x3 (from dimension 10 on m1_2 and so on). True for all of them, or a list of names.
+        of x1^2 x3 (from dimension 10 on m1_2 and so on). True for all of them, or a list of names. The coordinates
+        are then called x1, x2, ..., also where the system has other names for them.
 
     Returns
     -------

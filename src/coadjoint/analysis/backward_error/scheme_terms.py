@@ -19,6 +19,7 @@ from coadjoint.program.modified_energy.modified_series import check_cost, coordi
 from coadjoint.program.parts.part_polynomials import part_polynomials, with_hamiltonian_coefficients
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
+from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import factors_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import read_list
@@ -66,7 +67,7 @@ class SchemeTerms:
     def below(self, order: int) -> tuple[dict[int, Term], float, float]:
         """Return the terms below h^order by power, their radius, and the bound on neglected coefficients."""
         terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
-        return {0: self.symbols.hamiltonian, **terms}, radius, neglected
+        return {0: in_coordinates_of(self._system, self.symbols.hamiltonian), **terms}, radius, neglected
 
     def error_term(self) -> ErrorTerm:
         """Return the term at the first power above h^0 that is non-zero for general systems."""
@@ -93,7 +94,10 @@ class SchemeTerms:
             polynomials, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
             pieces = with_hamiltonian_coefficients(ring, parts, polynomials, self.symbols.polynomial, factors)
         result = modified_terms(ring, self._system, self._program, coordinates, nonzero, pieces)
-        terms = {power: self.symbols.with_symbols(term) for power, term in result.of_power.items()}
+        terms = {
+            power: in_coordinates_of(self._system, self.symbols.with_symbols(term))
+            for power, term in result.of_power.items()
+        }
         return terms, result.radius, result.neglected
 
 

@@ -16,6 +16,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.field_of_step import Field, plain_ring, size_of
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, formal_numbers, vector
+from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -59,6 +60,10 @@ class ExactSystem:
     def structure(self) -> list[Field]:
         """J(x), a matrix of polynomials."""
         return [self._polynomials(row) for row in self.system.structure_matrix(self._point)]
+
+    def polynomial(self, F: Exact) -> Polynomial:
+        """Return an element of the ring as a polynomial in the coordinates of the system."""
+        return in_coordinates_of(self.system, self.ring.polynomial(F))
 
     def value_of(self, function: Callable[..., Any]) -> Exact:
         """Return a function of the state as a polynomial."""

@@ -37,6 +37,7 @@ from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
 from coadjoint.validation import read_path
@@ -396,7 +397,7 @@ def _configuration(
         with errors.collect(), section(name, f"observe.{key}"):
             if isinstance(unforced(system), MatrixSystem):
                 raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
-            observe[key] = parse_polynomial(polynomial, system.dim)
+            observe[key] = parse_polynomial(polynomial, system.dim, coordinate_names(system))
     for key, table in file.events.items() if system is not None else ():
         with errors.collect(), section(name, f"events.{key}"):
             events.append(event_of_file(key, table.model_dump(), system))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
 from coadjoint.algebra.polynomials.formula_parser import Monomials, too_high
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, names_of_basis
 from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
@@ -30,10 +32,11 @@ from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_choice
 
 
-def parse_polynomial(source: Any, dim: int) -> Polynomial:
+def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) -> Polynomial:
     """Parse a polynomial in `dim` coordinates, as text or as a list of terms ``[coefficient, [exponent of x1, ...]]``.
 
-    The degree is at most 1024, and coefficients must fit in float64.
+    A text has x1, x2, ..., or the `names` of the coordinates. The degree is at most 1024, and coefficients must fit in
+    float64.
 
     Examples
     --------
@@ -41,9 +44,11 @@ def parse_polynomial(source: Any, dim: int) -> Polynomial:
     0.5*x1^2 - x2*x3
     >>> parse_polynomial([[0.5, [2, 0, 0]], [-1, [0, 1, 1]]], 3)
     0.5*x1^2 - x2*x3
+    >>> parse_polynomial("p1^2 - q1", 2, ("q1", "p1"))
+    -x1 + x2^2
     """
     if isinstance(source, str):
-        return formulas.parse_polynomial(source, dim)
+        return _parse_text(source, dim, names)
     if not isinstance(source, list):
         raise TypeError(f"a polynomial is text such as '0.5*x1^2 + x2*x3' or a list of terms, not {short(source)}")
     total = Monomials(dim)
@@ -66,6 +71,21 @@ def parse_polynomial(source: Any, dim: int) -> Polynomial:
     return total.polynomial()
 
 
+def _parse_text(text: str, dim: int, names: Sequence[str] | None) -> Polynomial:
+    """Parse a polynomial in x1, x2, ..., or in `names` if it has one that is not among these."""
+    default, used = coordinate_names(dim), _NAME.findall(text)
+    if names is None or not any(name in names and name not in default for name in used):
+        return formulas.parse_polynomial(text, dim)
+    for name in used:
+        if name in names and name in default and names.index(name) != default.index(name):
+            raise ValueError(
+                f"{short(text)} has {name}, which is the name of coordinate {names.index(name)} and, in polynomials in "
+                f"x1, x2, ..., that of coordinate {default.index(name)}; give a list of [coefficient, [exponents]]"
+            )
+    return formulas.parse_polynomial(text, dim, names)
+
+
+_NAME = re.compile(r"[^\W\d]\w*")
 MAX_LENGTH = 300
 BYTES_PER_COORDINATE = 400
 
@@ -144,7 +164,7 @@ def _hamiltonian_part(name: str, file: File) -> System:
     for key, polynomial in (file.casimirs or {}).items():
         assert casimirs is not None
         with section(name, f"casimirs.{key}"):
-            casimirs[key] = parse_polynomial(polynomial, algebra.dim)
+            casimirs[key] = parse_polynomial(polynomial, algebra.dim, names_of_basis(algebra.basis))
     with section(name, "casimirs"):
         LiePoissonSystem(algebra, 0 * Polynomial.variable(0, algebra.dim), casimirs=casimirs)
     with section(name, "hamiltonian"):
@@ -232,7 +252,7 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
             if getattr(table, key) is not None:
                 raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with polynomial; include it there")
         with section(name, "hamiltonian.polynomial"):
-            return parse_polynomial(table.polynomial, algebra.dim)
+            return parse_polynomial(table.polynomial, algebra.dim, names_of_basis(algebra.basis))
     if table.M is None and table.linear is None:
         raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
     with section(name, "hamiltonian"):

@@ -24,7 +24,7 @@ from coadjoint.optional_packages import need
 from coadjoint.runs.events import Events, TerminalEvent
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.description import coordinate_names
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
 from coadjoint.validation import read_path

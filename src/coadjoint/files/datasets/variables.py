@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.files.records.records import safe_name
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.system_checks import unforced
 
 COMPLEX_PARTS = ("real", "imaginary")
@@ -159,9 +160,8 @@ def coordinates_of(solution: Solution) -> Variables:
         coordinates[name] = ((name,), np.asarray(values), {"long_name": long_name})
 
     if of_state == ("component",):
-        algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
-        names = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
-        add("component", names, "element of the basis")
+        names = coordinate_names(system)
+        add("component", list(names), "coordinate")
     elif of_state[-1] == "part":
         add("part", list(COMPLEX_PARTS), "part of a complex number")
     changes = solution.change()

@@ -9,6 +9,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
+from coadjoint.algebra.polynomials.polynomial_format import plain
 from coadjoint.files.configuration.construction import parse_polynomial
 from coadjoint.files.datasets.variables import cf_attributes, split_complex, state_dimensions
 from coadjoint.files.records.entries import Entry, as_value_errors
@@ -16,7 +18,7 @@ from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import invariants_record
 from coadjoint.runs.events import Event, Events
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.description import coordinate_names
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import unforced
@@ -36,9 +38,9 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     if isinstance(unforced_system, MatrixSystem):
         raise ValueError(f"an event of a file needs coordinates; the states of {unforced_system.name} are matrices")
     options = dict(table)
-    g = options.pop("g")
-    if isinstance(g, str) and g not in coordinate_names(unforced_system, unforced_system.dim):
-        g = parse_polynomial(g, unforced_system.dim)
+    g, names = options.pop("g"), coordinate_names(unforced_system)
+    if isinstance(g, str) and g not in names:
+        g = parse_polynomial(g, unforced_system.dim, names)
     elif isinstance(g, list):
         g = parse_polynomial(g, unforced_system.dim)
     elif not isinstance(g, str):
@@ -58,10 +60,14 @@ def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, li
     """
     tables, missing = {}, []
     for event, name in zip(events, names, strict=True):
-        g: Any = str(event.g) if isinstance(event.g, Polynomial) else event.g
+        g: Any = event.g
+        if isinstance(g, Polynomial):
+            text = plain(g.monomials, default_names(g.dim))
+            # A coordinate alone would be read as a name, which may be that of another coordinate of the system.
+            g = invariants_record({name: g})[name] if text in default_names(g.dim) else text
         if isinstance(g, Quadratic):
             g = invariants_record({name: g})[name]
-        if not isinstance(g, int | str | dict):
+        if not isinstance(g, int | str | dict | list):
             missing.append(name)
             g = None
         tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}

@@ -140,6 +140,15 @@ class FormalNumber:
             result = result * self
         return result
 
+    def atan(self) -> FormalNumber:
+        """Return the arc tangent of a series without constant term."""
+        power: FormalNumber = self
+        total: FormalNumber = self
+        for k in range(1, self.count):
+            power = power * self * self * -1
+            total = total + power / (2 * k + 1)
+        return total
+
     def __abs__(self) -> Any:
         """Return the size of the constant term if it is a number, for pivoting in elimination."""
         lead = self.terms[0]

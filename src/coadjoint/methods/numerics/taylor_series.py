@@ -1,6 +1,7 @@
 """Taylor series of a motion in NumPy: power series in time, dual numbers, and steps of variable length.
 
-The variable steps are the reference for ``taylor_variable.cpp``.
+The variable steps are the reference with which tests compare ``taylor_variable.cpp``: `near_log2`, `near_power_of_two`
+and `logarithm_of_step` repeat the formulas of ``steps/step_length.hpp``: library functions would choose other steps.
 """
 
 from __future__ import annotations

@@ -143,9 +143,9 @@ class FlowMethod(Method):
         return _interpreter(self, system, number).steps(point, number(h), 1, t0=number(t))
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        from coadjoint.methods.formal.formal_steps import FormalInterpreter
+        from coadjoint.program.interpreter import Interpreter
 
-        return FormalInterpreter(self.program(system, number=Fraction)).steps(x, h, 1, t0=0 * h)
+        return Interpreter(self.program(system, number=Fraction), number=type(h)).steps(x, h, 1, t0=0 * h)
 
     @property
     def known_to(self) -> float:

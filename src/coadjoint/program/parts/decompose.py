@@ -29,6 +29,7 @@ from coadjoint.program.shifts.shift import (
     quadratic_casimirs,
     shifted_terms,
 )
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -190,8 +191,9 @@ def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int])
         occupied = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}
         affected = sorted(occupied.intersection(coordinates))
         if affected:
+            name = coordinate_names(system)[affected[0]]
             raise ValueError(
-                f'parts="{choice}" takes no inputs for {system.algebra.basis[affected[0]]} (coordinate {affected[0]}) '
+                f'parts="{choice}" takes no inputs for {name} (coordinate {affected[0]}) '
                 f'of {system.name}, whose axis of rotation they would move; take parts="auto"'
             )
 

@@ -18,6 +18,7 @@ from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -140,7 +141,8 @@ def _polynomial_atoms(
             monomial, coordinates = Polynomial({exponents: terms[exponents]}), variables[exponents]
             noncommuting = commutation.first_noncommuting(coordinates)
             if noncommuting is not None:
-                raise _not_splittable(system, f"its monomial {short(monomial)}", noncommuting)
+                shown = short(in_coordinates_of(system, monomial))
+                raise _not_splittable(system, f"its monomial {shown}", noncommuting)
             atoms.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
     return Parts.concatenate(atoms)
 
@@ -167,9 +169,8 @@ class _CommutationCheck:
             if sum(exponents) > 2:
                 noncommuting = self._commutation.first_noncommuting([k for k, power in enumerate(exponents) if power])
                 if noncommuting is not None:
-                    raise _not_splittable(
-                        self._system, f"its monomial {short(Polynomial({exponents: coefficient}))}", noncommuting
-                    )
+                    shown = short(in_coordinates_of(self._system, Polynomial({exponents: coefficient})))
+                    raise _not_splittable(self._system, f"its monomial {shown}", noncommuting)
 
     def function(self, term: FunctionTerm) -> None:
         _function_atom(self._system, term, self._commutation)
@@ -191,7 +192,8 @@ class NotSplittable(ValueError):
 
 
 def _not_splittable(system: LiePoissonSystem, what: str, noncommuting: tuple[int, int]) -> NotSplittable:
-    first, second = (system.algebra.basis[k] for k in noncommuting)
+    names = coordinate_names(system)
+    first, second = (names[k] for k in noncommuting)
     return NotSplittable(
         f"{what} couples {first} and {second}, which do not commute; "
         "give H as a sum of functions of commuting coordinates (SplitHamiltonian), or use GaussLegendre"
@@ -201,7 +203,7 @@ def _not_splittable(system: LiePoissonSystem, what: str, noncommuting: tuple[int
 def _join_as_chosen(
     system: LiePoissonSystem, choice: Sequence[Sequence[int]], atoms: Parts, commutation: Commutation
 ) -> Parts:
-    basis, set_of_coordinate = system.algebra.basis, np.full(system.dim, len(choice))
+    names, set_of_coordinate = coordinate_names(system), np.full(system.dim, len(choice))
     for number, group in enumerate(choice):
         coordinates = np.array(sorted({int(i) for i in group}), dtype=np.int64)
         outside = coordinates[(coordinates < 0) | (coordinates >= system.dim)]
@@ -210,7 +212,7 @@ def _join_as_chosen(
         noncommuting = commutation.first_noncommuting(coordinates.tolist())
         if noncommuting is not None:
             raise ValueError(
-                f"parts put {basis[noncommuting[0]]} and {basis[noncommuting[1]]} together, which do not commute"
+                f"parts put {names[noncommuting[0]]} and {names[noncommuting[1]]} together, which do not commute"
             )
         set_of_coordinate[coordinates] = np.minimum(set_of_coordinate[coordinates], number)
     if not len(atoms):
@@ -225,9 +227,9 @@ def _join_as_chosen(
         missing = coordinates[set_of_coordinate[coordinates] == len(choice)]
         if len(missing):
             raise ValueError(
-                f"parts leave out {basis[missing[0]]} (coordinate {missing[0]}), which the Hamiltonian depends on"
+                f"parts leave out {names[missing[0]]} (coordinate {missing[0]}), which the Hamiltonian depends on"
             )
-        names = ", ".join(basis[i] for i in coordinates)
-        raise ValueError(f"parts must hold {names} in one set, since the Hamiltonian couples them")
+        coupled = ", ".join(names[i] for i in coordinates)
+        raise ValueError(f"parts must hold {coupled} in one set, since the Hamiltonian couples them")
     groups = atoms.joined(first)
     return groups.take(np.argsort(first[np.sort(np.unique(first, return_index=True)[1])], kind="stable"))

@@ -94,7 +94,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     >>> top.vector_field([1.0, 2.0, 5.0, 2.0, 3.0, 1.0])
     array([ 2.,  1., -1.,  5., -3., -1.])
     >>> heavy_top(inertia=(2.0, 1.0, 1.0), lever=(3.0, 0.0, 0.0)).integrals
-    {'m1': x1}
+    {'m1': m1}
     """
     M, moments = inverse_inertia(inertia)
     warn_unphysical_inertia(moments, "e(3)")

@@ -84,7 +84,7 @@ def kirchhoff_body(
     >>> body.vector_field([1.0, 2.0, 4.0, 2.0, 4.0, 8.0])
     array([-10.,  15.,  -5.,  -4.,   6.,  -2.])
     >>> kirchhoff_body(inertia=(1, 1, 2), mass=(2, 2, 1)).integrals
-    {'m3': x3}
+    {'m3': m3}
     """
     A, moments = inverse_inertia(inertia)
     C, masses = inverse_inertia(mass, "mass")

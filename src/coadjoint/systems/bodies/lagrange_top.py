@@ -69,7 +69,7 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     >>> top.energy([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
     3.5
     >>> top.integrals
-    {'m3': x3}
+    {'m3': m3}
     """
     (m_equatorial, equatorial_moment), (m_axial, axial_moment) = (
         moments_of(equatorial, "equatorial"),

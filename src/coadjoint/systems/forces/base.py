@@ -155,8 +155,8 @@ class Force(ABC):
 def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:
     """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part.
 
-    By Philox4x64-10 and the inverse distribution function; equal to those of the kernels to round-off. `part` numbers
-    the draws that begin at the same time.
+    By Philox4x64-10 and the inverse distribution function; the reference for ``forces/random.hpp``, equal to round-off.
+    `part` numbers the draws that begin at the same time.
     """
     from scipy.special import ndtri
 
