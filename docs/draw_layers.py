@@ -21,10 +21,10 @@ LAYERS = {
     "experiments": ("does it hold?", 7.4, -1.3),
 }
 """Layer: its question, and its place. A layer uses layers to its left, and those above it in this list."""
-IMPORTED_LATE = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
-"""What `runs` imports, only when it is asked to: `integrate(accuracy=)`, and methods of `Solution`."""
+SHORTCUTS = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
+"""Shortcuts of `runs` into later layers, through `coadjoint.shortcuts`: layer -> label of the arrow."""
 NEIGHBOURS = {("analysis", "pictures"): "plot"}
-"""Imports between layers at one place, made only when asked: `Certificate.plot`."""
+"""Shortcuts between layers at one place, such as `Certificate.plot`."""
 WIDE, HIGH = 0.84, 0.92
 INK, FILL, COMPILED = "#1f2d3d", "#eef3f8", "#f7e7cf"
 
@@ -46,13 +46,13 @@ def draw() -> Any:
     for name in ("choosing", "files", "analysis", "pictures"):
         _, x, y = LAYERS[name]
         _arrow(axes, (5 + WIDE / 2, 0.12 * y), (x - WIDE / 2, y))
-        if name in IMPORTED_LATE:
+        if name in SHORTCUTS:
             side = 1 if y > 0 else -1
             end = (4.85 + 0.3 * (abs(y) < 1), side * HIGH / 2)
             _arrow(axes, (x - WIDE / 2, y + 0.3 * side), end, dashed=True, bend=0.3 * side)
             label = {"ha": "right", "va": "center", "color": INK, "size": 8.5}
             paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
-            axes.text(x - WIDE / 2 - 0.08, y + 0.43 * side, IMPORTED_LATE[name], **label, bbox=paper)
+            axes.text(x - WIDE / 2 - 0.08, y + 0.43 * side, SHORTCUTS[name], **label, bbox=paper)
     for (above, below), said in NEIGHBOURS.items():
         x, top, bottom = LAYERS[above][1] - 0.2, LAYERS[above][2] - HIGH / 2, LAYERS[below][2] + HIGH / 2
         _arrow(axes, (x, bottom), (x, top), dashed=True)

@@ -6,7 +6,6 @@ That are the names of systems, and `docs/configuration.schema.json`, what `coadj
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import json
 import re
@@ -20,84 +19,78 @@ from coadjoint.analysis.certificates.certificate import Row
 from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.solution import Drift
 from coadjoint.runs.stepper import Stepper
-from coadjoint.systems.forced import ForcedSystem
 
 PAGE = Path(__file__).with_name("api.md")
 SCHEMA = Path(__file__).with_name("configuration.schema.json")
 PACKAGE = Path(co.__file__).parent
 SYSTEMS = PACKAGE / "systems" / "__init__.pyi"
 MEMBERS_OF = (
-    ("A Lie algebra", co.LieAlgebra),
-    ("A polynomial", co.Polynomial),
-    ("A system", co.LiePoissonSystem),
-    ("A system without an algebra", co.PoissonSystem),
-    ("A system of matrices", co.MatrixSystem),
-    ("An algebra of matrices", co.MatrixAlgebra),
-    ("A system with forces", ForcedSystem),
-    ("A force", co.forces.Force),
-    ("A scheme", co.methods.Method),
-    ("A splitting, in addition", co.Splitting),
-    ("A solution", co.Solution),
-    ("A drift", Drift),
-    ("A prepared run", co.PreparedRun),
-    ("A stepper", Stepper),
-    ("A choice", co.Choice),
-    ("Frequencies", co.Frequencies),
-    ("A phase drift", co.PhaseDrift),
-    ("A certificate", co.Certificate),
-    ("A row of a certificate", Row),
-    ("A modified field", co.ModifiedField),
-    ("A corrector", co.Corrector),
+    (
+        "A Lie algebra",
+        co.LieAlgebra,
+        "basis bracket casimirs coadjoint dim from_brackets generic_rank name representation structure_matrix",
+    ),
+    (
+        "A polynomial",
+        co.Polynomial,
+        "degree derivative dim gradient hessian monomials to_latex to_sympy variable",
+    ),
+    (
+        "A system",
+        co.LiePoissonSystem,
+        "casimirs dim energy exact integrals jacobian parameters structure_matrix vector_field with_forces",
+    ),
+    ("A system of matrices, in addition", co.MatrixSystem, "from_vector in_numbers spectrum stream_of to_vector"),
+    ("An algebra of matrices", co.MatrixAlgebra, "basis bracket dim pairing projected shape"),
+    ("A system with forces, in addition", co.ForcedSystem, "labels power reversible"),
+    ("A force", co.forces.Force, "check field flow given_to parameters"),
+    (
+        "A scheme",
+        co.methods.Method,
+        "examples explicit order program properties step symmetric tangent work",
+    ),
+    ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
+    (
+        "A solution",
+        co.Solution,
+        "at attitude balance casimirs change drift energy error_estimate failed initial modified_energy movie plot "
+        "spectrum stats step system t t_span to_xarray work x x0",
+    ),
+    ("A drift", Drift, "growth"),
+    ("A prepared run", co.PreparedRun, "end run"),
+    ("A stepper", Stepper, "both group tangent tangent_by"),
+    ("A choice", co.Choice, ""),
+    ("Frequencies", co.Frequencies, "combinations"),
+    ("A phase drift", co.PhaseDrift, "growth plot"),
+    ("A certificate", co.Certificate, "failures passed plot to_json to_mapping"),
+    ("A row of a certificate", Row, ""),
+    ("A modified field", co.ModifiedField, "first_error keeps skew_matrix terms values"),
+    ("A corrector", co.Corrector, "inverse"),
 )
-USED = {
-    "analysis.checks.growth": ("growth", "Growth"),
-    "analysis.checks.slope": ("slope", "Slope"),
-    "analysis.frequencies": ("Combinations",),
-    "analysis.line_drift": ("line_drift",),
-    "analysis.order": ("fit_order", "OrderFit"),
-    "analysis.periods": ("period", "Period"),
-    "analysis.phase": ("phase_error",),
-    "analysis.phase_drift": ("drift_of_series",),
-    "analysis.poisson_defect": ("poisson_defect", "defect_of_tangent", "PoissonDefect"),
-    "analysis.predicted_drift": ("PredictedDrift",),
-    "analysis.rotations": ("attitude_angle", "precession_error", "twist"),
-    "analysis.round_off": ("round_off", "random_walk", "orthogonality", "spatial_momentum", "RandomWalk"),
-    "analysis.backward_error.field_of_step": ("field_of_series", "field_at"),
-    "analysis.backward_error.exact_field": ("ExactField",),
-    "analysis.backward_error.field_at_points": ("FieldAtPoints",),
-    "experiments.selftest.findings": ("Finding",),
-    "experiments.selftest.run": ("selftest",),
-    "files.configuration.configuration": ("load", "Configuration"),
-    "files.datasets.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
-    "files.configuration.schema": ("schema",),
-    "files.output.output_files": ("write_dataset", "write_figure", "write_page", "write_text"),
-    "methods.registry": ("forget", "scheme", "parameters_of", "from_description", "description_of"),
-    "methods.suggested_scheme": ("suggested_scheme",),
-    "pictures.certificate": ("draw_certificate",),
-    "pictures.gallery": ("gallery", "piece"),
-    "pictures.level_surface": ("level_surface",),
-    "pictures.phase_drift": ("draw_phase_drift",),
-    "pictures.register": ("CannotShow", "kind", "kinds", "read_picture"),
-    "pictures.solution": ("draw_solution",),
-    "program.table": ("Program",),
-    "runs.system_summary": ("system_text", "summarize_system"),
-    "runs.example_run": ("run_example",),
-    "systems.description": ("description",),
-    "systems.forces.registry": ("from_description",),
-    "systems.bodies.goryachev_chaplygin_top": ("goryachev_chaplygin_integral",),
-    "systems.hamiltonians.hamiltonian": ("HamiltonianLike",),
-    "systems.matrices.function_stream": ("FunctionStream",),
-    "systems.matrices.streams": ("Circulants", "DiagonalSolve", "Weights"),
-    "systems.registry": ("ready_made", "gallery_entry_of", "gallery_systems"),
-    "systems.gallery_entry": ("Picture", "GalleryEntry"),
-    "systems.hamiltonians.terms": ("QuadraticTerm", "PolynomialTerm", "FunctionTerm"),
-}
-"""What users call that no short name leads to."""
+"""Title, class, and the members that users need."""
+ATTRIBUTES_NOT_LISTED = (
+    co.MatrixSystem,
+    co.MatrixAlgebra,
+    co.ForcedSystem,
+    co.methods.Method,
+    co.Splitting,
+    co.PreparedRun,
+)
+"""Classes whose annotated attributes are not for users."""
+NAMESPACES = (
+    ("Ready-made systems, and what systems are made of", "systems"),
+    ("Forces ([forces.md](forces.md))", "forces"),
+    ("Schemes of your own ([own_schemes.md](own_schemes.md))", "methods"),
+    ("Analysis", "analysis"),
+    ("Plotting ([gallery.md](gallery.md))", "plotting"),
+    ("Stored results ([files.md](files.md))", "results"),
+)
 HEAD = """# Every public name
 
-This page is for people who look for a function, a class or a command. It lists each with the first sentence of its
-docstring, and the file in which it is. In Python, `help(co.integrate)` shows the whole docstring: parameters with their
-shapes, what is returned, what is refused, examples. [terms.md](terms.md) explains the words.
+This page lists the functions, classes, members and commands that are promised to users, each with the first sentence of
+its docstring and its file. Other names may change at any time. In Python, `help(co.integrate)` shows the whole
+docstring: parameters with their shapes, what is returned, what is refused, examples. [terms.md](terms.md) explains the
+words.
 
 `python docs/write_api.py` writes this page, and a test checks that it is up to date.
 """
@@ -116,6 +109,7 @@ def page() -> str:
 def names_of_systems() -> str:
     """Return what type checkers and editors read of `co.systems`, whose functions are found when it is imported."""
     functions = {name: getattr(co.systems, name).__module__ for name in co.systems.names()}
+    functions |= {block.__name__: block.__module__ for block in co.systems.BUILDING_BLOCKS}
     lines = sorted(f"from {module} import {name} as {name}" for name, module in functions.items())
     kinds = ("lie_poisson", "LiePoissonSystem"), ("poisson", "PoissonSystem")
     imports = sorted([*lines, *(f"from coadjoint.systems.{file} import {name}" for file, name in kinds)])
@@ -136,33 +130,21 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem: ...
 
 
 def _sections() -> Iterator[str]:
-    yield _table("The package", [(f"co.{name}", getattr(co, name)) for name in co.__all__])
-    algebras = co.algebras
-    yield _table("Algebras", [(f"co.algebras.{name}", getattr(algebras, name)) for name in algebras.__all__])
-    families = ", ".join(f"`{name}`" for name in algebras.names() if not name.startswith("A"))
-    real = ", ".join(f"`{name}`" for name in algebras.names() if name.startswith("A"))
+    yield _table("The package", list(_names_of("co", co)))
+    former = ", ".join(f"`co.{old}` (`co.{new}`)" for old, new in aliases(co).items())
+    yield f"Former names, which remain: {former}.\n"
+    yield _table("Algebras", list(_names_of("co.algebras", co.algebras)))
+    families = ", ".join(f"`{name}`" for name in co.algebras.names() if not name.startswith("A"))
+    real = ", ".join(f"`{name}`" for name in co.algebras.names() if name.startswith("A"))
     yield f"`co.algebras.get` knows the families {families}, and the real algebras of dimension 2 to 5: {real}.\n"
-    systems = [*co.systems.names(), "get", "names"]
-    yield _table("Ready-made systems", [(f"co.systems.{name}", getattr(co.systems, name)) for name in systems])
-    forces = co.forces
-    yield _table(
-        "Forces ([forces.md](forces.md))", [(f"co.forces.{name}", getattr(forces, name)) for name in forces.__all__]
-    )
-    yield _table(
-        "Schemes of your own ([own_schemes.md](own_schemes.md))",
-        [(f"co.methods.{name}", getattr(co.methods, name)) for name in co.methods.__all__],
-    )
-    for title, kind in MEMBERS_OF:
-        yield _table(title, list(_members(kind)))
-        if attributes := ", ".join(f"`{name}`" for name in sorted(_attributes(kind))):
-            yield f"Attributes of a `{kind.__name__}`: {attributes}.\n"
-    yield "## Further names\n\nThese come from their files: `from coadjoint.analysis.order import fit_order`.\n"
-    rows = [
-        (f"coadjoint.{module}.{name}", getattr(importlib.import_module(f"coadjoint.{module}"), name))
-        for module, names in USED.items()
-        for name in names
-    ]
-    yield _table("", rows)
+    for title, name in NAMESPACES:
+        yield _table(title, list(_names_of(f"co.{name}", getattr(co, name))))
+    for title, kind, members in MEMBERS_OF:
+        yield _table(title, [(f"{kind.__name__}.{name}", _member(kind, name)) for name in sorted(members.split())])
+        attributes = _attributes(kind) - set(members.split()) if kind not in ATTRIBUTES_NOT_LISTED else set()
+        if attributes:
+            yield f"Attributes of a `{kind.__name__}`: {', '.join(f'`{name}`' for name in sorted(attributes))}.\n"
+    yield "Systems of the other types have those members of a `LiePoissonSystem` that apply to them.\n"
     lines = [
         f"| `coadjoint {name}` | {_sentence(command.help or '')} |"
         for name, command in sorted(commands.commands.commands.items())
@@ -171,22 +153,27 @@ def _sections() -> Iterator[str]:
     yield "\n`coadjoint COMMAND --help` shows the options. [files.md](files.md) describes configuration files."
 
 
-def _members(kind: type) -> Iterator[tuple[str, Any]]:
-    """Yield what a class says itself, and what it has of the classes of its own file or folder."""
-    beyond = co.methods.Method if kind is co.Splitting else None
-    for name in sorted(dir(kind)):
-        value = inspect.getattr_static(kind, name)
-        told = inspect.isfunction(value) or isinstance(value, property | classmethod | staticmethod)
-        told = told or type(value).__name__ == "cached_property"
-        if name.startswith("_") or not told or (beyond is not None and hasattr(beyond, name)):
-            continue
-        yield f"{kind.__name__}.{name}", getattr(kind, name) if not isinstance(value, property) else value
+def aliases(module: Any) -> dict[str, str]:
+    """Return the former names of a module and the present ones."""
+    named = {name: getattr(getattr(module, name), "__name__", name) for name in module.__all__}
+    return {name: present for name, present in sorted(named.items()) if present != name and present in named}
+
+
+def _names_of(shown: str, module: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the public names of a module, without former ones."""
+    for name in sorted(set(module.__all__) - set(aliases(module)), key=lambda name: (name.lower(), name)):
+        yield f"{shown}.{name}", getattr(module, name)
+
+
+def _member(kind: type, name: str) -> Any:
+    value = inspect.getattr_static(kind, name)
+    return value if isinstance(value, property) else getattr(kind, name)
 
 
 def _attributes(kind: type) -> set[str]:
-    """Return the names that a class and those it derives from annotate."""
+    """Return the public names that a class and those it derives from annotate, except properties."""
     named = {name for base in kind.__mro__ for name in inspect.get_annotations(base) if not name.startswith("_")}
-    return named - {name.rpartition(".")[2] for name, _ in _members(kind)}
+    return {name for name in named if not isinstance(inspect.getattr_static(kind, name, None), property)}
 
 
 def _table(title: str, rows: Iterable[tuple[str, Any]]) -> str:

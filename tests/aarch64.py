@@ -21,7 +21,7 @@ from building import Kernels
 ROOT = Path(__file__).parents[1]
 COMPILER, TOOLS = "aarch64-linux-gnu-g++", "g++-aarch64-linux-gnu qemu-user-static"
 KEYRING = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
-WHEELS = ("numpy", "scipy", "python-flint", "numba")
+WHEELS = ("numpy", "scipy", "python-flint", "lazy_loader", "numba")
 GLIBC = range(17, 37)
 
 

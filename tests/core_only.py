@@ -8,7 +8,7 @@ from pathlib import Path
 import coadjoint
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
-CORE = {"coadjoint", "numpy", "scipy", "flint", "threadpoolctl"}
+CORE = {"coadjoint", "numpy", "scipy", "flint", "threadpoolctl", "lazy_loader"}
 
 HIDE = """
 import sys

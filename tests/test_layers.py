@@ -2,11 +2,13 @@
 
 import ast
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
 
 import coadjoint
+from coadjoint.shortcuts import SHORTCUTS, shortcut
 
 PACKAGE = Path(coadjoint.__file__).parent
 DOCS = Path(__file__).parents[1] / "docs"
@@ -21,15 +23,8 @@ def drawn():
 
 
 def imports(path):
-    """Yield the layers and files that a file imports from, and whether the import is inside a function."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    inside = {
-        id(node)
-        for function in ast.walk(tree)
-        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
-        for node in ast.walk(function)
-    }
-    for node in ast.walk(tree):
+    """Yield the layers and single files of the package that a file imports from, also inside functions."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         names = []
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} has a relative import"
@@ -39,7 +34,7 @@ def imports(path):
         for name in names:
             package, _, rest = name.partition(".")
             if package == "coadjoint" and rest:
-                yield rest.partition(".")[0], id(node) in inside
+                yield rest.partition(".")[0]
 
 
 def test_every_folder_is_a_layer(drawn):
@@ -50,24 +45,29 @@ def test_every_folder_is_a_layer(drawn):
 
 
 def test_layers_import_earlier_layers_only(drawn):
-    order = list(drawn.LAYERS)
     # Layers in the same column of the figure are independent; the first six are in a row.
     along = {layer: x for layer, (_, x, _) in drawn.LAYERS.items()}
-    wrong, late, neighbours = [], set(), set()
-    for layer in order:
-        for path in sorted((PACKAGE / layer).rglob("*.py")):
-            for other, deferred in imports(path):
-                if other not in along or other == layer or along[other] < along[layer]:
-                    continue
-                if layer == "runs" and other in drawn.IMPORTED_LATE and deferred:
-                    late.add(other)
-                elif (layer, other) in drawn.NEIGHBOURS and deferred:
-                    neighbours.add((layer, other))
-                else:
-                    wrong.append(f"{path.relative_to(PACKAGE)} imports from {other}")
+    wrong = [
+        f"{path.relative_to(PACKAGE)} imports from {other}"
+        for layer in drawn.LAYERS
+        for path in sorted((PACKAGE / layer).rglob("*.py"))
+        for other in imports(path)
+        if other in along and other != layer and along[other] >= along[layer]
+    ]
     assert wrong == []
-    assert late == set(drawn.IMPORTED_LATE)
-    assert neighbours == set(drawn.NEIGHBOURS)
+
+
+def test_shortcuts_are_those_of_the_picture(drawn):
+    """Each name that a layer calls through `coadjoint.shortcuts` is registered, used, and drawn as a dashed arrow."""
+    used = {}
+    for layer in drawn.LAYERS:
+        for path in (PACKAGE / layer).rglob("*.py"):
+            for name in re.findall(r'\bshortcut\("(\w+)"\)', path.read_text(encoding="utf-8")):
+                used.setdefault(name, set()).add(layer)
+    assert set(used) == set(SHORTCUTS)
+    assert all(callable(shortcut(name)) for name in SHORTCUTS)
+    arrows = {(layer, SHORTCUTS[name].split(".")[1]) for name, layers in used.items() for layer in layers}
+    assert arrows == {("runs", layer) for layer in drawn.SHORTCUTS} | set(drawn.NEIGHBOURS)
 
 
 def test_layer_figure_is_drawn(drawn, tmp_path):

@@ -65,17 +65,45 @@ def blocks(language):
     return [block for block in found if ">>>" not in block]
 
 
+def module_of_page(scheme, folder, monkeypatch):
+    """Return the module of a scheme in C++ on the page, written to a folder with its C++ file."""
+    name = scheme.lower()
+    (step,) = (block for block in blocks("cpp") if f"STEP_SCHEME({name}, {scheme})" in block)
+    (source,) = (block for block in blocks("python") if f"class {scheme}(" in block)
+    (folder / f"{name}.cpp").write_text(step)
+    (folder / f"{name}.py").write_text(source)
+    specification = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+    module = importlib.util.module_from_spec(specification)
+    monkeypatch.setitem(sys.modules, name, module)
+    specification.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
+def test_the_implicit_scheme_in_cpp_is_gauss_legendre(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    module = module_of_page("Gauss", tmp_path, monkeypatch)
+    driven = co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
+    for system in (BODY, co.LiePoissonSystem(co.algebras.so(3), driven)):
+        for stages in (1, 2):
+            method = module.Gauss(stages)
+            sol = co.integrate(system, X0, (0, 2), 0.05, method)
+            reference = co.integrate(system, X0, (0, 2), 0.05, co.GaussLegendre(stages))
+            assert np.max(np.abs(sol.x - reference.x)) < 40 * 8 * 2.0**-53
+            x = np.array(X0)
+            for k in range(40):
+                x = method.step(system, x, 0.05 * k, 0.05)
+            assert np.max(np.abs(sol.x[-1] - x)) < 40 * 40 * 2.0**-53
+            assert sol.drift()["|x|^2"] < 1e-14
+    with pytest.raises(co.IntegrationError):
+        co.integrate(BODY, X0, (0, 100), 50.0, module.Gauss())
+
+
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
 @pytest.mark.long
 def test_cpp_scheme_equals_its_python_version(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (step,), (scheme,) = blocks("cpp"), blocks("python")
-    (tmp_path / "heun.cpp").write_text(step)
-    (tmp_path / "heun.py").write_text(scheme)
-    specification = importlib.util.spec_from_file_location("heun", tmp_path / "heun.py")
-    module = importlib.util.module_from_spec(specification)
-    monkeypatch.setitem(sys.modules, "heun", module)
-    specification.loader.exec_module(module)
+    module = module_of_page("Heun", tmp_path, monkeypatch)
     for share in (1.0, 0.5, 2 / 3):
         method = module.Heun(share)
         coarse, fine = (co.integrate(BODY, X0, (0, 2), h, method) for h in (0.05, 0.025))

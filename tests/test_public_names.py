@@ -170,3 +170,34 @@ def test_overrides_do_not_repeat_docstrings(name):
             if own and base:
                 summary = inspect.cleandoc(own).split("\n\n")[0].rstrip(".")
                 assert not base.startswith(summary), f"{name}.{label}.{member} repeats: {summary}"
+
+
+@pytest.mark.parametrize("space", ["algebras", "analysis", "forces", "methods", "plotting", "results", "systems"])
+def test_namespaces_are_lazy_and_name_what_is_near(space):
+    module = getattr(co, space)
+    assert all(getattr(module, name) is not None for name in module.__all__)
+    assert set(module.__all__) <= set(dir(module))
+    name = sorted(module.__all__, key=len)[-1]
+    with pytest.raises(AttributeError, match=f"'{name[:-1]}'; did you mean '{name}'"):
+        getattr(module, name[:-1])
+    assert f"coadjoint.{space}" not in loaded_after("import coadjoint")
+
+
+def test_a_function_is_not_shadowed_by_its_module():
+    """Importing the module `line_drift` leaves the function of that name in `co.analysis`."""
+    import coadjoint.analysis.line_drift  # noqa: F401
+
+    assert callable(co.analysis.line_drift) and callable(co.analysis.round_off)
+
+
+@pytest.mark.parametrize(
+    ("former", "name"),
+    [
+        ("Events", "RecordedEvents"),
+        ("section", "poincare_section"),
+        ("corrector", "make_corrector"),
+        ("ensemble", "integrate_ensemble"),
+    ],
+)
+def test_former_names_remain(former, name):
+    assert getattr(co, former) is getattr(co, name)

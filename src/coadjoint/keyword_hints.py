@@ -26,7 +26,7 @@ KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("save", "save_freq", "thin", "every", "stride"), "save_every=, the steps between saved states"),
     "dense_output": "it needs none: sol.at(t) has the states at any time",
     **dict.fromkeys(("n_jobs", "num_threads", "nthreads", "n_threads", "cores"), "threads="),
-    **dict.fromkeys(("workers", "processes"), "threads=, or processes to co.ensemble(..., workers=)"),
+    **dict.fromkeys(("workers", "processes"), "threads=, or processes to co.integrate_ensemble(..., workers=)"),
     **dict.fromkeys(("solver", "scheme", "integrator", "alg", "stepper"), "method=, such as Splitting(order=4)"),
     **dict.fromkeys(("verbose", "disp", "show_progress", "progress_bar"), "progress=True"),
     **dict.fromkeys(("callback", "callbacks", "event"), "events=, or observe= for quantities along the run"),

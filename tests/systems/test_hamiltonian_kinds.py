@@ -212,3 +212,22 @@ def test_functions_with_a_domain():
 def test_refusals(make, error, message):
     with pytest.raises(error, match=message):
         make()
+
+
+@pytest.mark.parametrize("bound", [False, True], ids=["unbound", "bound"])
+def test_every_hamiltonian_is_called(bound):
+    """H(x) is `value` at one state, and the same numbers at many states; H(x, t) takes the time."""
+    timed = Separable({0: (lambda y, t: t * y**2, lambda y, t: 2 * t * y)})
+    split = SplitHamiltonian([((0, 1), Quadratic([1.0, 2.0])), ((3,), Quadratic(3.0))])
+    quadratic = Quadratic([1.0, 2.0, 3.0, 4.0], linear=[0.0, 1.0, 0.0, 0.0])
+    states = np.stack([X, 2 * X, X[::-1]])
+    for H in (timed, split, quadratic, Quadratic(2.0), general(), split + general(), 2 * timed):
+        H = H.bind(4) if bound else H
+        assert H(X, 0.5) == H.value(X, 0.5) and H(X) == H.value(X)
+        assert H(states, 0.5).tolist() == [H.value(x, 0.5) for x in states]
+        assert H(states[None]).shape == (1, 3)
+        assert H(X.tolist()) == H.value(X)
+        if bound:
+            with pytest.raises(ValueError, match="shape"):
+                H(np.ones((2, 5)))
+    assert PolynomialHamiltonian(CUBIC)([1.0, 2.0]) == CUBIC([1.0, 2.0])

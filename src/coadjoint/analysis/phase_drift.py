@@ -14,6 +14,7 @@ from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.rotations import acts_by_rotations, twist
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.validation import read_choice, read_finite, read_numbers
 
@@ -82,9 +83,7 @@ class PhaseDrift:
         matplotlib.figure.Figure
             The figure, neither shown nor saved.
         """
-        from coadjoint.pictures.phase_drift import draw_phase_drift
-
-        return draw_phase_drift(self)
+        return shortcut("draw_phase_drift")(self)
 
     def __str__(self) -> str:
         """Format in one line."""

@@ -20,7 +20,22 @@ from coadjoint.validation import read_integer
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
-    """Return the tableau: L_j = h b_j f(X_j), X_i = x + sum_j mu_ij L_j, x_new = x + sum_j L_j.
+    """Return the tableau of the Gauss-Legendre method: L_j = h b_j f(X_j), X_i = x + sum_j mu_ij L_j.
+
+    Use it for implicit steps of your own; the step adds sum_j L_j.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s.
+    number : type
+        Number type of the coefficients: float, ``mpmath.mpf``, or Fraction for one stage.
+
+    Returns
+    -------
+    Coefficients
+        Nodes c_i, scale b_i, and mix mu_ij = a_ij / b_j. In float64, nodes and weights are correctly rounded, and
+        mu_ij + mu_ji = 1 exactly.
 
     Examples
     --------

@@ -11,7 +11,7 @@ from coadjoint.kernels.events import EventArrays, FlaggedSteps
 from coadjoint.kernels.interface import codes
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.crossings import Crossings, MemberFailure, WatchedEvents
-from coadjoint.runs.events import Events, TerminalEvent
+from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops import ExecutionPlan
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.progress import progress_bar
@@ -88,7 +88,7 @@ class EventRun:
             )
         states = crossings.states[:, : run.start.momenta.shape[1]]
         plain = unforced(self.watched.system)
-        run.events = Events(
+        run.events = RecordedEvents(
             self.watched.names,
             crossings.t,
             plain.states(states) if isinstance(plain, MatrixSystem) else states.reshape(-1, *run.start.shape),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import dataclass_repr, short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.user_functions import takes_time
@@ -28,7 +29,8 @@ PER_CROSSING = ("t", "x", "which", "member", "direction")
 class Event:
     """A function g of state and time whose zeros are found during a run.
 
-    Use it for Poincare sections, periods, turning points, and to stop a run at a condition.
+    Use it for Poincare sections, periods, turning points, and to stop a run at a condition. The zeros found are
+    `RecordedEvents`.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ def read_events(value: Any) -> tuple[Event, ...]:
     return tuple(events)
 
 
-class Events:
+class RecordedEvents:
     """The m crossings of events that a run found, ordered by member, and for each member in the order of the run.
 
     Attributes
@@ -192,13 +194,13 @@ class Events:
         counts = ", ".join(f"{name}: {np.count_nonzero(self.which == k)}" for k, name in enumerate(self.names))
         return f"<crossings of {counts}>"
 
-    def chosen(self, selection: NDArray[Any]) -> Events:
+    def chosen(self, selection: NDArray[Any]) -> RecordedEvents:
         """Select crossings by mask or indices."""
         attitude = None if self.attitude is None else self.attitude[selection]
         t, x, which, member, direction = (getattr(self, name)[selection] for name in PER_CROSSING)
-        return Events(self.names, t, x, which, member, direction, attitude, self.coordinates, self.asked)
+        return RecordedEvents(self.names, t, x, which, member, direction, attitude, self.coordinates, self.asked)
 
-    def __getitem__(self, name: str | int) -> Events:
+    def __getitem__(self, name: str | int) -> RecordedEvents:
         """Return the crossings of an event, by its name or number."""
         if isinstance(name, str):
             k = self.names.index(read_choice(name, "event", self.names))
@@ -206,7 +208,7 @@ class Events:
             k = read_integer(name, "number of an event", 0, len(self.names) - 1)
         return self.chosen(self.which == k)
 
-    def of(self, member: int) -> Events:
+    def of(self, member: int) -> RecordedEvents:
         """Return the crossings of a member."""
         return self.chosen(self.member == read_integer(member, "member", 0))
 
@@ -245,9 +247,11 @@ class Events:
         -------
         matplotlib.figure.Figure
         """
-        from coadjoint.pictures.kinds.section import draw_crossings
+        return shortcut("draw_crossings")(self, components, axes)
 
-        return draw_crossings(self, components, axes)
+
+Events = RecordedEvents
+"""Former name."""
 
 
 class TerminalEvent(NamedTuple):

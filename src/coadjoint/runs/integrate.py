@@ -13,6 +13,7 @@ from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.solution import Solution, with_choice
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.system_checks import System, check_system
@@ -151,9 +152,9 @@ def integrate(
     if archive is None:
         sol = prepared.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
     else:
-        from coadjoint.files.archives.resume import archive_run
-
-        sol = archive_run(prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events)
+        sol = shortcut("archive_run")(
+            prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events
+        )
     return with_choice(sol, choice)
 
 
@@ -172,6 +173,4 @@ def chosen_for(
     check_system(system)
     if isinstance(system, Batch):
         raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
-    from coadjoint.choosing.accuracy import choose
-
-    return choose(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)
+    return shortcut("choose")(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)

@@ -34,6 +34,7 @@ from coadjoint.runs.start import Start, momenta_of, read_attitude, representatio
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -477,11 +478,11 @@ def prepare(
             raise TypeError(
                 "accuracy= needs x0=, a sample of states, and t_span=, the longest run, and takes no inputs"
             )
-        from coadjoint.choosing.validated_run import SampledRun
-
         method = None if method is None else read_method(method)
 
-        chosen = SampledRun(system, x0, t_span, cast(float, accuracy), method, attitude, watch, observe, threads)
+        chosen = shortcut("run_to_accuracy")(
+            system, x0, t_span, cast(float, accuracy), method, attitude, watch, observe, threads
+        )
         chosen.loops(chosen.signed_step).build_all()
         return chosen
     if x0 is not None or t_span is not None:

@@ -19,7 +19,7 @@ from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import need
 from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
-from coadjoint.runs.events import Events, TerminalEvent
+from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.observables import Observed
@@ -46,7 +46,7 @@ class Run:
     ----------
     state : RunState
         State after the last step taken.
-    events : Events or None
+    events : RecordedEvents or None
         Crossings found, if events were given.
     ending : TerminalEvent or None
         Terminal event that ended a single-member run.
@@ -86,7 +86,7 @@ class Run:
         self.seconds = 0.0
         self.failed_count = 0
         self.failure_reasons: dict[int, str] = {}
-        self.events: Events | None = None
+        self.events: RecordedEvents | None = None
         self.ending: TerminalEvent | None = None
 
     def _allocate(self, times: Times, events: int = 0) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.events import MOST_CROSSINGS, Event, Events
+from coadjoint.runs.events import MOST_CROSSINGS, Event, RecordedEvents
 from coadjoint.runs.integrate import integrate
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -30,7 +30,7 @@ class Section:
 
     Attributes
     ----------
-    events : Events
+    events : RecordedEvents
         All crossings, member after member.
     counts : ndarray of int, shape (members,)
         Number of crossings of each member.
@@ -41,18 +41,18 @@ class Section:
 
     Notes
     -----
-    Returned by `section`. The arrays t and x are computed on each access.
+    Returned by `poincare_section`. The arrays t and x are computed on each access.
 
     Examples
     --------
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> found = co.section(body, [(0.1, 1.0, 0.1), (0.2, 1.0, 0.1)], co.Event("x2", 1), (0, 100), 0.1)
+    >>> found = co.poincare_section(body, [(0.1, 1.0, 0.1), (0.2, 1.0, 0.1)], co.Event("x2", 1), (0, 100), 0.1)
     >>> found.counts, found.x.shape
     (array([2, 3]), (2, 3, 3))
     """
 
-    def __init__(self, events: Events, members: int) -> None:
+    def __init__(self, events: RecordedEvents, members: int) -> None:
         self.events = events
         self.counts: NDArray[np.int64] = np.bincount(events.member, minlength=members)
 
@@ -93,7 +93,7 @@ class Section:
         return self.events.plot(components, axes)
 
 
-def section(
+def poincare_section(
     system: System | ForcedSystem | Batch,
     x0s: Any,
     event: Event,
@@ -146,7 +146,8 @@ def section(
     >>> import numpy as np
     >>> top = co.systems.kovalevskaya_top()
     >>> starts = np.array([[x, 0.3, 0.5, 0.0, 0.6, 0.8] for x in (0.2, 0.4, 0.6)])
-    >>> found = co.section(top, starts, co.Event(1, direction=1), (0, 1000), 0.1, co.Splitting(order=4), crossings=20)
+    >>> upward, method = co.Event(1, direction=1), co.Splitting(order=4)
+    >>> found = co.poincare_section(top, starts, upward, (0, 1000), 0.1, method, crossings=20)
     >>> found.x.shape, bool(abs(found.x[..., 1]).max() < 1e-15)
     ((3, 20, 6), True)
     """
@@ -158,3 +159,7 @@ def section(
     sol = integrate(system, x0s, t_span, step, method, save_every=ENDS_ONLY, watch=False, **options)
     assert sol.events is not None
     return Section(sol.events, 1 if sol.failed is None else len(sol.failed))
+
+
+section = poincare_section
+"""Former name."""

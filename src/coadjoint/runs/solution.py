@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System, unforced
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.kernels.arrays import NamedArrays
-    from coadjoint.runs.events import Events, TerminalEvent
+    from coadjoint.runs.events import RecordedEvents, TerminalEvent
     from coadjoint.runs.loops import GroupCorrection
     from coadjoint.runs.observables import Observed
     from coadjoint.runs.run import Run
@@ -106,7 +107,7 @@ class Solution:
         Group element, if it was computed.
     observed : dict
         Name -> array: the quantities of `observe`.
-    events : Events or None
+    events : RecordedEvents or None
         Crossings of the events given to the run.
     stats : Statistics
         Steps, evaluations, iterations, seconds.
@@ -139,7 +140,7 @@ class Solution:
     choice: Any
     _error: NDArray[np.float64] | None
     _began: NDArray[np.float64] | None
-    events: Events | None
+    events: RecordedEvents | None
     _ending: TerminalEvent | None
     _saved: NamedArrays
     _state: NamedArrays
@@ -429,9 +430,7 @@ class Solution:
         """
         error = self._error
         if error is None:
-            from coadjoint.analysis.end_error import error_at_end
-
-            error = self.__dict__["_error"] = error_at_end(self)
+            error = self.__dict__["_error"] = shortcut("error_at_end")(self)
         return float(error[0]) if self.failed is None else error
 
     def _deviations(self, first: int) -> dict[str, Drift]:
@@ -500,8 +499,7 @@ class Solution:
         >>> float(max(abs(modified - modified[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
         True
         """
-        from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian
-
+        modified_hamiltonian = shortcut("modified_hamiltonian")
         h = self.step if self.t_span[1] > self.t_span[0] else -self.step
         if isinstance(self.system, Batch):
             hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
@@ -557,9 +555,7 @@ class Solution:
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
         """
-        from coadjoint.files.datasets.export import dataset_of
-
-        return dataset_of(self)
+        return shortcut("dataset_of")(self)
 
     def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
         """Plot drift, components, and the pictures that the system declares.
@@ -598,9 +594,7 @@ class Solution:
         >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
         ['body axis 2 in space']
         """
-        from coadjoint.pictures.solution import draw_solution
-
-        return draw_solution(self, panels, components, axes, members)
+        return shortcut("draw_solution")(self, panels, components, axes, members)
 
     def movie(
         self,
@@ -643,12 +637,9 @@ class Solution:
         Traceback (most recent call last):
         coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
         """
-        from coadjoint.files.output.movie_file import check_movie, check_speed, write_movie
-        from coadjoint.pictures.movie import frames_of
-
-        target = check_movie(path)
-        rate = check_speed(fps, target)
-        write_movie(frames_of(self, picture, frames, size), target, rate)
+        target = shortcut("check_movie")(path)
+        rate = shortcut("check_speed")(fps, target)
+        shortcut("write_movie")(shortcut("frames_of")(self, picture, frames, size), target, rate)
         return target
 
 

@@ -6,15 +6,32 @@ import inspect
 from typing import Any
 
 from coadjoint.errors import unknown_attribute
+from coadjoint.systems.canonical import canonical_state
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.function_stream import FunctionStream
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Weights
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.registry import ready_made_systems
+from coadjoint.systems.registry import ready_made, ready_made_systems
 from coadjoint.validation import check_parameters, read_choice
 
 # The functions shadow the modules of the same name: co.systems.rigid_body is the function.
 globals().update(ready_made_systems())
 
-__all__ = sorted([*ready_made_systems(), "get", "names"])
+BUILDING_BLOCKS = (
+    Circulants,
+    DiagonalSolve,
+    FunctionStream,
+    FunctionTerm,
+    PolynomialTerm,
+    QuadraticTerm,
+    Weights,
+    canonical_state,
+    ready_made,
+)
+"""What user-defined systems are made of: streams of matrices, terms of Hamiltonians, registration."""
+
+__all__ = sorted([*ready_made_systems(), *(block.__name__ for block in BUILDING_BLOCKS), "get", "names"])
 
 
 def __getattr__(name: str) -> Any:

@@ -15,6 +15,7 @@ from coadjoint.systems.bodies.matrix_body import matrix_body as matrix_body
 from coadjoint.systems.bodies.rigid_body import rigid_body as rigid_body
 from coadjoint.systems.bodies.satellite import satellite as satellite
 from coadjoint.systems.bodies.so_n_body import so_n_body as so_n_body
+from coadjoint.systems.canonical import canonical_state as canonical_state
 from coadjoint.systems.examples.maxwell_bloch import maxwell_bloch as maxwell_bloch
 from coadjoint.systems.examples.paper_examples import paper_a37 as paper_a37
 from coadjoint.systems.examples.paper_examples import paper_rigid_body as paper_rigid_body
@@ -29,13 +30,29 @@ from coadjoint.systems.fluids.reduced_mhd import reduced_mhd as reduced_mhd
 from coadjoint.systems.fluids.sphere_euler import sphere_euler as sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler as torus_euler
 from coadjoint.systems.fluids.vlasov_moments import vlasov_moments as vlasov_moments
+from coadjoint.systems.hamiltonians.terms import FunctionTerm as FunctionTerm
+from coadjoint.systems.hamiltonians.terms import PolynomialTerm as PolynomialTerm
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm as QuadraticTerm
 from coadjoint.systems.lattices.spin_lattice import spin_lattice as spin_lattice
 from coadjoint.systems.lattices.toda import toda as toda
 from coadjoint.systems.lattices.toda import toda_ring as toda_ring
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.function_stream import FunctionStream as FunctionStream
+from coadjoint.systems.matrices.streams import Circulants as Circulants
+from coadjoint.systems.matrices.streams import DiagonalSolve as DiagonalSolve
+from coadjoint.systems.matrices.streams import Weights as Weights
 from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.registry import ready_made as ready_made
 
 __all__ = [
+    "Circulants",
+    "DiagonalSolve",
+    "FunctionStream",
+    "FunctionTerm",
+    "PolynomialTerm",
+    "QuadraticTerm",
+    "Weights",
+    "canonical_state",
     "clebsch_body",
     "decorated_particles",
     "double_spherical_pendulum",
@@ -55,6 +72,7 @@ __all__ = [
     "paper_a37",
     "paper_rigid_body",
     "passive_scalar",
+    "ready_made",
     "reduced_mhd",
     "riccati",
     "rigid_body",

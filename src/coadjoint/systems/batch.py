@@ -114,7 +114,8 @@ def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
 
     Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. The result of every
     member is bit-identical to a run of it alone. For one system with many initial states give x0 of shape
-    (members, n) instead.
+    (members, n) instead; to compute an ensemble in blocks on many processors, use `integrate_ensemble`, which also
+    takes a batch.
 
     Parameters
     ----------

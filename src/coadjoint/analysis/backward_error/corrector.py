@@ -38,7 +38,7 @@ CUTOFFS = tuple(10.0**-k for k in range(10, 0, -1))
 
 
 class Corrector:
-    """A map from computed states to more accurate ones, the flow of h^p G; `corrector` creates it.
+    """A map from computed states to more accurate ones, the flow of h^p G; `make_corrector` creates it.
 
     A step of a kernel K of order p is the flow of H + h^p H_p + .... With this map P, the step P K P^-1 is the flow of
     H + h^p (H_p + sign {G, H}) + .... G minimizes the variation of the second term along the motion. The kernel runs
@@ -59,7 +59,7 @@ class Corrector:
     --------
     >>> import coadjoint as co
     >>> body, x0, h = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5), 0.05
-    >>> better = co.corrector(body, co.Splitting(), x0)
+    >>> better = co.make_corrector(body, co.Splitting(), x0)
     >>> run = co.integrate(body, better.inverse(x0, h), (0, 100), h, co.Splitting())
     >>> output = better(run.x, h)
     >>> spread = [max(abs(e - e[0])) for e in (run.energy, np.array([body.energy(x) for x in output]))]
@@ -111,7 +111,7 @@ class Corrector:
         return np.asarray(run.x[-1]).reshape(states.shape)
 
 
-def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
+def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
     """Return a map of the output that reduces the energy error of a splitting near a motion.
 
     The scheme remains unchanged: the processing map comes from the modified Hamiltonian of the given system. Choose it
@@ -178,6 +178,10 @@ def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any]
             break
     remaining = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
     return Corrector(system, generator, scheme.order, remaining)
+
+
+corrector = make_corrector
+"""Former name."""
 
 
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:

@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 class ModifiedField(ABC):
     """The modified field f_0 + h f_1 + ... of a scheme on a system; `modified_field` creates it.
 
+    For splittings it is the Hamiltonian vector field of the `ModifiedHamiltonian`.
+
     Attributes
     ----------
     system, method

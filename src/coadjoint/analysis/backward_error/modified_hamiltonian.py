@@ -212,7 +212,8 @@ def modified_hamiltonian(
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
     A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it for the energy that a run
-    preserves, and to compare schemes of the same order by their leading terms.
+    preserves, and to compare schemes of the same order by their leading terms. A scheme that is no splitting has a
+    `modified_field` instead.
 
     Parameters
     ----------

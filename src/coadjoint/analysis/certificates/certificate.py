@@ -13,6 +13,7 @@ import numpy as np
 
 from coadjoint.errors import unknown_name
 from coadjoint.short_repr import html_table
+from coadjoint.shortcuts import shortcut
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,9 +202,7 @@ class Certificate:
         matplotlib.figure.Figure
             The figure, neither shown nor saved.
         """
-        from coadjoint.pictures.certificate import draw_certificate
-
-        return draw_certificate(self)
+        return shortcut("draw_certificate")(self)
 
 
 def _cells(row: Row) -> tuple[str, str, str, str]:

@@ -178,6 +178,8 @@ def _opened(path: Path, system: Any) -> ArchivedSolution:
 def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     """Open the archive of a run, finished or not, also while it is written.
 
+    `load` opens archives as well as files. Use this function to refuse anything but an archive.
+
     Parameters
     ----------
     path : str or Path

@@ -1,4 +1,4 @@
-"""The function `ensemble`."""
+"""Ensembles computed in blocks: `integrate_ensemble`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-def ensemble(
+def integrate_ensemble(
     system: System | ForcedSystem | Batch,
     x0: Any,
     t_span: tuple[float, float],
@@ -93,7 +93,7 @@ def ensemble(
     >>> import numpy as np
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> states = np.random.default_rng(1).standard_normal((100, 3))
-    >>> many = co.ensemble(body, states, (0, 10), 0.1, members_per_block=32)
+    >>> many = co.integrate_ensemble(body, states, (0, 10), 0.1, members_per_block=32)
     >>> many.x.shape, many.finished
     ((101, 100, 3), True)
     >>> bool((many.x[:, 7] == co.integrate(body, states[7], (0, 10), 0.1).x).all())
@@ -111,6 +111,10 @@ def ensemble(
     members = len(prepared.start(x0).momenta)
     metadata = ExtraMetadata(_along_members({} if coordinates is None else coordinates, members), {})
     return run_in_blocks(prepared, x0, t_span, save_every, archive, pool, size=size, progress=progress, about=metadata)
+
+
+ensemble = integrate_ensemble
+"""Former name."""
 
 
 def _along_members(coordinates: Mapping[str, Any], members: int) -> Variables:

@@ -21,7 +21,7 @@ from coadjoint.files.datasets.read_solution import ReadSolution
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import need
-from coadjoint.runs.events import Events, TerminalEvent
+from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinate_names
@@ -122,7 +122,7 @@ class LoadedSolution(ReadSolution):
         return np.concatenate([np.moveaxis(self._read_entire(name), -2, -1) for name in names], axis=-1)
 
     @cached_property
-    def events(self) -> Events | None:  # type: ignore[override]
+    def events(self) -> RecordedEvents | None:  # type: ignore[override]
         """Crossings found in the run, or None if it had no events."""
         if "event_time" not in self._arrays:
             return None
@@ -138,7 +138,7 @@ class LoadedSolution(ReadSolution):
         )
         attitude = self._read("event_attitude") if "event_attitude" in self._arrays else None
         names = tuple(str(event.name) for event in events)
-        return Events(names, t, x, event_index, member, direction, attitude, coordinates, events)
+        return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates, events)
 
     def to_xarray(self) -> xarray.Dataset:
         return self.dataset.copy()

@@ -16,7 +16,7 @@ from coadjoint.files.datasets.variables import cf_attributes, split_complex, sta
 from coadjoint.files.records.entries import Entry, as_value_errors
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import invariants_record
-from coadjoint.runs.events import Event, Events
+from coadjoint.runs.events import Event, RecordedEvents
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -74,7 +74,7 @@ def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, li
     return json.dumps(tables), missing
 
 
-def variables_of(events: Events) -> dict[str, Any]:
+def variables_of(events: RecordedEvents) -> dict[str, Any]:
     """Return crossings as variables of a dataset, over ``crossing``."""
     dims = ("crossing",)
     variables: dict[str, Any] = {

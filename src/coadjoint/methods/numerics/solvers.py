@@ -119,7 +119,37 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
 def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 
-    IntegrationError: the iteration does not converge.
+    ``settle`` in ``stages/stagnation.hpp`` is its counterpart for steps in C++.
+
+    Parameters
+    ----------
+    step : Step
+        The step, from `begin`.
+    slopes_at : callable
+        Function of the stages X, shape (s, n), that returns the slopes; usually ``step.fields``.
+
+    Returns
+    -------
+    ndarray, shape (s, n)
+        The slopes L; the step adds ``step.coefficients.out @ L`` to the state.
+
+    Raises
+    ------
+    IntegrationError
+        The iteration does not converge.
+    TypeError
+        The numbers are exact fractions, for which it does not end.
+
+    Examples
+    --------
+    The implicit midpoint rule:
+
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> step = co.methods.begin(lambda number: co.methods.gauss_tableau(1, number), body, (1.0, 0.2, 0.5), 0.0, 0.1)
+    >>> x = step.x + co.methods.iterate_to_stagnation(step, step.fields)[0]
+    >>> float(abs(x @ x - 1.29)) < 1e-14
+    True
     """
     from coadjoint.kernels.interface import limit
 

@@ -114,7 +114,33 @@ def validated_tableau(coefficients: Coefficients, solver: str, scheme: str) -> C
 
 
 def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> Step:
-    """Return a step at its start, in the number type of x, with the coefficients that `tableau` returns for it."""
+    """Return a step at its start, in the number type of x, for an implicit step of your own in Python.
+
+    Parameters
+    ----------
+    tableau : callable
+        Function of a number type that returns `Coefficients`, such as ``lambda number: gauss_tableau(2, number)``.
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    x : array_like, shape (n,)
+        The state: floats, or numbers of another type in an array of objects.
+    t, h : number
+        Time at the start, and length of the step.
+
+    Returns
+    -------
+    Step
+        ``fields(points)`` are the slopes L_j = h scale_j f(X_j), ``points(slopes)`` the stages X_i = x + sum_j mix_ij
+        L_j, both (s, n); ``coefficients`` is the tableau and ``x`` the state.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> step = co.methods.begin(lambda number: co.methods.gauss_tableau(1, number), body, (1.0, 0.2, 0.5), 0.0, 0.1)
+    >>> step.fields(step.start()).shape
+    (1, 3)
+    """
     point = np.asarray(x)
     number: Number = float
     if point.dtype == object:

@@ -20,7 +20,7 @@ from coadjoint.program.numbers import Number
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow_inputs
 from coadjoint.program.parts.split import NotSplittable
-from coadjoint.program.sweeps import Sweep
+from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System

@@ -10,7 +10,7 @@ from coadjoint.optional_packages import need
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
-from coadjoint.runs.events import Events
+from coadjoint.runs.events import RecordedEvents
 from coadjoint.validation import read_choice, read_integer, read_list
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
     return paint
 
 
-def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> Figure:
+def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = None) -> Figure:
     """Draw the crossings of events in two coordinates (right, up), by default those that vary most.
 
     Raises TypeError or ValueError without crossings, for matrix states, or for unknown coordinates.
@@ -72,7 +72,7 @@ def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> 
     return figure
 
 
-def drawn_coordinates(events: Events, components: Any = None) -> tuple[int, int]:
+def drawn_coordinates(events: RecordedEvents, components: Any = None) -> tuple[int, int]:
     """Return the indices of the coordinates (right, up); arguments and errors are those of `draw_crossings`."""
     names = events.coordinates
     if len(names) < 2:

@@ -18,7 +18,7 @@ from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients,
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
-from coadjoint.validation import read_finite, read_integer, read_number, to_array
+from coadjoint.validation import read_finite, read_integer, read_number
 
 
 class Entries(NamedTuple):
@@ -68,7 +68,7 @@ class Quadratic(Summable):
     Examples
     --------
     >>> H = Quadratic([1.0, 0.5, 0.25], linear=[0.0, 0.0, 1.0])
-    >>> H.value([1.0, 2.0, 2.0])
+    >>> H([1.0, 2.0, 2.0])
     4.0
     >>> H.gradient([1.0, 2.0, 2.0])
     array([1. , 1. , 1.5])
@@ -381,15 +381,6 @@ class Quadratic(Summable):
             return (0.5 * (half @ y) + linear @ y + float(bound._constant)).item()
         constant = lossless_coefficients(np.array([bound._constant], dtype=object), y)[0]
         return (half @ y) / 2 + linear @ y + constant
-
-    def __call__(self, x: npt.ArrayLike) -> Any:
-        """Return the value at a state (n,), or the values at states (..., n), like other invariants."""
-        array = to_array(x, "x", "iufc")
-        width = array.shape[-1] if array.ndim > 1 else 0
-        if width == 0 or self.dim not in (None, width):  # one state, or states of another dimension
-            return self.value(array)
-        rows = array.reshape(-1, width)
-        return np.array([self.value(row) for row in rows]).reshape(array.shape[:-1])
 
     @ignore_overflow
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:

@@ -24,7 +24,8 @@ MAX_COORDINATES = 2**32 - 1
 class Separable(Summable):
     """A sum of functions of one coordinate each, ``sum of H_i(x_i)``.
 
-    Explicit splittings support it on every algebra, since the flow of each H_i is linear.
+    Explicit splittings support it on every algebra, since the flow of each H_i is linear. If a piece of H depends on
+    several commuting coordinates together, use `SplitHamiltonian`.
 
     Parameters
     ----------
@@ -46,6 +47,8 @@ class Separable(Summable):
     Examples
     --------
     >>> H = Separable({0: (np.cosh, np.sinh), 2: (lambda y: y**2, lambda y: 2 * y)})
+    >>> float(H([0.0, 7.0, 3.0]))
+    10.0
     >>> H.gradient([0.0, 7.0, 3.0])
     array([0., 0., 6.])
     """

@@ -1,18 +1,21 @@
-"""Arithmetic of Hamiltonians: base class with ``H1 + H2``, ``H1 - H2``, ``2 * H``, ``H / 2``, ``-H``."""
+"""Values and arithmetic of Hamiltonians: base class with ``H(x)``, ``H1 + H2``, ``2 * H``, ``H / 2``, ``-H``."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from fractions import Fraction
-from typing import Any, Self
+from typing import Any, Self, cast
+
+import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient, read_coefficient
 from coadjoint.short_repr import short
-from coadjoint.validation import is_real
+from coadjoint.systems.evaluation import vectorized_over_states
+from coadjoint.validation import is_real, to_array
 
 
 class Summable(ABC):
-    """Base class of Hamiltonians that can be added to Hamiltonians and numbers, and multiplied by numbers."""
+    """Base class of Hamiltonians: they are called, added to Hamiltonians and numbers, and multiplied by numbers."""
 
     # Prevents NumPy arrays from broadcasting over it.
     __array_ufunc__ = None
@@ -20,6 +23,15 @@ class Summable(ABC):
     @abstractmethod
     def times(self, factor: Coefficient) -> Self:
         """Return the Hamiltonian, of the same type, multiplied by a finite int, float or Fraction."""
+
+    def __call__(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        """Return H(x, t) at a state (n,), or the values at states (..., n).
+
+        The time is one number, or one for each entry of the first axis.
+        """
+        states = to_array(x, "x", "iufc")
+        H = cast(Any, self)
+        return _value(H.bind(states.shape[-1]) if H.dim is None and states.ndim > 1 else H, states, t)
 
     def __add__(self, other: Any) -> Any:
         from coadjoint.systems.hamiltonians.sum_of_hamiltonians import sum_of
@@ -52,6 +64,11 @@ class Summable(ABC):
         if denominator == 0:
             raise ValueError(f"a Hamiltonian can be divided by a number other than 0, not by {short(divisor)}")
         return self * (1.0 / denominator if isinstance(denominator, float) else Fraction(1, 1) / denominator)
+
+
+@vectorized_over_states
+def _value(H: Any, x: npt.NDArray[Any], t: float = 0.0) -> Any:
+    return H.value(x, t)
 
 
 def _factor(argument: Any) -> Coefficient:

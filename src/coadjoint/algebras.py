@@ -1,0 +1,10 @@
+"""Catalogue of Lie algebras by name, and constructions of new algebras (``co.algebras``)."""
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.catalogue import *  # noqa: F403
+
+__all__ = catalogue.__all__
+__dir__ = catalogue.__dir__
+
+if not catalogue.TYPE_CHECKING:
+    __getattr__ = catalogue.__getattr__

@@ -1,0 +1,28 @@
+# Public names of `co.analysis`; lazy_loader and type checkers read this file.
+
+from .checks.growth import Growth as Growth
+from .checks.growth import growth as growth
+from .checks.slope import Slope as Slope
+from .checks.slope import slope as slope
+from .frequencies import Combinations as Combinations
+from .line_drift import line_drift as line_drift
+from .order import OrderFit as OrderFit
+from .order import fit_order as fit_order
+from .periods import Period as Period
+from .periods import period as period
+from .phase import phase_error as phase_error
+from .phase_drift import drift_of_series as drift_of_series
+from .poisson_defect import PoissonDefect as PoissonDefect
+from .poisson_defect import defect_of_tangent as defect_of_tangent
+from .poisson_defect import poisson_defect as poisson_defect
+from .predicted_drift import PredictedDrift as PredictedDrift
+from .rotations import attitude_angle as attitude_angle
+from .rotations import precession_error as precession_error
+from .rotations import twist as twist
+from .round_off import RandomWalk as RandomWalk
+from .round_off import orthogonality as orthogonality
+from .round_off import random_walk as random_walk
+from .round_off import round_off as round_off
+from .round_off import spatial_momentum as spatial_momentum
+
+__all__: list[str]

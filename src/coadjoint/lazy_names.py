@@ -1,0 +1,28 @@
+"""Lazy public names of a package, listed in its stub file."""
+
+from __future__ import annotations
+
+import lazy_loader
+
+TYPE_CHECKING = False
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+
+def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package; `shown` is its name in error messages."""
+    resolve, _, names = lazy_loader.attach_stub(package, file)
+
+    def __getattr__(name: str) -> Any:
+        if name not in names:
+            from coadjoint.errors import unknown_attribute
+
+            raise unknown_attribute(shown or package, name, names)
+        return resolve(name)
+
+    def __dir__() -> list[str]:
+        return sorted(names)
+
+    return __getattr__, __dir__, names

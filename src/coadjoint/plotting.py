@@ -1,0 +1,36 @@
+"""Pictures of runs: kinds of pictures, the gallery, and figures with Matplotlib (``co.plotting``).
+
+`Picture` names a kind of picture with its options, for ``sol.plot(pictures=...)`` and for `GalleryEntry`; `kind`
+registers a kind of your own; `gallery` draws the ready-made systems.
+"""
+
+from __future__ import annotations
+
+from coadjoint.errors import unknown_attribute
+from coadjoint.pictures.gallery import gallery
+from coadjoint.pictures.level_surface import level_surface
+from coadjoint.pictures.modified_energy import draw_modified_energy
+from coadjoint.pictures.register import CannotShow, kind, kinds
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+
+__all__ = [
+    "CannotShow",
+    "GalleryEntry",
+    "Picture",
+    "draw_modified_energy",
+    "gallery",
+    "kind",
+    "kinds",
+    "level_surface",
+]
+
+TYPE_CHECKING = False
+
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
+
+    def __getattr__(name: str) -> None:
+        raise unknown_attribute("co.plotting", name, __all__)
+
+
+def __dir__() -> list[str]:
+    return __all__

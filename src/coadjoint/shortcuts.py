@@ -1,0 +1,36 @@
+"""Functions of later layers that results and runs call, such as ``sol.plot()``, by name; imported on first use."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+SHORTCUTS = {
+    "archive_run": "coadjoint.files.archives.resume:archive_run",
+    "check_movie": "coadjoint.files.output.movie_file:check_movie",
+    "check_speed": "coadjoint.files.output.movie_file:check_speed",
+    "choose": "coadjoint.choosing.accuracy:choose",
+    "dataset_of": "coadjoint.files.datasets.export:dataset_of",
+    "draw_certificate": "coadjoint.pictures.certificate:draw_certificate",
+    "draw_crossings": "coadjoint.pictures.kinds.section:draw_crossings",
+    "draw_phase_drift": "coadjoint.pictures.phase_drift:draw_phase_drift",
+    "draw_solution": "coadjoint.pictures.solution:draw_solution",
+    "error_at_end": "coadjoint.analysis.end_error:error_at_end",
+    "frames_of": "coadjoint.pictures.movie:frames_of",
+    "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
+    "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
+    "write_movie": "coadjoint.files.output.movie_file:write_movie",
+}
+"""Name -> "module:function"."""
+
+
+def shortcut(name: str) -> Any:
+    """Return the function of a later layer that is registered under a name.
+
+    Examples
+    --------
+    >>> shortcut("choose").__module__
+    'coadjoint.choosing.accuracy'
+    """
+    module, _, function = SHORTCUTS[name].partition(":")
+    return getattr(importlib.import_module(module), function)
