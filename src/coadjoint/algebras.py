@@ -6,5 +6,7 @@ from coadjoint.algebra.catalogue import *  # noqa: F403
 __all__ = catalogue.__all__
 __dir__ = catalogue.__dir__
 
-if not catalogue.TYPE_CHECKING:
+TYPE_CHECKING = False
+
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
     __getattr__ = catalogue.__getattr__

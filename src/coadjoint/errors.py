@@ -64,7 +64,7 @@ class OneLineError(ValueError):
 
 
 MAX_MESSAGE_LENGTH = 900
-MAX_LISTED_NAMES = 40
+MAX_LISTED_NAMES = 50
 """Maximum number of names listed in a message."""
 
 

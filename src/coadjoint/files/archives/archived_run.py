@@ -32,8 +32,12 @@ if TYPE_CHECKING:
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-FINISHED, STEPS, STATES, ACCOUNTS_ATTRIBUTE = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
-FIRST_STEP, SAVE_EVERY = "archive_first_step", "archive_save_every"
+FINISHED: str = "archive_finished"
+STEPS: str = "archive_steps"
+STATES: str = "archive_states"
+ACCOUNTS_ATTRIBUTE: str = "archive_accounts"
+FIRST_STEP: str = "archive_first_step"
+SAVE_EVERY: str = "archive_save_every"
 BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
 ADVANCE_SECONDS, FIRST_ADVANCE = 0.25, 64
