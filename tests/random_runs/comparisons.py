@@ -40,7 +40,7 @@ def left_by(solution: co.Solution, failure: tuple[Any, ...] | None) -> Left:
     arrays = {name: values[:, None] if single else values for name, values in along.items()}
     for name, drift in solution.drift().items():
         arrays[f"*{name}"] = np.atleast_2d(drift.tenths)
-    state = solution._state
+    state = solution.record.state
     failed = np.column_stack([state["status"], np.where(state["status"] != 0, state["step"], 0)])
     return Left(arrays, failure, crossings_of(solution.events, 1 if single else solution.x.shape[1]), failed)
 
@@ -64,7 +64,9 @@ def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
     arguments |= {"events": case.events} | changes
     try:
         with contextlib.redirect_stderr(io.StringIO()):
-            return left_by(co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **arguments), None)
+            return left_by(
+                co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **arguments), None
+            )
     except co.IntegrationError as error:
         return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
 
