@@ -12,7 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.runs import batch_execution, prepared_run, run
-from coadjoint.runs.memory_record import MAX_KEPT_NUMBERS
+from coadjoint.runs.memory_record import MAX_STATE_NUMBERS
 from coadjoint.runs.run_record import COPIED_FIELDS, SOLUTION_FIELDS
 from coadjoint.runs.solution import Solution
 
@@ -175,7 +175,7 @@ def test_solution_is_pickled_completely():
 def test_copies_of_matrix_runs_have_a_spectrum(members):
     system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), lambda W: W.T)
     W = np.array([[1.0, 0.5], [2.0, -4.0]])
-    sol = co.integrate(system, [W, 2 * W] if members else W, (0, 1), 0.25)
+    sol = co.integrate(system, [W, 2 * W] if members else W, (0, 0.125), 2.0**-5)
     expected = sol.spectrum()
     assert expected.shape == ((5, 2, 2) if members else (5, 2))
     assert np.array_equal(copy.copy(sol).spectrum(), expected)
@@ -228,7 +228,7 @@ def test_solution_lists_lazy_attributes():
 
 
 def test_solution_of_many_members_drops_their_state():
-    many = np.tile(X, (MAX_KEPT_NUMBERS // 8, 1))
+    many = np.tile(X, (MAX_STATE_NUMBERS // 8, 1))
     sol = co.integrate(BODY, many, (0, 1), 0.1)
     assert set(sol.record.state.offsets.shapes) == {"worst", "status", "evaluations", "iterations"}
     one = co.integrate(BODY, X, (0, 1), 0.1)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Arrays that a record copies from a large state of a run; a small state is shared, since copying takes a step's time.
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
-MAX_KEPT_NUMBERS = 2**20
+MAX_STATE_NUMBERS = 2**20
 
 
 def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> RunRecord:
@@ -39,7 +39,7 @@ def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> Run
             "events": run.events,
             "ending": run.ending,
             "saved": run.saved,
-            "state": state if state.numbers.size <= MAX_KEPT_NUMBERS else state.subset(REPORTED_ARRAYS),
+            "state": state if state.numbers.size <= MAX_STATE_NUMBERS else state.subset(REPORTED_ARRAYS),
             "saved_points": saved_points,
             "seconds": run.seconds,
             "times": run.times,

@@ -166,9 +166,9 @@ class Solution(RunAttributes):
         if not self.work:
             return self._deviations(0)
         accounted = {invariant for _, invariant in self.record.accounts}
-        all_kept = accounted == {"energy"}  # the forces keep all Casimirs
+        conserves_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
         deviations = self._deviations(1 + len(self.casimirs))
-        return {name: drift for name, drift in deviations.items() if all_kept or name in accounted}
+        return {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
 
     def change(self) -> dict[str, Drift]:
         """Return the largest change of each invariant from its initial value, by forces and scheme.
