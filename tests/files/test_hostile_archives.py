@@ -215,7 +215,7 @@ def test_missing_chunk_is_named(tmp_path, name, finished):
     chunk.unlink()
     found = co.open_archive(path)
     message = rf"{name}/{chunk.name} is missing"
-    for read in (lambda: found.to_xarray().load(), lambda: found._read_entire(name)):
+    for read in (lambda: found.to_xarray().load(), lambda: found.record.read(name)):
         with pytest.raises(ArchiveError, match=message):
             read()
     if not finished:

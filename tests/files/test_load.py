@@ -14,8 +14,6 @@ from configuration_files import READY_MADE
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.archives.archived_solution import ArchivedSolution
-from coadjoint.files.datasets.loaded_solution import LoadedSolution
 from coadjoint.files.output.output_files import write_dataset
 
 pytestmark = pytest.mark.thinned(3)
@@ -92,7 +90,7 @@ def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
     sol, path = (RUNS | ONLY_IN_FILES)[name](), tmp_path / "kept"
     WAYS[way](sol, path)
     found = co.load(next(tmp_path.iterdir()))
-    assert isinstance(found, LoadedSolution) and repr(found) == repr(sol)
+    assert isinstance(found, co.Solution) and repr(found) == repr(sol)
     check_same(found, sol)
     xarray.testing.assert_identical(found.to_xarray(), sol.to_xarray())
     check_same(pickle.loads(pickle.dumps(found)), sol)
@@ -102,7 +100,7 @@ def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
 def test_archives_are_loaded(tmp_path, name):
     sol = RUNS[name](archive=tmp_path / "run.zarr")
     found = co.load(tmp_path / "run.zarr")
-    assert isinstance(found, ArchivedSolution) and found.finished
+    assert isinstance(found, co.Solution) and found.finished
     assert same_bits(found.x, sol.x)
 
 
@@ -290,8 +288,8 @@ def test_run_ended_by_an_event_is_loaded(tmp_path, attitude):
     sol = co.integrate(BODY, X, (7.0, 27.0), 0.1, attitude=attitude, save_every=3, events=co.Event(2, terminal=True))
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")
     found = co.load(tmp_path / "run.nc")
-    assert found._ending is not None
-    np.testing.assert_equal(found._ending._asdict(), sol._ending._asdict())
+    assert found.record.ending is not None
+    np.testing.assert_equal(found.record.ending._asdict(), sol.record.ending._asdict())
     between = 0.5 * (7.0 + sol.t[-1])
     for t in (7.0, between, sol.t[-1]):
         np.testing.assert_array_equal(found.at(t).x, sol.at(t).x)

@@ -11,7 +11,7 @@ from coadjoint.cli import main
 from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.construction import ConfigurationError
 from coadjoint.files.datasets.export import dataset_of, rebuild
-from coadjoint.files.datasets.loaded_solution import LoadedSolution
+from coadjoint.files.datasets.loaded_solution import solution_of_dataset
 from coadjoint.files.output.output_files import write_dataset
 from coadjoint.files.records.records import record_of, system_of
 
@@ -168,4 +168,4 @@ def test_names_containing_the_account_separator(tmp_path):
         assert found.balance() == sol.balance() and list(found.balance()) == ["energy", *casimirs]
     renamed = sol.to_xarray()
     renamed["account"] = [str(each).replace("LinearDamping", "drag: on x") for each in renamed["account"].values]
-    assert list(LoadedSolution(tmp_path, renamed).work) == ["drag: on x", "DoubleBracketDamping", "drag: on x 2"]
+    assert list(solution_of_dataset(tmp_path, renamed).work) == ["drag: on x", "DoubleBracketDamping", "drag: on x 2"]

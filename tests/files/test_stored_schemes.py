@@ -13,7 +13,7 @@ from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.models import File, HamiltonianTable, RunTable
 from coadjoint.files.datasets.export import rebuild, solution_inputs
 from coadjoint.methods import registry
-from coadjoint.runs.solution import PICKLED_ATTRIBUTES
+from coadjoint.runs.run_record import COPIED_FIELDS
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
@@ -35,9 +35,18 @@ def load_tables(tmp_path, **tables):
 
 
 def assert_same_run(sol, again):
-    for part in PICKLED_ATTRIBUTES:
-        if part not in ("system", "stats", "observed", "casimirs", "initial", "choice", "_began", "events"):
-            actual, other = getattr(sol, part), getattr(again, part)
+    for part in COPIED_FIELDS:
+        if part in sol.record and part not in (
+            "system",
+            "stats",
+            "observed",
+            "casimirs",
+            "initial",
+            "choice",
+            "starts",
+            "events",
+        ):
+            actual, other = getattr(sol.record, part), getattr(again.record, part)
             assert np.array_equal(actual, other) and type(actual) is type(other), part
     assert sol.stats.steps == again.stats.steps and sol.stats.evaluations == again.stats.evaluations
 

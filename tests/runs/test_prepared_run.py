@@ -12,7 +12,9 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.runs import batch_execution, prepared_run, run
-from coadjoint.runs.solution import MAX_STATE_NUMBERS, PICKLED_ATTRIBUTES, Solution
+from coadjoint.runs.memory_record import MAX_STATE_NUMBERS
+from coadjoint.runs.run_record import COPIED_FIELDS, SOLUTION_FIELDS
+from coadjoint.runs.solution import Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
@@ -133,9 +135,9 @@ def test_wrong_arguments_of_runs_are_refused():
 def test_attributes_of_solutions_are_lazy_and_cached():
     """In any order, after other runs, after the states are overwritten, and for copies."""
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})
-    parts = list(PICKLED_ATTRIBUTES)
     for x in (X, np.array([X, 2 * X])):
         sol, other = ready.run(x, (0, 1), 4), ready.run(x, (0, 1), 4)
+        parts = [name for name in SOLUTION_FIELDS if hasattr(sol, name)]
         at_once = {name: getattr(other, name) for name in parts}
         sol.x[:] = 0.0
         ready.run(2 * x, (0, 1), 4)
@@ -162,11 +164,21 @@ def test_solution_is_pickled_completely():
     sol = co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])), X, (0, 1), 0.1)
     there = pickle.loads(pickle.dumps(sol))
     assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
-    assert set(vars(there)) == set(PICKLED_ATTRIBUTES)
+    assert set(vars(there.record)) == {name for name in COPIED_FIELDS if name in sol.record}
     with pytest.raises(AttributeError, match=r"'momentum'.* x"):
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
         sol.x = X
+
+
+@pytest.mark.parametrize("members", [False, True])
+def test_copies_of_matrix_runs_have_a_spectrum(members):
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), lambda W: W.T)
+    W = np.array([[1.0, 0.5], [2.0, -4.0]])
+    sol = co.integrate(system, [W, 2 * W] if members else W, (0, 0.125), 2.0**-5)
+    expected = sol.spectrum()
+    assert expected.shape == ((5, 2, 2) if members else (5, 2))
+    assert np.array_equal(copy.copy(sol).spectrum(), expected)
 
 
 def test_threads_with_short_runs_of_any_shape():
@@ -207,7 +219,8 @@ def test_run_is_one_call_except_under_a_progress_bar(monkeypatch, capsys):
 
 def test_solution_lists_lazy_attributes():
     sol = co.integrate(BODY, X, (0, 1), 0.1)
-    public = {name for name in PICKLED_ATTRIBUTES if not name.startswith("_")} | {"drift", "change", "balance"}
+    public = {name for name in SOLUTION_FIELDS if name in sol.record} | {"record", "drift", "change", "balance"}
+    assert len(public) == 27 and not hasattr(sol, "path")
     public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate", "at"}
     assert {name for name in dir(sol) if not name.startswith("_")} == public
     assert not hasattr(Solution, "of") and Solution.__getattribute__ is object.__getattribute__
@@ -217,7 +230,7 @@ def test_solution_lists_lazy_attributes():
 def test_solution_of_many_members_drops_their_state():
     many = np.tile(X, (MAX_STATE_NUMBERS // 8, 1))
     sol = co.integrate(BODY, many, (0, 1), 0.1)
-    assert set(sol._state.offsets.shapes) == {"worst", "status", "evaluations", "iterations"}
+    assert set(sol.record.state.offsets.shapes) == {"worst", "status", "evaluations", "iterations"}
     one = co.integrate(BODY, X, (0, 1), 0.1)
     assert sol.stats.evaluations == len(many) * one.stats.evaluations and not sol.failed.any()
     assert np.array_equal(sol.drift()["energy"].tenths[-1], one.drift()["energy"].tenths)

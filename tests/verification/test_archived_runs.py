@@ -150,7 +150,7 @@ def test_resumed_run_equals_uninterrupted_run(
         assert not found.finished and found.reached < cut
         found = co.resume(path, system=given, threads=1 + cut % 3, until=cut)
         assert found.reached == cut
-    assert not found.finished and len(found.t) == np.count_nonzero(whole._times.saved <= cuts[-1])
+    assert not found.finished and len(found.t) == np.count_nonzero(whole.record.times.saved <= cuts[-1])
     assert np.array_equal(found.x, whole.x[: len(found.t)], equal_nan=True)
     found = co.resume(path, system=given, threads=threads)
     assert found.finished

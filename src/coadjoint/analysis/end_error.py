@@ -37,7 +37,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
             "error_estimate needs a run with accuracy=; give integrate accuracy= in place of step=, or "
             "compare this run with one of half the step"
         )
-    ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution._began
+    ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution.record.starts
     assert starts is not None
     time = float(solution.t[-1]) - solution.t_span[0]
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))

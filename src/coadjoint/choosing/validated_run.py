@@ -229,7 +229,7 @@ class SampledRun(PreparedRun):
 
 
 def _max_evaluations(solution: Solution) -> float:
-    return float(np.max(solution._state["evaluations"]))
+    return float(np.max(solution.record.state["evaluations"]))
 
 
 def _squared_distance_and_size(

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
+from coadjoint.runs.memory_record import REPORTED_ARRAYS, record_of_run
 from coadjoint.runs.run import first_point_not_finite
-from coadjoint.runs.solution import REPORTED_ARRAYS, Solution
+from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
@@ -105,10 +106,11 @@ class PiecewiseRun:
         run, order = self.run, self.run.loops.order
         if order is not None and self.number < run.times.steps:
             run.saved = run.saved.take(np.argsort(order), 1)
-        solution = Solution(run, self.points_held, self._observed)
+        record = record_of_run(run, self.points_held, self._observed)
         reported = run.state.arrays.subset(REPORTED_ARRAYS)
         reported["worst"][:] = self.worst
-        solution.__dict__["_state"] = reported
+        record.state = reported
+        solution = Solution(record)
         self._record_undefined(solution)
         return solution
 

@@ -22,6 +22,7 @@ from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
+from coadjoint.runs.memory_record import record_of_run
 from coadjoint.runs.observables import Observed
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.solution import Solution
@@ -302,7 +303,7 @@ class Run:
         return self._solution(saved_points, None)
 
     def _solution(self, saved_points: int, observed: Observed | None) -> Solution:
-        return Solution(self, saved_points, observed)
+        return Solution(record_of_run(self, saved_points, observed))
 
 
 def first_point_not_finite(series: Any) -> int | None:

@@ -2,129 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import FrozenInstanceError, dataclass
-from functools import cached_property, partial
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.run_record import SOLUTION_FIELDS, Drift, RunAttributes, RunRecord
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, unforced
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from coadjoint.kernels.arrays import NamedArrays
-    from coadjoint.runs.events import RecordedEvents, TerminalEvent
-    from coadjoint.runs.loops import GroupCorrection
-    from coadjoint.runs.observables import Observed
-    from coadjoint.runs.run import Run
-    from coadjoint.runs.start import Start
     from coadjoint.runs.state_at import StateAt
-    from coadjoint.runs.times import Times
-
-# Arrays that a solution copies from a large state of a run; a small state is shared, since copying takes a step's time.
-REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
-MAX_STATE_NUMBERS = 2**20
 
 
-@dataclass(frozen=True)
-class Statistics:
-    """Work of a run.
-
-    Parameters
-    ----------
-    steps : int
-        Steps of each member.
-    evaluations : int
-        Elementary flows (splitting) or evaluations of the vector field, summed over members.
-    iterations : int
-        Iterations of implicit schemes, summed over members.
-    seconds : float
-        Wall-clock time in the loop, including compilation at the first call.
-    """
-
-    steps: int
-    evaluations: int
-    iterations: int
-    seconds: float
-
-
-class Drift(float):
-    """The largest absolute deviation of an invariant from its initial value: a float with the deviations in detail.
-
-    Attributes
-    ----------
-    tenths : ndarray, shape (10,) or (members, 10)
-        Largest deviation in each tenth of the run.
-    members : ndarray or None
-        For an ensemble, the largest deviation of each member; the float is the largest over all members.
-    initial : float or ndarray
-        Initial value.
-    """
-
-    tenths: NDArray[np.float64]
-    members: NDArray[np.float64] | None
-    initial: Any
-
-    def __new__(cls, tenths: NDArray[np.float64], initial: Any) -> Drift:
-        """Construct the drift from its tenths."""
-        drift = super().__new__(cls, np.max(tenths))
-        drift.tenths = tenths
-        drift.members = None if tenths.ndim == 1 else tenths.max(axis=-1)
-        drift.initial = initial
-        return drift
-
-    @property
-    def growth(self) -> Any:
-        """Ratio of the last tenth to the first: 1 for bounded error, 10 for linear growth, inf if the first is 0."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.divide(self.tenths[..., -1], self.tenths[..., 0])
-
-
-class Solution:
+class Solution(RunAttributes):
     """The result of a run: arrays over the k saved times, (k, ...) for one member, (k, members, ...) for an ensemble.
 
     Attributes
     ----------
     t : ndarray, shape (k,)
-        t0, every save_every-th step, and the last; or `t_eval`.
-    x : ndarray, shape (k, n) or (k, members, n)
-        Momentum.
+        The saved times: t0, every save_every-th step, and the last; or `t_eval`.
+    x, x0 : ndarray, shape (k, n) or (k, members, n)
+        The states (momenta), and the initial one, without the axis of times, whether it was saved or not.
     energy : ndarray, shape (k,) or (k, members)
         The Hamiltonian.
-    casimirs : dict
-        Name -> array of the same shape.
-    attitude : ndarray, shape (k, d, d) or (k, members, d, d), or None
-        Group element, if it was computed.
-    observed : dict
-        Name -> array: the quantities of `observe`.
+    casimirs, observed : mapping
+        Name -> array of the same shape: the Casimirs, and the quantities of `observe`.
+    initial : mapping
+        Initial energy and Casimirs: "energy" or name -> number, or (members,).
+    work : mapping
+        Work of each force since the start: its label -> "energy", or a Casimir that it changes -> values.
+    attitude, attitude0 : ndarray, shape (k, d, d) or (k, members, d, d), or None
+        Group elements (attitudes), if they were computed, and the initial one, without the axis of times.
+    carried : {"representation", "coadjoint"} or None
+        Matrices in which the group element is stored.
     events : RecordedEvents or None
         Crossings of the events given to the run.
     stats : Statistics
         Steps, evaluations, iterations, seconds.
     failed : ndarray of bool, shape (members,), or None
         For an ensemble, which members failed.
-    system, method, t_span, step, save_every, watched
-        System, scheme and arguments of the run.
-    carried : {"representation", "coadjoint"} or None
-        Matrices in which the group element is stored.
+    system, method, step, save_every, t_eval, watched, t_span, asked_span
+        System (with the inputs of the run), scheme and arguments of the run; `t_span` ends before the requested
+        `asked_span` if an event ended the run.
     choice : Choice or None
         For runs with `accuracy`: the result of `choose`.
-    error_estimate : float, or ndarray of shape (members,)
-        For runs with `accuracy`: the error of the final momentum, relative to the largest momentum during the run.
+    path, attributes, inputs
+        Only of stored runs, as what follows: the source, the attributes of the dataset, and a function that returns the
+        arguments of `integrate` that repeat the run.
+    dataset : xarray.Dataset
+        Of a file: its content, in memory; settings of a sweep are coordinates.
+    finished, reached, check_complete
+        Of an archive: whether the run has reached its end (otherwise `resume` continues it), the number of steps taken,
+        and a function that raises ArchiveError if committed chunks are missing or the last ones are damaged.
+    status, blocks, progress_text
+        Of `ensemble`: 0 for members that are not computed yet, 1 for those that are, 2 for those that have failed;
+        blocks of members that are run together; and the number of computed members as text.
+    record : RunRecord
+        The arrays and numbers from which the attributes are made.
 
     Notes
     -----
-    Returned by `integrate`. Attributes are computed lazily and cached; the tables of the run are not kept alive.
+    Attributes are computed or read lazily and cached; the tables of the run are not kept alive. A solution of an
+    archive is a snapshot; its ``to_xarray()`` reads parts of arrays that do not fit in memory.
 
     Examples
     --------
@@ -134,53 +81,10 @@ class Solution:
     ((11, 3), ['energy', '|x|^2'])
     """
 
-    method: Method
-    watched: bool
-    observed: Mapping[str, NDArray[np.float64]]
-    choice: Any
-    _error: NDArray[np.float64] | None
-    _began: NDArray[np.float64] | None
-    events: RecordedEvents | None
-    _ending: TerminalEvent | None
-    _saved: NamedArrays
-    _state: NamedArrays
-    _saved_points: int
-    _seconds: float
-    _times: Times
-    _start: Start
-    _names: list[str]
-    _accounts: tuple[tuple[str, str], ...]
-    _initial: NDArray[np.float64] | None
-    _corrected_groups: GroupCorrection
-    _system: System | Batch | partial[System | Batch]
+    record: RunRecord
 
-    def __init__(self, run: Run, saved_points: int, observed: Observed | None) -> None:
-        loops, state = run.loops, run.state.arrays
-        self.__dict__.update(
-            method=run.method,
-            watched=run.watching,
-            observed={},
-            choice=None,
-            _error=None,
-            _began=None,
-            events=run.events,
-            _ending=run.ending,
-            _saved=run.saved,
-            _state=state if state.numbers.size <= MAX_STATE_NUMBERS else state.subset(REPORTED_ARRAYS),
-            _saved_points=saved_points,
-            _seconds=run.seconds,
-            _times=run.times,
-            _start=run.start,
-            _names=loops.names,
-            _accounts=loops.accounts,
-            _corrected_groups=loops.corrected_groups,
-            _system=run.system,
-            _initial=run.initial,
-        )
-        if observed is not None:
-            # Observed quantities do not use the accounts that may follow the coordinates.
-            series = observed.along(self.t, self._series("x"))
-            self.__dict__["observed"] = {name: self._without_member_axis(values) for name, values in series.items()}
+    def __init__(self, record: RunRecord) -> None:
+        self.__dict__["record"] = record
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution cannot be changed")
@@ -188,17 +92,26 @@ class Solution:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
+            if name in SOLUTION_FIELDS and name in self.record:
+                value = self.__dict__[name] = getattr(self.record, name)
+                return value
             # If the computation of an attribute failed, raise that error.
-            if name in PICKLED_ATTRIBUTES or hasattr(type(self), name):
+            if hasattr(type(self), name):
                 return object.__getattribute__(self, name)
             from coadjoint.keyword_hints import unknown_solution_attribute
 
             raise unknown_solution_attribute(name, dir(self))
 
+    def __dir__(self) -> list[str]:
+        record = self.__dict__.get("record", ())
+        return [*super().__dir__(), *(name for name in SOLUTION_FIELDS if name in record and name not in self.__dict__)]
+
     def __delattr__(self, name: str) -> None:
         raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution cannot be changed")
 
     def __repr__(self) -> str:
+        if "text" in self.record:
+            return self.record.text
         points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
         members = "" if self.failed is None else f", {len(self.failed)} members"
         return f"<solution of {self.system.name} by {self.method}: {points}, step {self.step:g}{members}>"
@@ -208,142 +121,9 @@ class Solution:
 
         return table_of_run(self)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes, for copies and for `pickle`."""
-        return {name: getattr(self, name) for name in PICKLED_ATTRIBUTES}
-
-    def _series(self, name: str) -> NDArray[Any]:
-        return self._saved[name][: self._saved_points]
-
-    def _without_member_axis(self, series: NDArray[Any]) -> NDArray[Any]:
-        """Drop the axis of members for a single run."""
-        return series[:, 0] if self._start.single else series
-
-    @cached_property
-    def system(self) -> System | Batch:
-        """The system; for a run with inputs, the system with these inputs."""
-        return self._system() if isinstance(self._system, partial) else self._system
-
-    @cached_property
-    def t(self) -> NDArray[np.float64]:
-        """The saved times."""
-        times = self._times.saved_times[: self._saved_points]
-        if self._ending is not None:
-            times[-1] = self._ending.t
-        return times
-
-    @cached_property
-    def x(self) -> NDArray[np.float64]:
-        """The states (momenta) at the saved times."""
-        # Accounts of forces may follow the coordinates.
-        return self._states(self._without_member_axis(self._series("x"))[..., : self._start.momenta.shape[1]])
-
-    def _states(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        plain = unforced(self._system)
-        if isinstance(plain, MatrixSystem):
-            return plain.states(rows)
-        return rows.reshape(*rows.shape[:-1], *self._start.shape)
-
-    @cached_property
-    def x0(self) -> NDArray[np.float64]:
-        """Initial momentum, (n,) or (members, n), whether it was saved or not."""
-        return self._states(self._start.momenta[0] if self._start.single else self._start.momenta)
-
-    @cached_property
-    def attitude0(self) -> NDArray[np.float64] | None:
-        """Initial group element, (d, d) or (members, d, d), if it was computed."""
-        if self._start.representation is None:
-            return None
-        return self._start.groups[0] if self._start.single else self._start.groups
-
-    @cached_property
-    def t_eval(self) -> NDArray[np.float64] | None:
-        """Output times given by `t_eval`; None if steps were saved."""
-        return None if self._times.between is None else self.t
-
-    @cached_property
-    def initial(self) -> Mapping[str, NDArray[np.float64]]:
-        """Initial energy and Casimirs: "energy" or name -> number, or (members,)."""
-        values = self._saved["values"][0] if self._initial is None else self._initial
-        return {name: values[0, i] if self._start.single else values[:, i] for i, name in enumerate(self._names)}
-
-    @cached_property
-    def energy(self) -> NDArray[np.float64]:
-        """The energy at the saved times."""
-        return self._without_member_axis(self._series("values")[..., 0])
-
-    @cached_property
-    def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
-        """The Casimirs at the saved times: name -> values."""
-        values = self._series("values")
-        return {name: self._without_member_axis(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
-
-    @cached_property
-    def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
-        """Work of each force on the invariants since the start: its label -> "energy", or a Casimir -> values.
-
-        A force that keeps the Casimirs does not list them. Empty without forces.
-        """
-        states, dim = self._series("x"), self._start.momenta.shape[1]
-        by_force: dict[str, dict[str, NDArray[np.float64]]] = {}
-        for column, (force, invariant) in enumerate(self._accounts):
-            by_force.setdefault(force, {})[invariant] = self._without_member_axis(states[..., dim + column])
-        return by_force
-
-    @cached_property
-    def attitude(self) -> NDArray[np.float64] | None:
-        """Group elements (attitudes) at the saved times."""
-        if self._start.representation is None:
-            return None
-        groups = self._corrected_groups(self._start, self._times, self._saved, self._saved_points)
-        if self._ending is not None:
-            groups[-1] = self._ending.attitude
-        return groups[:, 0] if self._start.single else groups
-
-    @cached_property
-    def stats(self) -> Statistics:
-        """Work of the run, such as numbers of steps and evaluations."""
-        return Statistics(
-            steps=int(self._times.steps if self._ending is None else self._ending.steps),
-            evaluations=int(self._state["evaluations"].sum()),
-            iterations=int(self._state["iterations"].sum()),
-            seconds=self._seconds,
-        )
-
-    @cached_property
-    def failed(self) -> NDArray[np.bool_] | None:
-        """Which members of an ensemble failed."""
-        return None if self._start.single else self._state["status"] != 0
-
-    @cached_property
-    def t_span(self) -> tuple[float, float]:
-        """Start and end."""
-        return self._times.t0, self._times.end if self._ending is None else self._ending.t
-
-    @cached_property
-    def asked_span(self) -> tuple[float, float]:
-        """The requested start and end: equal to `t_span`, unless an event ended the run."""
-        return self._times.t0, self._times.end
-
-    @cached_property
-    def step(self) -> float:
-        """The size of the step."""
-        return abs(self._times.h)
-
-    @cached_property
-    def save_every(self) -> int:
-        """The argument save_every, at most the number of steps."""
-        return self._times.save_every
-
-    @cached_property
-    def carried(self) -> str | None:
-        """The kind of matrices in which the group element is stored."""
-        return self._start.carried
-
-    @cached_property
-    def _worst(self) -> NDArray[np.float64]:
-        worst = self._state["worst"]
-        return worst[0] if self._start.single else worst
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle a stored run by reopening it, and a run in memory with all its attributes."""
+        return self.record.reopen if "reopen" in self.record else (Solution, (self.record,))
 
     def drift(self) -> dict[str, Drift]:
         """Return the largest deviation of each invariant from its initial value.
@@ -386,10 +166,10 @@ class Solution:
         """
         if not self.work:
             return self._deviations(0)
-        accounted = {invariant for _, invariant in self._accounts}
-        all_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
+        accounted = {invariant for _, invariant in self.record.accounts}
+        conserves_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
         deviations = self._deviations(1 + len(self.casimirs))
-        return {name: drift for name, drift in deviations.items() if all_casimirs or name in accounted}
+        return {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
 
     def change(self) -> dict[str, Drift]:
         """Return the largest change of each invariant from its initial value, by forces and scheme.
@@ -428,14 +208,15 @@ class Solution:
         >>> sol.error_estimate <= 1e-6
         True
         """
-        error = self._error
+        error = self.record.error
         if error is None:
-            error = self.__dict__["_error"] = shortcut("error_at_end")(self)
+            error = self.record.error = shortcut("error_at_end")(self)
         return float(error[0]) if self.failed is None else error
 
     def _deviations(self, first: int) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.
-        return {name: Drift(self._worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
+        worst = self.record.worst
+        return {name: Drift(worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
 
     def spectrum(self) -> NDArray[Any]:
         """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
@@ -461,12 +242,12 @@ class Solution:
         """
         if not isinstance(self.system, MatrixSystem):
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
-        x = self.x.reshape(-1, *self.x.shape[1 if self._start.single else 2 :])
-        finite = np.isfinite(x).reshape(len(x), -1).all(axis=1)
-        values = self.system.spectrum(x[finite])
-        spectra = np.full((len(x), values.shape[-1]), np.nan, dtype=values.dtype)
+        axes = 1 if self.failed is None else 2  # of times and members
+        finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
+        values = self.system.spectrum(self.x[finite])
+        spectra = np.full((*finite.shape, values.shape[-1]), np.nan, dtype=values.dtype)
         spectra[finite] = values
-        return spectra.reshape(*self.x.shape[: 1 if self._start.single else 2], -1)
+        return spectra
 
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
@@ -555,6 +336,8 @@ class Solution:
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
         """
+        if "to_xarray" in self.record:
+            return self.record.to_xarray()
         return shortcut("dataset_of")(self)
 
     def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
@@ -644,9 +427,10 @@ class Solution:
 
 
 def with_choice(solution: Solution, choice: Any) -> Solution:
-    """Attach the `Choice` of scheme and step to a solution; None if they were given."""
+    """Attach the `Choice` of scheme and step to a new solution; None if they were given."""
     if choice is not None:
-        solution.__dict__.update(choice=choice, _began=solution._start.momenta)
+        record = solution.record
+        record.choice, record.starts = choice, record.start.momenta
     return solution
 
 
@@ -654,9 +438,3 @@ def check_solution(solution: Any) -> None:
     """Raise TypeError unless the argument is a `Solution`."""
     if not isinstance(solution, Solution):
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
-
-
-PICKLED_ATTRIBUTES = ("method", "watched", "observed", "events", "choice", "_error", "_began", "_accounts") + tuple(
-    name for name, value in vars(Solution).items() if isinstance(value, cached_property)
-)
-"""Attributes of a copied or pickled solution."""

@@ -163,7 +163,7 @@ def new_arrays(piece: Solution, more: Variables) -> tuple[dict[str, StoredArray]
     fixed: Variables = {**start_variables(piece), **summary_variables(piece), **more}
     fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
     row_size = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
-    rows = rows_of_chunk(row_size, piece._times.total_points)
+    rows = rows_of_chunk(row_size, piece.record.times.total_points)
     arrays = {}
     for name, (dims, values, attributes) in (growing | fixed).items():
         kind = TYPES.get(np.asarray(values).dtype.kind, "string")

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
 from coadjoint.files.datasets.variables import ExtraMetadata, Variables
 from coadjoint.methods.protocol.method import Method
@@ -21,6 +20,8 @@ from coadjoint.validation import read_integer, read_numbers
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from coadjoint.runs.solution import Solution
 
 
 def integrate_ensemble(
@@ -41,7 +42,7 @@ def integrate_ensemble(
     threads: int | None = None,
     progress: bool = False,
     coordinates: Mapping[str, Any] | None = None,
-) -> ArchivedEnsemble:
+) -> Solution:
     """Integrate many members in blocks, on the workers of a cluster or here, into one archive.
 
     Use it for ensembles that take hours, or exceed the memory of the machine. (`integrate` holds all members in memory,
@@ -73,7 +74,7 @@ def integrate_ensemble(
 
     Returns
     -------
-    ArchivedEnsemble
+    Solution
         The solution, as from `open_archive`; arrays are read lazily. `status` has the progress of the members.
 
     Raises

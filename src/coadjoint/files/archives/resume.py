@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.errors import IntegrationError
-from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archives.archived_run import (
     ACCOUNTS_ATTRIBUTE,
     FINISHED,
@@ -25,7 +24,8 @@ from coadjoint.files.archives.archived_run import (
     new_arrays,
     states_of,
 )
-from coadjoint.files.archives.archived_solution import ArchivedSolution, open_archive
+from coadjoint.files.archives.archived_solution import open_archive
+from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE
 from coadjoint.files.archives.extended_runs import extend_run, extended_times
 from coadjoint.files.archives.metadata_checks import as_archive_errors
 from coadjoint.files.archives.store import ArchiveError, ArchiveStore, read_archive_path, read_state, unwritable_error
@@ -39,6 +39,7 @@ from coadjoint.runs.piecewise_run import PiecewiseRun
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
@@ -55,7 +56,7 @@ def archive_run(
     events: Any = None,
     until: int | None = None,
     about: ExtraMetadata = NO_METADATA,
-) -> ArchivedSolution:
+) -> Solution:
     """Run into a new archive; parameters as for `coadjoint.integrate`.
 
     `until` is the number of steps after which the run stops, to be resumed; `about` has further metadata to write.
@@ -141,7 +142,7 @@ def resume(
     until: int | None = None,
     client: Any = None,
     workers: int | None = None,
-) -> ArchivedSolution:
+) -> Solution:
     """Continue the run of an archive; bitwise equal to an uninterrupted run.
 
     A finished run is only opened, unless a later end is given.
@@ -168,7 +169,7 @@ def resume(
 
     Returns
     -------
-    ArchivedSolution
+    Solution
         The solution, which reads from disk lazily.
 
     Raises
@@ -196,7 +197,7 @@ def resume(
     need("an archive of a run", "xarray", "zarr")
     archive_path = read_archive_path(path)
     archive = open_archive(archive_path, system)
-    if isinstance(archive, ArchivedEnsemble):
+    if BLOCK_SIZE_ATTRIBUTE in archive.attributes:
         from coadjoint.files.archives.run_in_blocks import read_worker_pool, resume_in_blocks
 
         if t_end is not None or events is not None or until is not None:
@@ -257,7 +258,7 @@ def _continue_run(
     stored: Any,
     progress: bool,
     until: int | None,
-) -> ArchivedSolution:
+) -> Solution:
     try:
         with as_archive_errors(store.path):
             run = ArchivedRun(store, prepared, times, start, stored)
@@ -277,7 +278,7 @@ def _continue_run(
     return archive
 
 
-def _return_or_raise(archive: ArchivedSolution) -> ArchivedSolution:
+def _return_or_raise(archive: Solution) -> Solution:
     """Return a finished run, or raise the failure that ended it."""
     attributes = archive.attributes
     if not attributes.get("run_failed"):

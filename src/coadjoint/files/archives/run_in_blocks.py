@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from coadjoint.errors import IntegrationError
-from coadjoint.files.archives.archived_ensemble import ArchivedEnsemble
+from coadjoint.files.archives.archived_solution import open_archive
 from coadjoint.files.archives.block_run import BUSY, run_block
 from coadjoint.files.archives.ensemble_archive import (
     Ensemble,
@@ -36,6 +36,7 @@ from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from coadjoint.files.archives.blocks import Block
+    from coadjoint.runs.solution import Solution
 
 
 INSECURE_PROTOCOLS = ("tcp", "ws", "ucx", "ucxx")
@@ -111,7 +112,7 @@ def run_in_blocks(
     size: int | None = None,
     progress: bool = False,
     about: ExtraMetadata = NO_METADATA,
-) -> ArchivedEnsemble:
+) -> Solution:
     """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
 
     `prepared` is prepared for all members; `about` has further metadata to write.
@@ -134,13 +135,13 @@ def run_in_blocks(
             shutil.rmtree(folder, ignore_errors=True)
         else:
             weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
-    ensemble: ArchivedEnsemble = result
-    return ensemble
+    solution: Solution = result
+    return solution
 
 
 def _run_unfinished(
     ensemble: Ensemble, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
-) -> ArchivedEnsemble:
+) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
     prepared = ensemble.prepared
     if path.exists():
@@ -169,11 +170,11 @@ def _run_unfinished(
         except OSError as reason:
             raise _unwritten(store, reason) from reason
     except KeyboardInterrupt as interrupt:
-        interrupt.partial = ArchivedEnsemble(path, prepared.system)  # type: ignore[attr-defined]
+        interrupt.partial = open_archive(path, prepared.system)  # type: ignore[attr-defined]
         raise
     finally:
         store.close()
-    archive = ArchivedEnsemble(path, prepared.system)
+    archive = open_archive(path, prepared.system)
     if attributes.get("run_failed"):
         raise IntegrationError(
             attributes["failed_reason"],
@@ -205,8 +206,8 @@ def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
 
 
 def resume_in_blocks(
-    archive: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, pool: WorkerPool, progress: bool
-) -> ArchivedEnsemble:
+    archive: Solution, system: Any, observe: Mapping[str, Any] | None, pool: WorkerPool, progress: bool
+) -> Solution:
     """Compute the missing members of an ensemble, as `coadjoint.resume` does."""
     arguments, inputs = resume_arguments(archive.path, archive, system, observe, None), archive.inputs()
     prepared = PreparedRun(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -17,12 +16,13 @@ from coadjoint.files.archives.archived_solution import open_archive
 from coadjoint.files.archives.store import HIDDEN_FOLDER
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
-from coadjoint.files.datasets.read_solution import ReadSolution
+from coadjoint.files.datasets.stored_record import initial_values, stored_record
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import need
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
-from coadjoint.runs.solution import Solution, Statistics
+from coadjoint.runs.run_record import RunRecord, Statistics
+from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -40,108 +40,82 @@ class LoadError(OneLineError):
     """A file or folder contains no readable run."""
 
 
-class LoadedSolution(ReadSolution):
-    """A run read from a file by `load`, with all attributes of a `Solution` except `choice`.
+def solution_of_dataset(path: Path, dataset: xarray.Dataset, system: Any = None) -> Solution:
+    """Return the solution in a dataset that was read from a file into memory; `system` replaces the stored one."""
+    arrays = {
+        str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
+        for name, values in dataset.variables.items()
+    }
+    accounts = list(map(str, dataset["account"].values)) if "account" in arrays else []
+    names = list(map(str, dataset["invariant"].values)) if accounts else []
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    dataset : xarray.Dataset
-        Content of the file, in memory; settings of a sweep are coordinates.
-    """
+    def inputs(events: Any = ()) -> dict[str, Any]:
+        return stored_inputs(dataset, system, events)
 
-    path: Path
-    dataset: xarray.Dataset
-    _system_argument: Any
+    record = stored_record(
+        arrays,
+        dict(dataset.attrs),
+        lambda name: np.asarray(dataset[name].values),
+        {"initial": _initial, "ending": _ending, "stats": _stats, "worst": _worst, "events": _events},
+        path=path,
+        dataset=dataset,
+        accounts=tuple(_split_account(label, names) for label in accounts),
+        inputs=inputs,
+        to_xarray=dataset.copy,
+        reopen=(solution_of_dataset, (path, dataset, system)),
+    )
+    return Solution(record)
 
-    def __init__(self, path: Path, dataset: xarray.Dataset, system: Any = None) -> None:
-        arrays = {
-            str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
-            for name, values in dataset.variables.items()
-        }
-        accounts = list(map(str, dataset["account"].values)) if "account" in arrays else []
-        names = list(map(str, dataset["invariant"].values)) if accounts else []
-        self.__dict__.update(
-            path=path,
-            dataset=dataset,
-            choice=None,
-            _error=None,
-            _began=None,
-            _system_argument=system,
-            _arrays=arrays,
-            attributes=dict(dataset.attrs),
-            _accounts=tuple(_split_account(label, names) for label in accounts),
-        )
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return LoadedSolution, (self.path, self.dataset, self._system_argument)
+def _initial(record: RunRecord) -> Mapping[str, Any]:
+    t0 = record.times.t0
+    if record.t[0] == t0:
+        return initial_values(record)
+    # The start is not among the saved times.
+    if record.failed is None:
+        return _invariants_at(record.system, record.x0, t0)
+    systems = record.system if isinstance(record.system, Batch) else [record.system] * len(record.x0)
+    member_invariants = [
+        _invariants_at(member_system, x, t0) for member_system, x in zip(systems, record.x0, strict=True)
+    ]
+    return {name: np.array([invariants[name] for invariants in member_invariants]) for name in record.names}
 
-    def inputs(self, events: Any = ()) -> dict[str, Any]:
-        return stored_inputs(self.dataset, self._system_argument, events)
 
-    def _read_entire(self, name: str) -> NDArray[Any]:
-        return np.asarray(self.dataset[name].values)
+def _ending(record: RunRecord) -> TerminalEvent | None:
+    if ENDED_ATTRIBUTE not in record.attributes:
+        return None
+    values = np.array([record.energy[-1], *(series[-1] for series in record.casimirs.values())])
+    attitude = None if record.attitude is None else record.attitude[-1]
+    steps = int(record.attributes[ENDED_ATTRIBUTE])
+    return TerminalEvent(len(record.t), steps, float(record.t[-1]), record.x[-1], values, attitude)
 
-    @cached_property
-    def initial(self) -> Mapping[str, Any]:
-        values = [self.energy, *self.casimirs.values()]
-        if self.t[0] == self.t_span[0]:
-            return {name: series[0] for name, series in zip(self._names, values, strict=True)}
-        # The start is not among the saved times.
-        if self.failed is None:
-            return _invariants_at(self.system, self.x0, self.t_span[0])
-        systems = self.system if isinstance(self.system, Batch) else [self.system] * len(self.x0)
-        member_invariants = [
-            _invariants_at(member_system, x, self.t_span[0]) for member_system, x in zip(systems, self.x0, strict=True)
-        ]
-        return {name: np.array([invariants[name] for invariants in member_invariants]) for name in self._names}
 
-    @cached_property
-    def _ending(self) -> TerminalEvent | None:  # type: ignore[override]
-        """The event that ended the run, or None."""
-        if ENDED_ATTRIBUTE not in self.attributes:
-            return None
-        values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
-        attitude = None if self.attitude is None else self.attitude[-1]
-        return TerminalEvent(
-            len(self.t), int(self.attributes[ENDED_ATTRIBUTE]), float(self.t[-1]), self.x[-1], values, attitude
-        )
+def _stats(record: RunRecord) -> Statistics:
+    attributes = record.attributes
+    steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
+    return Statistics(
+        steps, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
+    )
 
-    @cached_property
-    def stats(self) -> Statistics:
-        attributes = self.attributes
-        steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
-        return Statistics(
-            steps, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
-        )
 
-    @cached_property
-    def _worst(self) -> NDArray[np.float64]:
-        names = ("change", "balance") if "change" in self._arrays else ("drift",)
-        return np.concatenate([np.moveaxis(self._read_entire(name), -2, -1) for name in names], axis=-1)
+def _worst(record: RunRecord) -> NDArray[np.float64]:
+    names = ("change", "balance") if "change" in record.arrays else ("drift",)
+    return np.concatenate([np.moveaxis(record.read(name), -2, -1) for name in names], axis=-1)
 
-    @cached_property
-    def events(self) -> RecordedEvents | None:  # type: ignore[override]
-        """Crossings found in the run, or None if it had no events."""
-        if "event_time" not in self._arrays:
-            return None
-        events = events_of_dataset(self.dataset, self._system)
-        unforced_system: Any = unforced(self._system)
-        coordinates = (
-            ()
-            if isinstance(unforced_system, MatrixSystem)
-            else tuple(coordinate_names(unforced_system, unforced_system.dim))
-        )
-        t, x, event_index, member, direction = (
-            self._read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
-        )
-        attitude = self._read("event_attitude") if "event_attitude" in self._arrays else None
-        names = tuple(str(event.name) for event in events)
-        return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates, events)
 
-    def to_xarray(self) -> xarray.Dataset:
-        return self.dataset.copy()
+def _events(record: RunRecord) -> RecordedEvents | None:
+    if "event_time" not in record.arrays:
+        return None
+    system: Any = record.system
+    events = events_of_dataset(record.dataset, system)
+    plain: Any = unforced(system)
+    coordinates = () if isinstance(plain, MatrixSystem) else tuple(coordinate_names(plain, plain.dim))
+    t, x, event_index, member, direction = (
+        record.read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
+    )
+    attitude = record.read("event_attitude") if "event_attitude" in record.arrays else None
+    names = tuple(str(event.name) for event in events)
+    return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates, events)
 
 
 def _split_account(text: str, invariants: list[str]) -> tuple[str, str]:
@@ -243,7 +217,7 @@ def load(path: str | Path, system: Any = None) -> Solution:
         raise
     except Exception as reason:  # readers raise errors of any type for damaged files
         raise LoadError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
-    return LoadedSolution(source, dataset, system)
+    return solution_of_dataset(source, dataset, system)
 
 
 def _reader(path: Path) -> tuple[str, tuple[str, ...]]:

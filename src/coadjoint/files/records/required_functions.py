@@ -18,8 +18,8 @@ from coadjoint.runs.observables import check_observe
 from coadjoint.short_repr import short
 
 if TYPE_CHECKING:
-    from coadjoint.files.archives.archived_solution import ArchivedSolution
     from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
 
 FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE = "archive_given", "archive_observed"
 
@@ -57,7 +57,7 @@ def requires_argument(attributes: Mapping[str, Any], what: str) -> bool:
 
 
 def resume_arguments(
-    path: Path, archive: ArchivedSolution, system: Any, observe: Mapping[str, Any] | None, events: Any
+    path: Path, archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any
 ) -> ResumeArguments:
     """Return the arguments of a resumed run, given or stored; ArchiveError if one is missing or differs."""
     attributes = archive.attributes

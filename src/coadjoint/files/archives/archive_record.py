@@ -1,0 +1,100 @@
+"""Records of runs in archives: arrays are read with all checks of the archive, on first use."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE
+from coadjoint.files.archives.store import ArchiveError, chunk_file, missing_chunk_error, open_folder, read_array
+from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.datasets.export import stored_inputs
+from coadjoint.files.datasets.stored_record import stored_record
+from coadjoint.memory import check_available_memory
+from coadjoint.runs.run_record import RunRecord
+
+if TYPE_CHECKING:
+    import xarray
+
+MayBeMissing = Callable[[str], Callable[[tuple[int, ...]], bool] | None]
+"""For the name of an array, a predicate for chunks that may not be written yet; None if all chunks are committed."""
+
+
+def archive_record(
+    path: Path,
+    arrays: Mapping[str, StoredArray],
+    attributes: dict[str, Any],
+    system: Any,
+    functions: Mapping[str, Callable[[RunRecord], Any]],
+    may_be_missing: MayBeMissing = lambda name: None,
+    **values: Any,
+) -> RunRecord:
+    """Return the record of a run in an archive; `functions` and `values` add its own fields."""
+
+    def read_entire(name: str) -> NDArray[Any]:
+        array = arrays[name]
+        what = f"{name} of the archive {path}"
+        check_available_memory(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
+        return read_array(path, name, array, may_be_missing=may_be_missing(name))
+
+    def inputs(events: Any = ()) -> dict[str, Any]:
+        import xarray
+
+        names: list[str] = [name for name in ("x0", "attitude0") if name in arrays]
+        if attributes["between_steps"]:
+            names.append("time")
+        variables = {name: (arrays[name].dims, read_entire(name)) for name in names}
+        return stored_inputs(xarray.Dataset(variables, attrs=attributes), system, events)
+
+    def to_xarray() -> xarray.Dataset:
+        import xarray
+
+        from coadjoint.files.archives.archived_variables import ArchivedArray, variable
+
+        variables: dict[str, Any] = {}
+        for name, array in arrays.items():
+            if array.kind == "string":
+                variables[name] = (array.dims, list(map(str, read_entire(name))), dict(array.attributes))
+            else:
+                variables[name] = variable(ArchivedArray(path, name, array, may_be_missing(name)))
+        coordinates = str(attributes.get("coordinates", "")).split()
+        own = {name: value for name, value in attributes.items() if name != "coordinates"}
+        return xarray.Dataset(variables, attrs=own).set_coords([name for name in coordinates if name in variables])
+
+    return stored_record(
+        arrays,
+        attributes,
+        read_entire,
+        functions,
+        path=path,
+        accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS_ATTRIBUTE])),
+        events=None,
+        ending=None,
+        inputs=inputs,
+        to_xarray=to_xarray,
+        check_complete=partial(check_complete, path, arrays),
+        **values,
+    )
+
+
+def check_complete(path: Path, arrays: Mapping[str, StoredArray]) -> None:
+    """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
+    with open_folder(path) as folder:
+        for name, array in arrays.items():
+            try:
+                files = folder.names(name)
+            except OSError as reason:
+                raise ArchiveError(f"{path}: {name} cannot be read ({reason.strerror})") from None
+            for indices, _, _ in array.chunks_in([range(0, size, chunk) for size, chunk in array.extent]):
+                if chunk_file(indices) not in files:
+                    raise missing_chunk_error(path, name, indices)
+            if array.grows:
+                first_row = array.shape[0] - array.shape[0] % array.chunk[0]
+                rows = range(first_row, array.shape[0])
+                read_array(path, name, array, [rows, *map(range, array.shape[1:])])
