@@ -67,13 +67,13 @@ def test_table_names_six_coordinates_and_casimirs(count):
     assert list(rows) == ["coordinates", "algebra", "Hamiltonian", "sign", "Casimirs", "parameters"]
     names = [f"S{axis}[{site}]" for site in range(1, count + 1) for axis in (1, 2, 3)]
     assert rows["coordinates"] == f"{3 * count}: {', '.join(names[:6])}" + (", ..." if count > 2 else "")
-    squares = [f"|x|^2 [{k}] = x{3 * k - 2}^2 + x{3 * k - 1}^2 + x{3 * k}^2" for k in range(1, count + 1)]
+    squares = [f"|x|^2 [{k}] = S1[{k}]^2 + S2[{k}]^2 + S3[{k}]^2" for k in range(1, count + 1)]
     if count == 1:
         squares = [squares[0].replace("|x|^2 [1]", next(iter(system.casimirs)))]
     assert rows["Casimirs"] == ", ".join(squares[:6] + ([f"and {count - 6} more"] if count > 6 else []))
     assert rows["algebra"] == system.algebra.name and rows["sign"] == "+1"
     H = system.hamiltonian
-    assert rows["Hamiltonian"] == (str(H.to_polynomial()) if count < 3 else repr(H))
+    assert rows["Hamiltonian"] == (str(H.to_polynomial().named(names)) if count < 3 else repr(H))
     for name, value in system.parameters.items():
         assert f"{name} = {value!r}" in rows["parameters"]
 

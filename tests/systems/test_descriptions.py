@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.description import MAX_FORMULA_LENGTH, description
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
@@ -100,7 +101,7 @@ def test_what_it_says_of_the_system(name):
         "t_span": list(gallery_entry.t_span),
         "step": gallery_entry.step,
     }
-    assert found["coordinates"] == list(gallery_entry.names(system.dim) or [f"x{k + 1}" for k in range(system.dim)])
+    assert found["coordinates"] == list(coordinate_names(system))
     if system.algebra is None:
         assert found["algebra"] is None and found["attitude"] == "none"
     elif hasattr(system.algebra, "triples"):
