@@ -53,8 +53,7 @@ MEMBERS_OF = (
     (
         "A solution",
         co.Solution,
-        "at attitude balance casimirs change drift energy error_estimate failed initial modified_energy movie plot "
-        "spectrum stats step system t t_span to_xarray work x x0",
+        "at balance change drift error_estimate modified_energy movie plot spectrum to_xarray",
     ),
     ("A drift", Drift, "growth"),
     ("A prepared run", co.PreparedRun, "end run"),

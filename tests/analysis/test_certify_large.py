@@ -101,7 +101,7 @@ def test_the_norm_of_a_tangent_by_directions():
     size = np.linalg.norm(P)
     assert size / 1.5 < given.tangent_norm(x, 0.05) < 1.5 * size
     exact = size * np.linalg.norm(np.linalg.inv(P))
-    assert exact / 2.25 < given._estimate(x, 0.05) < 2.25 * exact
+    assert exact / 2.25 < given._estimated_condition(x, 0.05) < 2.25 * exact
     assert given.condition(x, 0.05) == given._condition(x, 0.05)
 
 
