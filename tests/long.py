@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import pytest
+
+MOST_CASES = 12
 
 
 def long_beyond(count: int, cases: Iterable[Any]) -> list[Any]:
@@ -27,6 +29,8 @@ def long_between(count: int, cases: Iterable[Any]) -> list[Any]:
 def thin(items: Iterable[pytest.Item]) -> None:
     """Mark all but about one of k cases of each test marked `thinned(k)` as long, whatever the number of parameters.
 
+    Of tests without the mark, about `MOST_CASES` cases stay.
+
     Cases stay as in a Latin square: the ranks of their values among those of each parameter add up to a multiple of k.
     Each value of a parameter that has no more values than cases stay is in at least one of them. The nearest mark
     counts: that of a test before that of its module.
@@ -36,22 +40,23 @@ def thin(items: Iterable[pytest.Item]) -> None:
         if _may_be_thinned(item):
             tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for cases in tests.values():
-        _thin_one(cases, *cases[0].get_closest_marker("thinned").args)
+        mark = cases[0].get_closest_marker("thinned")
+        _thin_one(cases, mark.args[0] if mark else max(1, len(cases) // MOST_CASES))
 
 
 def _may_be_thinned(item: pytest.Item) -> bool:
     """Return whether a test is marked, has cases, and is neither long nor sensitive."""
     marks = {mark.name for mark in item.iter_markers()}
-    return "thinned" in marks and not marks & {"long", "sensitive"} and hasattr(item, "callspec")
+    return not marks & {"long", "sensitive"} and hasattr(item, "callspec")
 
 
 def _thin_one(cases: Sequence[Any], share: int) -> None:
     """Mark cases of one test as long."""
-    ranks: dict[tuple[str, Hashable], int] = {}
+    ranks: dict[tuple[str, int], int] = {}
     counts: dict[str, int] = {}
     values = []
     for case in cases:
-        values.append({(name, _key(value)) for name, value in case.callspec.params.items()})
+        values.append(set(case.callspec.indices.items()))
         for key in values[-1] - ranks.keys():
             ranks[key] = counts.get(key[0], 0)
             counts[key[0]] = ranks[key] + 1
@@ -65,11 +70,6 @@ def _thin_one(cases: Sequence[Any], share: int) -> None:
     for case, stay in zip(cases, stays, strict=True):
         if not stay:
             case.add_marker(pytest.mark.long)
-
-
-def _key(value: Any) -> Hashable:
-    """Return a hashable key of a parameter value."""
-    return value if isinstance(value, str | float | int) else repr(value)
 
 
 def _long(case: Any) -> Any:

@@ -64,7 +64,7 @@ def refused(capsys, *arguments):
     return output.err[:-1]
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_run(example, folder, capsys):
     target = folder / "run.zarr"

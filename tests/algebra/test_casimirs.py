@@ -131,6 +131,7 @@ def test_more_generators_than_independent_ones():
 FIXED = [name for name in LOW if "a=" not in name and name not in ("A3,7", "A4,5", "A5,8", "A5,14")]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", [*FIXED, "so(4)", "so(6)", "e(3)", "e(4)", "sl(2)", "su(4)", "heisenberg(2)", "gl(3)"])
 def test_polynomial_casimirs_of_the_catalogue_are_recovered(name):
     g = catalogue.get(name)

@@ -77,7 +77,7 @@ def published_polynomials(name, chosen):
     }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(("name", "chosen"), CASES, ids=label)
 def test_published_and_found_casimirs_generate_the_same(name, chosen):
     g = co.algebras.get(name, **chosen)

@@ -101,7 +101,7 @@ def test_there_are_62():
     assert {name for name in entries() if parameters_of(name)} == set(CHOSEN)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(("name", "chosen"), CASES, ids=label)
 def test_constants_are_those_of_a_lie_algebra_exactly(name, chosen):
     n, c, _ = everything(name, chosen)
@@ -134,6 +134,7 @@ def test_invariants_are_casimirs_exactly_and_all_of_them(name, chosen):
     assert list(g.casimirs_known) == list(found)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("name", "chosen"), CASES, ids=label)
 def test_values_stay_along_the_group_and_agree_with_the_gradients(name, chosen):
     from scipy.linalg import expm

@@ -64,6 +64,7 @@ def test_floats_agree_with_fractions(p, x):
     assert p.gradient(f).dtype == p.hessian(f).dtype == np.float64
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(st.lists(POLYNOMIALS, min_size=1, max_size=4), st.lists(POINTS, min_size=1, max_size=5))
 def test_many_states_at_once_are_those_one_by_one(polynomials, points):

@@ -150,7 +150,7 @@ ESTIMATES: dict[str, tuple[Callable[[], np.ndarray], float, float]] = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", long_where(["predicted drift"], ESTIMATES))
 def test_true_errors_over_estimates_are_near_one_on_both_sides(name):
     draw, low, high = ESTIMATES[name]

@@ -180,6 +180,7 @@ def test_differences_see_what_is_above_their_floor():
     assert found["poisson"].verdict == "fails"
 
 
+@pytest.mark.long
 def test_a_run_that_fails_is_a_row():
     """rk4 with steps that are too large: the motion goes on, the run does not."""
     found = co.certify(BODY, co.ExplicitRungeKutta("rk4"), 10 * X0, 3.0, steps=100)

@@ -79,6 +79,7 @@ def subject_of(system, scheme, x, h):
     return Subject(system, method, claims, h, x[None], 1)
 
 
+@pytest.mark.long
 def test_the_long_run_has_as_many_steps_as_take_seconds(monkeypatch):
     monkeypatch.setattr(subject, "SECONDS_PER_COST", 2e-5)  # a step of su(3) then counts as some milliseconds
     system = SYSTEMS["su(3)"]

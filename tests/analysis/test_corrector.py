@@ -29,7 +29,7 @@ def spreads(system, scheme, x0, h, count):
     return better, np.ptp(run.energy), np.ptp(output)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", list(systems()))
 def test_the_energy_of_the_output_wanders_less(name):
     """By the part that remains, up to the next term, which is of two orders higher: so at a small step."""
@@ -50,6 +50,7 @@ def test_where_the_term_can_be_undone_the_order_is_two_higher(order, expected):
     assert co.corrector(system, co.Splitting(order=order), x0).remaining < 1e-13
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("h", [0.05, -0.05])
 @pytest.mark.parametrize("name", ["body", "top", "A3,7"])
 def test_a_corrector_is_undone_by_its_inverse_and_keeps_casimirs(name, h):

@@ -24,6 +24,7 @@ SYSTEMS = {
 RUNGE, FROZEN = co.ExplicitRungeKutta("runge2"), co.ModifiedGaussLegendre(1, freeze="gradient")
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("name", "scheme"),
     [("so(3) +", RUNGE), ("so(3) -", FROZEN), ("A3,7 -", RUNGE), ("A3,7 -", FROZEN)],
@@ -77,6 +78,7 @@ def test_fields_at_points_are_looked_at_in_more_than_one(which):
         np.testing.assert_allclose(found(one, h), exact(one, h), atol=1e-13)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("way", ["exact", "numerical"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_matrix_at_points_is_skew_and_gives_the_field(sign, way):

@@ -25,7 +25,7 @@ def random_lines(seed: int, count: int) -> tuple[np.ndarray, ...]:
             return t, w, 10.0 ** -np.linspace(0.0, 6.0, count), rng.uniform(0.0, 2 * np.pi, count)
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("count", [1, 2, 4, 6])
 def test_lines_over_six_decades(seed: int, count: int) -> None:

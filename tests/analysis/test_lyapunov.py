@@ -36,6 +36,7 @@ SCHEMES = (
 )
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", SCHEMES, ids=str)
 def test_the_unstable_axis_of_a_body(method):
     """At rest the exponents are the eigenvalues of the linear equation; those of a step of order p differ by O(h^p)."""
@@ -49,6 +50,7 @@ def test_the_unstable_axis_of_a_body(method):
     assert fine <= 1.2 * coarse / 2**method.order + 1e-14
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(
     "name, parameters", [("sl(2)", {}), ("A3,7", {"a": 0.75}), ("A4,7", {}), ("so(2,2)", {}), ("A5,40", {})]
 )
@@ -81,6 +83,7 @@ def test_regular_motion_has_no_exponents():
     assert np.all(np.abs(found.exponents) <= 1e-12 + 3 * found.uncertainty)
 
 
+@pytest.mark.long
 def test_the_heavy_top_twice():
     """By the tangent map, and by trajectories that differ in the twelfth digit, with 200 bits: the same two numbers.
 
@@ -114,6 +117,7 @@ def chaos():
     return co.lyapunov(heavy_top(), UPRIGHT, (0, 4000), 0.05, co.Splitting(order=4), transient=100)
 
 
+@pytest.mark.long
 def test_pairs_and_zeros_of_a_chaotic_top(chaos):
     """On e(3): +L, -L, and zeros for two Casimirs, the energy and the flow, as far as log(t)/t lets them be."""
     assert chaos.exponents[0] > 0.08 and chaos.by == "compiled"

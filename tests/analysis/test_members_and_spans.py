@@ -235,7 +235,7 @@ def skipped(found: Any) -> Any:
     return found
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @each_entry
 def test_a_start_at_another_time_changes_labels_alone(name, kind):
     entry = TABLE[name][kind]
@@ -257,7 +257,7 @@ def mirrored(result: Any) -> Any:
     return result
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @each_entry
 def test_a_backward_run_is_the_mirror_image(name, kind):
     entry = TABLE[name][kind]

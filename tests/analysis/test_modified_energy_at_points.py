@@ -63,6 +63,7 @@ def test_kept_on_so4(order):
     assert defects[0] > 1e-11 and math.log2(defects[0] / defects[1]) > order + 0.4
 
 
+@pytest.mark.long
 def test_coupled_coordinates():
     def value(y):
         return y[0] + 0.5 * y[1] * y[2] + np.exp(0.5 * y[2])

@@ -135,7 +135,7 @@ def test_the_term_at_points_agrees(name):
 # --- against motions
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_step_is_its_flow(name, method):

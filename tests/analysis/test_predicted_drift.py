@@ -195,6 +195,7 @@ def test_gradient_and_field_say_the_same() -> None:
     assert by_field.slope == pytest.approx(predicted_drift(system, x0, gradient=gradient).slope, abs=1e-13)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("x0", [*STATES, (1.0, 10.0, 1.0), (1e-3, 1.0, 1e-3)])
 def test_periods_against_elliptic_integrals(x0: tuple[float, ...]) -> None:
     """Also near the separatrix, and near the unstable rotation."""
@@ -216,6 +217,7 @@ def test_what_is_carried_along() -> None:
     assert circle.carried[0] == pytest.approx(0.5 + np.pi / 3, rel=1e-11)
 
 
+@pytest.mark.long
 def test_what_has_no_period_is_refused() -> None:
     body = BODIES["1, 2, 3"]
     with pytest.raises(ValueError, match="at rest"):

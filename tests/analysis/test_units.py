@@ -69,7 +69,7 @@ def plain_rows(name, method):
     return rows_of(name, method, 1.0, 1.0)
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(15)
 @pytest.mark.parametrize("units", UNITS, ids=["large", "small"])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ALGEBRAS)
@@ -106,7 +106,7 @@ def test_single_steps_have_the_same_errors_in_other_units(name, units):
     np.testing.assert_allclose(scaled.errors, plain.errors, rtol=1 / 8)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("units", UNITS, ids=["large", "small"])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_references_in_other_units_are_the_same_motion(name, units):
@@ -124,6 +124,7 @@ def test_references_in_other_units_are_the_same_motion(name, units):
         assert natural_time(in_units(name, *units), momentum * x) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("units", [(1.0, 1.0), *UNITS], ids=["plain", "large", "small"])
 @pytest.mark.parametrize("off", [1e-11, 1e-9, 1e-7])
 @pytest.mark.parametrize("name", ALGEBRAS)

@@ -37,7 +37,7 @@ def drawn(rng, names):
     return {name: Fraction(int(rng.choice([-5, -3, -1, 1, 2, 4])), int(rng.choice([1, 2, 3, 8]))) for name in names}
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -243,6 +243,7 @@ def test_trial_records_newtons_method(monkeypatch):
         assert not pilot.trial(co.Taylor(8), 48).newton
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("members", [1, MIN_LANE_MEMBERS - 1, MIN_LANE_MEMBERS, 3 * MIN_LANE_MEMBERS])
 def test_lanes_need_many_members_of_small_dimension(members):
     widest = limit("WIDEST")

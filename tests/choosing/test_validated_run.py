@@ -24,6 +24,7 @@ def no_choice(*given, **options):
     raise AssertionError("another choice was made")
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("span", [SPAN, (40.0, 0.0), (1.0, 3.5)])
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-10])
 def test_states_like_the_sample_reach_the_accuracy(span, accuracy, monkeypatch):

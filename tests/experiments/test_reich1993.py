@@ -57,6 +57,7 @@ def test_verdict_of_every_statement(reproduction: Reproduction) -> None:
     assert {row.key: row.verdict for row in reproduction.table} == {key: EXPECTED.get(key, HOLDS) for key in keys}
 
 
+@pytest.mark.long
 def test_rows_contain_criterion_and_measurement(reproduction: Reproduction) -> None:
     for row in reproduction.table:
         assert all(cell.strip() for cell in row)

@@ -60,7 +60,7 @@ def described_runs():
     yield "forces", (forced, X, SPAN, STEP, gauss), {}
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("run", "options"), [pytest.param(*run, id=name) for name, *run in described_runs()])
 @pytest.mark.parametrize("how", ["archive", "ensemble", "file"])
@@ -145,7 +145,7 @@ def test_stored_observables_need_not_be_given(tmp_path):
     assert_same(co.resume(tmp_path / "run.zarr"), expected)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     "other",
     [
@@ -202,7 +202,7 @@ def without_algebra(casimir, weight=0.5):
     return co.PoissonSystem(turning, energy, dim=3, casimirs={"C": casimir})
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     ("first", "other"),
     [
@@ -523,7 +523,7 @@ def runs_to_continue():
     yield "one of them", fluid, W[1], co.IsospectralGauss(1), {"watch": False}
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(("direction", "rows"), [(1, None), (-1, 1)])
 @pytest.mark.parametrize(
     ("system", "x0", "method", "options"), [pytest.param(*run, id=name) for name, *run in runs_to_continue()]

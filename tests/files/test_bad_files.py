@@ -117,7 +117,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", CASES)
 def test_error_is_one_line_with_file_and_key(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

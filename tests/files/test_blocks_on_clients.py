@@ -75,6 +75,7 @@ def ensemble(client, path, system=BODY, span=(0.0, 2.0), threads=None):
     return run_in_blocks(ready, X, span, 1, path, WorkerPool(client, None, threads), size=3)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", [BODY, BATCH], ids=["one system", "batch"])
 @pytest.mark.parametrize("span", [(0.0, 2.0), (7.5, 5.5)])
 def test_blocks_have_their_own_members(tmp_path, system, span):

@@ -94,6 +94,7 @@ def test_clusters_have_the_bits_of_one_machine(tmp_path, client, name):
     assert_same(found, co.integrate(system, x0, *run, attitude=attitude))
 
 
+@pytest.mark.long
 def test_results_bypass_the_client(tmp_path, client):
     """Of 20 MB in the archive, workers send some thousand bytes, heartbeats included."""
 

@@ -371,6 +371,7 @@ ACCURATE = READY_MADE.replace("step = 0.1", "accuracy = 1e-8")
 BODY, X0 = co.systems.rigid_body((1.0, 2.0, 2.5)), (1.0, 0.1, 0.5)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [None, co.Splitting(order=4)])
 @pytest.mark.parametrize("span", [(0, 1), (1, -2)])
 def test_accuracy_gives_the_bits_of_python(read, method, span):

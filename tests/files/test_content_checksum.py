@@ -168,6 +168,7 @@ def single_changes(found):
         yield name, found.assign_attrs({name: f"{found.attrs[name]} "})
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("suffix", ENGINE)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_changed_files_of_the_command_are_refused(tmp_path, monkeypatch, command, suffix):
@@ -186,6 +187,7 @@ def test_changed_files_of_the_command_are_refused(tmp_path, monkeypatch, command
         co.load(path)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("suffix", ENGINE)
 @pytest.mark.parametrize("stale", [{}, {CHECKSUM: "0" * 64}, {CHECKSUM: GOLDEN}], ids=["none", "of nothing", "another"])
 def test_files_have_the_checksum_of_their_content(tmp_path, suffix, stale):

@@ -112,6 +112,7 @@ def without_compiler(monkeypatch, no_fsync):
     monkeypatch.setattr(matrix_functions, "need", missing)
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("writer", WRITERS)
 @pytest.mark.parametrize("name", MATRICES)
 def test_copies_preserve_given_functions(tmp_path, writer, name):
@@ -135,6 +136,7 @@ def test_copies_preserve_given_functions(tmp_path, writer, name):
             _ = copied(co.load(path)).system
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("writer", WRITERS)
 def test_copies_prefer_the_given_system(tmp_path, writer):
     """The stored system is rebuilt only if none is given."""

@@ -159,7 +159,7 @@ def outcome(dataset):
         return str(refused)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", RUNS)
 @pytest.mark.filterwarnings("ignore:inertia")  # moments are damaged too
 def test_random_damage_is_refused(name, datasets):

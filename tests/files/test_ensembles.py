@@ -197,6 +197,7 @@ def test_damaged_blocks_are_computed_again(tmp_path, what):
     assert_same(co.ensemble(BODY, X, (0, 4), 0.125, archive=archive), co.integrate(BODY, X, (0, 4), 0.125))
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("failing", [{2, 3}, {1}, {0, 4}, {1, 2, 4}, {0, 1, 2, 3, 4}], ids=str)
 @pytest.mark.parametrize("members_per_block", [1, 2, 3, 5])
 def test_failed_members_leave_the_others(tmp_path, failing, members_per_block):

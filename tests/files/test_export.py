@@ -175,7 +175,7 @@ OWN_ELEMENTS = {
 }  # fmt: skip
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", OWN_ELEMENTS)
 def test_initial_coadjoint_matrix_is_rebuilt(name, tmp_path):
     system, method, x0, span, element, options = OWN_ELEMENTS[name]

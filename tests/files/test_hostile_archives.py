@@ -73,6 +73,7 @@ def edit_root(path, change):
     (path / ROOT).write_text(json.dumps(root))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "name", [0, 1, 2, 3, 4, "..", ".", "...", "", " ", "a b", "a-b", "1x", ".hidden", "x.0", "x\0", "x" * 256]
 )
@@ -89,6 +90,7 @@ def test_paths_as_array_names_are_refused(run, name, capsys):
     assert snapshot(outside) == before
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "name",
     [
@@ -183,6 +185,7 @@ def test_chunk_lengths_are_checked_before_decompression(monkeypatch):
             names.decoded(with_checksum(body))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -204,7 +207,7 @@ def test_wrong_metadata_is_named(run, change, message):
             call(run[0])
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("finished", [False, True])
 @pytest.mark.parametrize("name", ["x", "time", "energy", "x0", "drift", "component", "attitude"])
 def test_missing_chunk_is_named(tmp_path, name, finished):

@@ -43,7 +43,7 @@ WRITERS = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", WRITERS)
 def test_checksum_is_independent_of_the_format(tmp_path, sol, name):
     WRITERS[name](sol.to_xarray(), tmp_path / name)
@@ -195,7 +195,7 @@ STORES = {
 }  # fmt: skip
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.skipif(os.name == "nt", reason="links and FIFOs")
 @pytest.mark.parametrize("kind", STORES)
 def test_hostile_zarr_store_is_refused(tmp_path, sol, kind):
@@ -371,7 +371,7 @@ CONTRADICTIONS = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("kind", CONTRADICTIONS)
 def test_contradictory_zarr_metadata_is_refused(tmp_path, sol, kind):
     change, message = CONTRADICTIONS[kind]

@@ -81,7 +81,7 @@ def check_same(found, sol):
             assert same_bits(getattr(found.events, name), getattr(sol.events, name)), name
 
 
-@pytest.mark.thinned(11)
+@pytest.mark.thinned(22)
 @pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
 @pytest.mark.parametrize("way", WAYS)
@@ -114,6 +114,7 @@ def test_swept_output_of_the_command_is_loaded(tmp_path, monkeypatch):
     assert [body.parameters["inertia"][2] for body in found.system] == [2.25, 2.5, 2.75]
 
 
+@pytest.mark.long
 def test_system_with_functions_must_be_given(tmp_path):
     H = co.Hamiltonian(lambda x: float(x @ x), lambda x: 2 * x)
     system = co.LiePoissonSystem(co.algebras.so(3), H)
@@ -182,6 +183,7 @@ class CreatingFolder:
         return os.mkdir, (str(self.folder),)
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     "codecs",

@@ -138,7 +138,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize(("way", "name"), PAIRS)
 def test_read_run_equals_the_saved_run(way, name, tmp_path):
     wanted, found = run(name), WAYS[way](name, tmp_path)

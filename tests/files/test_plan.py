@@ -29,6 +29,7 @@ def planned(folder, text):
     return plan(load("run.toml"))
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     "text",
     [
@@ -82,6 +83,7 @@ def output_times(kind, end):
 SPLITTING, OWN_STEPS = 'name = "Splitting"', 'name = "Taylor"\norder = 12\ntolerance = 1e-9'
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("kind", "system", "x0", "end", "method"),
     [
@@ -129,7 +131,7 @@ def test_plan_counts_output_times(folder, monkeypatch, kind, system, x0, end, me
     assert lines["steps"] == f"{found.steps} of {abs(end) / found.steps:g}, from t = 0 to {end:g}"
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_check_command_on_every_example(folder, capsys, example):
     assert cli.main(["check", str(example)]) == 0

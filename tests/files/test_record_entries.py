@@ -252,6 +252,7 @@ def test_unknown_keys_are_refused(name):
             system_of(record)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_missing_keys_are_refused(name):
     optional = {"casimirs", "integrals", "representation", "layout", "linear", "second_stream", "layers", "members"}

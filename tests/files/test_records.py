@@ -34,7 +34,7 @@ KINDS = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("seed", range(3))

@@ -29,6 +29,7 @@ def validator():
     return jsonschema.Draft202012Validator(found)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_schema_accepts_the_examples(validator, example):
     text = example.read_text(encoding="utf-8")

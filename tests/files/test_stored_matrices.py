@@ -52,6 +52,7 @@ def assert_same_system(one, other):
     assert one.energy_sign == other.energy_sign and one.powers == other.powers
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("name", "members"), [(name, 1 + 2 * (k % 2)) for k, name in enumerate(OWN)])
 def test_matrix_run_is_rebuilt(name, members):
     system = OWN[name]

@@ -59,7 +59,7 @@ def system_on_sl2(hamiltonian):
     return co.LiePoissonSystem(SL2, hamiltonian)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     ("kind", "parameter"),
     [(kind, p) for kind, make in HAMILTONIANS.items() for p in parameters(make) if p not in ("dim", "basis")],
@@ -116,6 +116,7 @@ def test_nested_quadratic_parameters_are_stored(parameter, M):
     assert np.array_equal(rebuild(sol.to_xarray()).energy, sol.energy)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("parameter", [p for p in parameters(co.LieAlgebra) if p not in ("constants", "dim")])
 def test_algebra_parameters_are_stored(parameter):
     def same(one, other):
@@ -212,7 +213,7 @@ OTHERS = {
 LONGER = [("sphere_euler", "rotation"), ("double_spherical_pendulum", "masses")]
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(14)
 @pytest.mark.parametrize(
     ("name", "parameter"),
     long_where(LONGER, [(name, p) for name, make in ready_made_systems().items() for p in parameters(make)]),

@@ -50,6 +50,7 @@ ERRORS = {
 }
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(("size", "number"), [(1, 0), (1, 6), (2, 1), (3, 1), (3, 2), (4, 0), (7, 0)])
 @pytest.mark.parametrize(("name", "error"), [("a37", "full"), ("torus", "plain"), ("a37", "missing")])
 def test_members_of_an_unwritten_block_are_named(tmp_path, monkeypatch, size, number, name, error):
@@ -87,6 +88,7 @@ def replaced(path):
     shutil.copytree(path.with_name("aside"), path)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("change", [moved, replaced, shutil.rmtree])
 @pytest.mark.parametrize("blocks", [1, 2])
 def test_archive_moved_between_blocks(tmp_path, monkeypatch, change, blocks):
@@ -158,6 +160,7 @@ def test_archive_that_a_worker_cannot_read(tmp_path, case):
     assert open_descriptors() == before and not (path / ".coadjoint").exists()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize("how", ["missing", "damaged", "no right"])
 def test_block_with_an_unreadable_initial_state(tmp_path, monkeypatch, number, how):

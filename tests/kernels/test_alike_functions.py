@@ -238,6 +238,7 @@ DISPATCHERS = [{}, {"fastmath": True}, {"error_model": "numpy"}, {"locals": {"z"
 CALLBACKS = [("f8(f8)", given) for given in DISPATCHERS] + [("f4(f4)", {})]
 
 
+@pytest.mark.long
 def test_options_of_compilation_are_in_the_key():
     """Fast arithmetic, division by zero, types of local variables and signatures, of dispatchers and callbacks."""
     inlined = types.FunctionType(with_local.__code__, {"inner": numba.njit(inner)})
@@ -293,6 +294,7 @@ def test_one_text_at_many_sites_is_compiled_once(monkeypatch):
     np.testing.assert_allclose(sol.x[-1].reshape(80, 3), np.tile(turned, (80, 1)), rtol=0, atol=1e-14)
 
 
+@pytest.mark.long
 def test_other_numbers_are_other_functions():
     system = spins([times(1.0 + k / 7) for k in range(5)])
     x = np.tile([0.3, 0.4, -0.2], 5)
@@ -329,6 +331,7 @@ def test_many_functions_are_told_of_beforehand(monkeypatch):
         co.prepare(few, co.Splitting(), 0.2)
 
 
+@pytest.mark.long
 def test_what_is_kept_is_bounded(monkeypatch):
     monkeypatch.setattr(fresh_code, "_COMPILED", {})
     monkeypatch.setattr(fresh_code, "MAX_CACHED", 3)

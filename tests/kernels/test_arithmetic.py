@@ -59,6 +59,7 @@ def ulps(value, exact):
     return abs(mpmath.mpf(float(value)) - exact) / mpmath.mpf(float(np.spacing(abs(float(exact)))))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("where", ANGLES)
 def test_sine_and_cosine_minus_one_within_3_ulp(where):
     angles = ANGLES[where]

@@ -33,6 +33,7 @@ def pair(c, sign):
     return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M), sign=sign)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("compensated", [False, True])
 def test_one_bond_is_the_closed_form_at_any_step(sign, compensated):

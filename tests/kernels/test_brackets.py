@@ -26,7 +26,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("stages", [2, 3, 4, 7, 8, 11, 16, 17])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_one_trajectory_has_the_bits_of_a_crowd(name: str, stages: int) -> None:

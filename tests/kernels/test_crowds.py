@@ -26,7 +26,7 @@ def some_states(x0, members=MEMBERS, spread=0.3):
     return x0 * (1 + spread * np.random.default_rng(0).standard_normal((members, len(x0))))
 
 
-@pytest.mark.thinned(15)
+@pytest.mark.thinned(45)
 @pytest.mark.parametrize("name", list(systems()))
 @pytest.mark.parametrize("method", METHODS, ids=repr)
 def test_members_have_the_bits_that_they_have_alone(name, method):

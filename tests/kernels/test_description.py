@@ -86,6 +86,7 @@ def test_kernels_without_a_description_are_refused(monkeypatch):
         description.kernel_interface.__wrapped__()
 
 
+@pytest.mark.long
 def test_a_run_hears_the_refusal():
     """In an interpreter of its own: the first run reads the description, and no step is taken."""
     code = """

@@ -64,7 +64,7 @@ RUNS = [
 ]
 
 
-@pytest.mark.thinned(20)
+@pytest.mark.thinned(60)
 @pytest.mark.parametrize("method", METHODS, ids=repr)
 @pytest.mark.parametrize(("name", "attitude"), RUNS)
 def test_rows_read_ahead_have_the_bits_of_the_tables(monkeypatch, name, attitude, method):

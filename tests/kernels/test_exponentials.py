@@ -96,7 +96,7 @@ def exact(X, time):
         return np.array(found.tolist(), dtype=float).reshape(X.shape)
 
 
-@pytest.mark.thinned(25)
+@pytest.mark.thinned(50)
 @pytest.mark.parametrize(("name", "algebra", "carried", "shift"), list(cases()), ids=[case[0] for case in cases()])
 def test_against_a_general_exponential(name, algebra, carried, shift):
     x = np.random.default_rng(len(name)).standard_normal(algebra.dim)
@@ -138,6 +138,7 @@ def test_rotations_stay_rotations_at_any_time(name, time):
         assert np.abs(g @ X - X @ g).max() <= 32 * len(g) * U * np.linalg.norm(X)
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("time", [1.0, 1e5, 1e9])
 @pytest.mark.parametrize("name", BOUNDED)
 def test_coadjoint_matrices_leave_the_momentum_where_it_is(name, time):
@@ -149,6 +150,7 @@ def test_coadjoint_matrices_leave_the_momentum_where_it_is(name, time):
         assert np.abs(K @ x - x).max() <= bound
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("gap", [0.0, 2.0**-52, 1e-13, 1e-9, 1e-4])
 @pytest.mark.parametrize("size", [4, 5, 6])
 def test_frequencies_near_each_other(size, gap):
@@ -175,6 +177,7 @@ def test_frequencies_near_each_other(size, gap):
         assert np.abs(g - exact(X, time)).max() <= 16 * size * U * (1 + time)
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("size", [2.0**-900, 1e-9, 1e9, 2.0**900])
 @pytest.mark.parametrize("name", SIZED)
 def test_sizes_from_underflow_to_overflow(name, size):

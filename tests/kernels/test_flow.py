@@ -102,7 +102,7 @@ def compare(s, method, h, steps):
     assert np.abs(sol.attitude[-1] - K).max() <= bound * np.linalg.norm(K) ** 2
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_compiled_and_plain_reading_agree(name):
     """Ten steps; norm(K) bounds what the flow makes of an error on the way (K is the tangent within the orbit)."""
@@ -150,6 +150,7 @@ def cubic_bound(D, theta):
     return U * (16 + (2 + abs(theta) * root) * kappa) * (1.0 + grown * terms)
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("theta", [0.0, 1e-12, -1e-12, 0.37, -3.1, 20.0, -20.0, 50.0, -50.0])
 @pytest.mark.parametrize("name", MATRICES)
 def test_every_kind_of_block_at_any_angle(name, theta):
@@ -206,6 +207,7 @@ def test_large_lattices_run():
     assert 0 < sol.drift()["energy"] < 0.025**2 * count
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("same", ["everything", "the field", "the couplings", "nothing"])
 def test_many_rotations_of_one_part_by_hand(same):
     """A ring of spins: all x components turn, then y, z, y, x, in NumPy; numbers that are the same for all, and not."""

@@ -143,6 +143,7 @@ def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
     assert np.abs(defect).max() <= 2.0**10 * U * max(1.0, np.abs(P).max()) ** 2 * size
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", list(tops()), ids=lambda system: system.name)
 def test_tangent_vectors_have_the_bits_of_each_member_alone(system):
     n, rng = system.dim, np.random.default_rng(7)

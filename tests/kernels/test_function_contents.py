@@ -171,6 +171,7 @@ def test_structures_that_contain_themselves():
     assert contents_of(one) != before
 
 
+@pytest.mark.long
 def test_every_process_has_the_same_digests():
     code = "from test_function_contents import contents_of, made; print(contents_of(made().value).digest)"
     here = contents_of(made().value).digest
@@ -192,6 +193,7 @@ def slope(y): return helper(y)
 """
 
 
+@pytest.mark.long
 def test_machine_code_follows_every_edit_also_of_the_same_system():
     pytest.importorskip("numba")
     module = types.ModuleType("user_functions_of_a_test")
@@ -220,6 +222,7 @@ def test_machine_code_follows_every_edit_also_of_the_same_system():
     np.testing.assert_array_equal(ready.run([0.3, 1.0, 0.0], (0.0, 0.5)).x[-1], first)
 
 
+@pytest.mark.long
 def test_a_step_follows_what_it_reads():
     pytest.importorskip("numba")
     names = {"co": co}

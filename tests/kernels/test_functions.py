@@ -95,6 +95,7 @@ print("numba" in sys.modules)
 """
 
 
+@pytest.mark.long
 def test_numba_is_loaded_for_functions_of_the_user_alone():
     done = subprocess.run([sys.executable, "-c", WITHOUT_FUNCTIONS], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

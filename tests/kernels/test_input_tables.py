@@ -81,6 +81,7 @@ def forms_of(parts, n):
     return rows
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("members", [1, 5, 33])
 @pytest.mark.parametrize("name", list(COUPLED))
 def test_the_squares_of_each_member_add_up_to_its_own_linear_term(name, members):
@@ -106,6 +107,7 @@ def test_the_squares_of_each_member_add_up_to_its_own_linear_term(name, members)
     assert np.array_equal(found[:, members:], np.repeat(found[:, members - 1 : members], columns - members, axis=1))
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(order=2, parts="coordinates")], ids=str)
 @pytest.mark.parametrize("name", list(COUPLED))
 def test_a_member_moves_as_a_system_of_its_own_with_its_linear_term(name, method):

@@ -112,7 +112,7 @@ def told_by(script: str) -> list[str]:
     return done.stdout.split()
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers of signals are POSIX's")
 @pytest.mark.parametrize("name", long_where(ALIKE, RUNS))
 def test_a_signal_is_heard_and_leaves_nothing_behind(name):
@@ -141,6 +141,7 @@ def test_no_memory_is_said_and_does_not_end_the_process(monkeypatch):
         co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0, 1), 0.1)
 
 
+@pytest.mark.long
 def test_what_does_not_settle_ends():
     """Nobody of a block settles in the momentum: the group iteration has nobody to go for, alone and in a crowd."""
     script = """

@@ -136,6 +136,7 @@ def contents(folder):
     }
 
 
+@pytest.mark.long
 def test_a_run_writes_nothing_into_the_installation():
     folder = Path(coadjoint.__file__).parent
     before = contents(folder)

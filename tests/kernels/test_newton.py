@@ -30,6 +30,7 @@ def solved(system, method, x, t, h):
     return x + out @ slopes(found.x.reshape(node.size, x.size)), np.max(np.abs(defect(found.x)))
 
 
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("stages", [1, 3, 8])
 @pytest.mark.parametrize("name", list(systems()))
 def test_large_steps_against_scipy(name, stages):
@@ -148,6 +149,7 @@ def test_a_hundred_thousand_coordinates():
         assert run.drift()["energy"] < 6 * 4 * U * 3 * spins
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.su(3)], ids=repr)
 @pytest.mark.parametrize("stages", [16, 20])
 @pytest.mark.parametrize("span", [(0, 3), (3, 0)])

@@ -87,6 +87,7 @@ def served(method, system):
     return True
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", list(systems()))
 @pytest.mark.parametrize("method", SCHEMES, ids=repr)
 def test_compiled_step_is_the_plain_reading(name, method):
@@ -167,6 +168,7 @@ KEPT = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["top", "so(4)", "A3,7", "sl(2)"])
 def test_invariants_wander_like_round_off_where_declared_and_drift_elsewhere(name):
     """Kept: a random walk of N steps, each of some 4 n roundings of an invariant's products; six times its width."""

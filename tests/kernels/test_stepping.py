@@ -75,7 +75,7 @@ def systems():
     }
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("stages", [1, 2, 3])
 @pytest.mark.parametrize("name", list(systems()))
 def test_compiled_step_is_the_plain_reading(name, stages):

@@ -43,6 +43,7 @@ def last(system, W, time, steps, method):
     return co.integrate(system, W, (0.0, time), abs(time) / steps, method, save_every=steps, watch=False).x[-1]
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("order", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_order_and_spectrum(name, order):
@@ -58,6 +59,7 @@ def test_order_and_spectrum(name, order):
         assert np.abs(system.spectrum(found[1]) - system.spectrum(W)).max() < 64 * UNIT_ROUNDOFF
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("order", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_kernels_do_the_plain_reading(name, order):

@@ -69,6 +69,7 @@ def test_it_runs_as_its_reading_says(step):
     assert np.max(np.abs(co.stepper(system, scheme(), 0.1).tangent(x0) - np.eye(6) - 0.1 * system.jacobian(x0))) < 1e-15
 
 
+@pytest.mark.long
 def test_what_it_asks_of_the_kernels_is_lent_to_it(step):
     """Long iterations hear an interrupt, also in a library of their own."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -179,7 +180,7 @@ EDITS = {
 }
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize(
     ("edit", "trusting"), [*((edit, True) for edit in EDITS), ("header", False), ("header found before another", False)]
 )

@@ -56,6 +56,7 @@ def test_composition_of_a_composition():
     assert outer.fractions[:3] == tuple(SIX_FROM_FOUR[0] * c for c in YOSHIDA)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("method", "order"),
     [

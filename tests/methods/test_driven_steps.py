@@ -65,6 +65,7 @@ def exact(system, t, h):
     return solve_ivp(lambda s, x: system.vector_field(x, s), (t, t + h), X0, "DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("span", SPANS)
 @pytest.mark.parametrize("name", METHODS)
 def test_a_step_has_the_order_of_the_scheme(name, span):
@@ -74,6 +75,7 @@ def test_a_step_has_the_order_of_the_scheme(name, span):
     assert errors[1] <= errors[0] / 2**method.order + 1e-13
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", METHODS)
 def test_a_step_depends_on_the_time_of_the_system_alone(name):
     method, h = METHODS[name], -0.125  # sums of times are exact
@@ -89,6 +91,7 @@ def test_a_symmetric_step_is_undone_by_the_step_backward(name):
     assert np.abs(back - X0).max() <= 512 * U
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", METHODS)
 def test_the_derivative_is_that_of_the_step(name):
     method, system, t, h = METHODS[name], driven(), 0.8, -0.2

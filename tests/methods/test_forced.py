@@ -132,6 +132,7 @@ def oscillating_slope(y, t):
     return y * (1.0 + 0.5 * np.sin(3.0 * t))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("h", [0.125, -0.125])
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
 def test_accounts_of_driven_systems(method, h):
@@ -212,7 +213,7 @@ def test_the_order_is_two_on_full_systems(name):
         assert abs(fitted_order(run, found.y[:, -1]) - 2.0) < 0.1
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("method", BASES, ids=str)
 def test_every_scheme_takes_the_step_that_is_read_in_python(method):
     for name in ("e(3)", "su(3)"):

@@ -104,6 +104,7 @@ def test_the_processor_matters(name):
     assert np.max(np.abs(end(method, n) - exact)) < 1e-3 * np.max(np.abs(end(kernel, n) - exact))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("compensated", [False, True])
 @pytest.mark.parametrize("name", ["blanes_casas_murua6", "blanes_moan6", "sofroniou_spaletta10"])
 def test_same_bits_however_it_is_run(name, compensated):
@@ -123,6 +124,7 @@ def test_same_bits_however_it_is_run(name, compensated):
     assert np.array_equal(co.stepper(TOP, method, 0.25)(X0), every.x[1])
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["blanes_casas_murua6", "blanes_moan4", "blanes_moan6", "sofroniou_spaletta6"])
 def test_time_dependent_pieces(name):
     """Each flow at its own moment, in the processor too: the slope against DOP853 at rtol 1e-13."""
@@ -196,6 +198,7 @@ COMPENSATED = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", COMPENSATED)
 def test_compensated_casimirs_follow_brouwers_law(name):
     """16 states, 100 000 steps: Casimirs wander with the root of the number of flows, without a common sign.

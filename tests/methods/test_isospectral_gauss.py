@@ -43,6 +43,7 @@ def turning(system: co.MatrixSystem, W: np.ndarray, share: float) -> float:
     return float(share * np.pi / np.abs(np.linalg.eigvals(system.stream(W))).max())
 
 
+@pytest.mark.thinned(15)
 @pytest.mark.parametrize("stages", [1, 2, 3])
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("direction", [1, -1])

@@ -69,6 +69,7 @@ def test_the_top_of_hirota_and_kimura_has_its_integral():
     assert np.ptp(integral) < 1000 * 64 * UNIT_ROUNDOFF
 
 
+@pytest.mark.long
 def test_a_linear_structure_that_is_a_function_moves_the_same():
     """Without a derivative; and J with constants in it, beside the extended Lie-Poisson system."""
     e3, H = co.algebras.e(3), co.Quadratic(full(6, 3), linear=[0.1] * 6)

@@ -28,6 +28,7 @@ def test_lines_hold_every_mode_once(N):
         assert (k[0] * other[1] - k[1] * other[0]) % N == 1
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("N", [3, 5, 7])
 def test_order_against_forty_digits(N, order):
@@ -45,6 +46,7 @@ def test_order_against_forty_digits(N, order):
         assert np.abs(last(system, start, (0.0, 1.0), steps, co.LineSplitting(order)) - end).max() < 1e-12
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("N", [5, 7, 19, 37, 61])
 def test_the_kernels_do_the_plain_reading(N):
     """Every way of a transform: fewer lanes than eight, eight side by side, columns around the end, convolutions."""
@@ -94,6 +96,7 @@ def defect(method, system, W, h):
     return found, 64 * UNIT_ROUNDOFF * operations * np.linalg.norm(D, 2) ** 2 * np.abs(J).max()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("N", [5, 7])
 def test_poisson(N, order):

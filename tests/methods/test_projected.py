@@ -69,7 +69,7 @@ def start_of(system):
     return np.linspace(0.7, -0.5, system.dim)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(32)
 @pytest.mark.parametrize("base", BASES, ids=str)
 @pytest.mark.parametrize("system", [E3, SU3, SPIRAL], ids=["e(3)", "su(3), cubic Casimir", "A3,7"])
 @pytest.mark.parametrize("h", [0.05, -0.05])
@@ -77,6 +77,7 @@ def test_a_step_is_the_nearest_point_along_gradients(base, system, h):
     check_nearest_point(base, system, h)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("base", ["runge2", "rk4"])
 @pytest.mark.parametrize("name", LARGE)
 @pytest.mark.parametrize("h", [0.05, -0.05])
@@ -143,6 +144,7 @@ def test_values_are_those_of_the_start_of_the_run():
         assert drift < bound < alone.drift()[name] / 10
 
 
+@pytest.mark.long
 def test_an_energy_alone_where_there_is_no_algebra():
     def J(x):
         return (1 + x[1] ** 2) * np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -179,6 +181,7 @@ def test_what_the_base_refuses_and_raises_comes_out():
             co.integrate(scaling, (0.5, 0.5), (0, h), 2.0, co.Projected(co.Kahan()))
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the steps of")
 def test_what_a_base_in_python_raises_comes_out_and_leaves_nothing():
     @dataclasses.dataclass(frozen=True)

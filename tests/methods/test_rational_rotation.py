@@ -85,7 +85,7 @@ def one(dim):
     return np.eye(dim)
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(14)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_poisson_in_40_digits(name, method):
@@ -104,7 +104,7 @@ def test_poisson_in_40_digits(name, method):
         assert np.max(np.abs(exact.steps(x0, mpmath.mpf(h), 1) - x)) > 1e-8  # it is another map
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(14)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_compiled_and_plain_reading_agree(name, method):
@@ -125,6 +125,7 @@ def test_compiled_and_plain_reading_agree(name, method):
     assert np.max(np.abs(defect)) <= 64 * U * run.stats.evaluations * np.linalg.norm(P) ** 2 * np.linalg.norm(x0)
 
 
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", ["order 2", "order 4", "first-order steps", "processed"])
 def test_order(name, method):

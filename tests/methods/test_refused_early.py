@@ -47,7 +47,7 @@ def _refusal(call):
     return None
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_declarations_refuse_what_a_run_refuses(name):
     system = SYSTEMS[name]

@@ -74,7 +74,7 @@ def test_steps_can_be_taken_back(name, direction):
     assert np.ptp(np.abs(lengths)) > 0.01 * np.abs(lengths).max()
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("end", [3.0, -3.0])
 def test_the_compiled_steps_are_those_of_the_reading(name, end):

@@ -71,6 +71,7 @@ def squares(system, x):
     return (x[..., spins_of(system)] ** 2).sum(axis=-1)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 def test_the_equation_of_the_paper(name, h):
@@ -155,6 +156,7 @@ def drawn_pieces(rng):
     return [terms[k] for k in rng.permutation(len(terms))]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("seed", range(9))
 def test_the_energy_is_declared_alike_however_it_is_divided(seed):
     """As one quadratic form, and as pieces in any order, the declaration is what a run keeps."""

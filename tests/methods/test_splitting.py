@@ -74,6 +74,7 @@ def reference(s, x0, t, t0=0.0):
     return solution.y[:, -1]
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_orders_against_an_independent_integrator(name, sign):

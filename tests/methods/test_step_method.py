@@ -51,7 +51,7 @@ def schemes_for(name):
 CASES = [(name, scheme) for name in SYSTEMS for scheme in schemes_for(name)]
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize(("name", "scheme"), CASES, ids=str)
 @pytest.mark.parametrize("h", [0.05, -0.05])
 def test_the_compiled_step_is_the_step(name, scheme, h):
@@ -69,6 +69,7 @@ def test_the_compiled_step_is_the_step(name, scheme, h):
     assert (sol.x[1] - x0) @ moved * h > 0
 
 
+@pytest.mark.long
 def test_all_that_a_compiled_step_may_ask():
     polynomial = co.Polynomial({(2, 0, 0): 0.5, (0, 2, 1): 0.3, (1, 1, 1): -0.2, (0, 0, 0): 7.0})
     systems = [
@@ -366,6 +367,7 @@ def test_what_a_step_in_python_raises_comes_out_of_the_run(members):
     assert co.integrate(SYSTEMS["so(3)"], x0, (0, 0.5), 0.1, Failing()).x.shape[0] == 6
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the steps of")
 def test_a_step_that_is_no_state_is_refused_by_name():
     @dataclasses.dataclass(frozen=True)

@@ -66,7 +66,7 @@ def one_step(system, method, x, h):
     return co.integrate(system, x, (0.0, h), abs(h), method, watch=False).x[-1]
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(15)
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("name", list(systems()))
 def test_compiled_step_is_the_plain_reading(name, projected):
@@ -80,6 +80,7 @@ def test_compiled_step_is_the_plain_reading(name, projected):
         assert np.max(np.abs(found - x)) > 1e-4
 
 
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("order", [12, 16, 23, 24, 25, 26, 33, 64])
 @pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "8 spins", "13 spins", "so(3), cubic"])
 def test_high_orders_are_exact(name, order):
@@ -124,6 +125,7 @@ def test_the_absolute_motion_of_a_rigid_body():
     assert np.max(np.abs(sol.x[-1] - body.exact(x0, 200.0))) < 1e-11
 
 
+@pytest.mark.long
 def test_series_in_fifty_digits():
     """The error of order p in a step of h is C h^(p+1): halving the step divides it by 2^(p+1)."""
     system = systems()["heavy top"]
@@ -157,6 +159,7 @@ def test_tangent_is_the_derivative_of_the_step(name, projected):
     assert np.max(np.abs(P - np.eye(n))) > 1e-2
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", list(systems()))
 def test_invariants_stay_for_ever(name):
     """Not a random walk: after every step they are what they were at the start, up to rounding."""

@@ -49,7 +49,7 @@ def followed(*given, **options):
         return error.partial
 
 
-@pytest.mark.thinned(11)
+@pytest.mark.thinned(44)
 @pytest.mark.parametrize("name", ALGEBRAS)
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 @pytest.mark.parametrize("projected", [True, False])

@@ -106,6 +106,7 @@ def test_compiled_steps_are_the_plain_reading(name, t):
             assert np.max(np.abs(found.x[-1] - read)) < bound
 
 
+@pytest.mark.long
 def test_the_plain_reading_in_fifty_digits():
     body = co.systems.rigid_body(inertia=(1, 2, 2.5))
     with mpmath.workdps(50):
@@ -328,6 +329,7 @@ def test_logarithms_and_powers_of_no_library():
     assert near_log2(0.0) == -1022.0
 
 
+@pytest.mark.long
 def test_what_is_declared():
     method, body = co.Taylor(tolerance=1e-9), co.systems.rigid_body(inertia=(1, 2, 2.5))
     assert method.own_steps and not co.Taylor(9).own_steps and not co.Splitting().own_steps

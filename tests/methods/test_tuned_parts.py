@@ -43,6 +43,7 @@ def systems():
 NAMES = list(systems())
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_brackets_with_weights_are_the_second_order_term(name):
     system = systems()[name]
@@ -57,6 +58,7 @@ def test_brackets_with_weights_are_the_second_order_term(name):
         assert np.all(np.abs(found - term) <= 1e-13 * size)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_gradients_are_those_of_the_values(name):
     """Against a complex step's worth of accuracy: differences at two sizes of the step agree to their square."""
@@ -167,6 +169,7 @@ def test_several_states_have_the_parts_with_the_least_error_of_all_of_them(monke
         assert co.Splitting.tuned(system, given, order=order) == every[best]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["body, full", "A3,7"])
 @pytest.mark.parametrize("limit", ["MAX_ORBIT_DIMENSION", "MAX_ORDERED"])
 def test_several_states_of_systems_that_are_not_searched(monkeypatch, limit, name):

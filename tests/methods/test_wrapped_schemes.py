@@ -248,6 +248,7 @@ def forced_properties(base: Method) -> int:
     return max(seen, int(not any(served(base, case.system) for case in cases().values())))
 
 
+@pytest.mark.thinned(24)
 @each_pair
 def test_what_depends_on_a_system_follows_from_the_base(wrapper, name):
     base = bases()[name]

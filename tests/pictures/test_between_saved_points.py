@@ -155,6 +155,7 @@ def test_a_notebook_shows_the_figure_by_itself():
     assert isinstance(figure, Figure) and figure._repr_png_().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_no_legend_reaches_out_of_the_figure():
     lattice = co.systems.spin_lattice("chain", 101)
     x0 = np.random.default_rng(1).normal(size=303)

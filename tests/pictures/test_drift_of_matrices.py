@@ -61,7 +61,7 @@ def drawn_run(system: Any, sense: float, forced: bool) -> Any:
     return drawn_runs.made(t, x, system, energy=energy, casimirs=series, work=work)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("forced", [False, True])
 @pytest.mark.parametrize("name", SYSTEMS)

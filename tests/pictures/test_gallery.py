@@ -44,7 +44,7 @@ def test_every_ready_made_system_says_what_is_seen_first():
 SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cosh", "sklyanin", "spin_lattice"}
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("name", long_where(SLOW, co.systems.names()))
 def test_the_telling_run_is_true_and_can_be_shown(name):
     run, told = run_example(name), gallery_entry_of(name)
@@ -124,6 +124,7 @@ def test_systems_of_another_dimension_fall_back():
     assert [axes.name for axes in flat.axes] == ["rectilinear", "rectilinear", "3d"]
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(
     "system",
     [

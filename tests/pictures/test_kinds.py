@@ -68,6 +68,7 @@ def test_a_lattice_is_drawn_as_it_is_where_its_parameters_are_not_kept(field, mo
     assert "circle" not in axes.get_title()
 
 
+@pytest.mark.long
 def test_spins_without_a_lattice_say_that_it_is_not_known():
     spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 4), co.Quadratic(np.arange(1.0, 13.0)))
     run = co.integrate(spins, np.tile([0.6, 0.0, 0.8], 4), (0.0, 0.5), 0.1)

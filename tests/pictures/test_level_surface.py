@@ -41,6 +41,7 @@ def test_plane_is_exact() -> None:
     assert _area(triangles) == pytest.approx(2.5**2, rel=1e-13)
 
 
+@pytest.mark.long
 def test_multivalued_casimir_is_followed_across_its_cut() -> None:
     a = 0.2
     casimir = co.algebras.A3_7(a).casimirs_known["log C"]

@@ -51,6 +51,7 @@ def data(line: Any) -> np.ndarray:
 # Axes and labels of the time between changes of sign
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("sense", SENSES)
 @pytest.mark.parametrize(
     ("side", "first", "last", "span"), [("center", 0.0, 5.0, 5.0), ("left", 0.0, 4.0, 12.0), ("right", 8.0, 12.0, 12.0)]
@@ -104,6 +105,7 @@ def test_changes_of_sign_are_those_of_the_member_that_is_chosen():
 # Components, portraits, directions
 
 
+@pytest.mark.long
 def test_components_functions_and_titles():
     x = np.random.default_rng(1).normal(size=(40, 2, 3))
     run = made(x)
@@ -522,6 +524,7 @@ def test_the_fastest_attitude_of_a_batch_decides(sense):
 # Figures
 
 
+@pytest.mark.long
 def test_a_kind_by_name_is_the_picture_that_the_system_declares():
     run = co.integrate(BODY, (0.1, 1.0, 0.2), (T0, T0 + 2.0), 0.1, attitude=True)
     assert run.plot("body axis").axes[0].get_title() == "body axis 2 in space"

@@ -272,6 +272,7 @@ def test_a_dense_series_is_filled_from_its_smallest_to_its_largest_values(sense)
     assert (corners[:, 1].min(), corners[:, 1].max()) == (run.x[:, 0].min(), run.x[:, 0].max())
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", sorted(PROJECTIONS))
 @pytest.mark.parametrize("seed", range(4))
 def test_no_line_of_a_map_crosses_its_edge(name, seed):
@@ -352,6 +353,7 @@ def test_the_sphere_is_drawn_with_its_north_above(projection):
     assert slope < 0.2 * np.nanmax(np.abs(shown)), "a turned picture would differ by more"
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("sense", SENSES)
 @pytest.mark.parametrize("surface", ["sphere", "torus"])
 def test_spectra_and_shares_are_those_of_their_times(surface, sense):
@@ -454,6 +456,7 @@ def moving(name: str) -> tuple[co.Solution, Picture, Any]:
 MOVING = ("field", "sphere field", "spins", "vorticity")
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", MOVING)
 def test_every_frame_shows_its_own_time(name):
     run, picture, values = moving(name)

@@ -64,6 +64,7 @@ def test_the_envelope_holds_every_value_and_gaps():
     assert turning_points(np.ones(5)) == 0
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("every", "joined"), [(1, True), (4, True), (60, False)])
 @pytest.mark.parametrize("span", [(0.0, 60.0), (60.0, 0.0)])
 def test_lines_where_the_motion_between_points_is_flat(every, joined, span, monkeypatch):

@@ -147,6 +147,7 @@ def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
         assert (corners[:, 1].min(), corners[:, 1].max()) == (run.x[:, i].min(), run.x[:, i].max())
 
 
+@pytest.mark.long
 def test_nothing_global_changes(body_run: co.Solution, tmp_path) -> None:
     before = dict(matplotlib.rcParams)
     body_run.plot().savefig(tmp_path / "run.png")
@@ -161,6 +162,7 @@ def test_names() -> None:
     assert surface_casimir({}) is None
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("count", "members"), [(1, None), (3, None), (3, [2, 0]), (20, None), (21, None), (21, [20])])
 def test_the_headline_has_the_numbers_of_members(count: int, members: Any) -> None:
     body = co.systems.rigid_body(inertia=(1, 2, 3))

@@ -195,6 +195,7 @@ def error_of(read, D, x, theta):
         return float(max(abs(mpmath.mpf(float(a)) - b) for a, b in zip(y[:n], exact, strict=True)))
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("theta", ANGLES)
 @pytest.mark.parametrize("name", MATRICES)
 def test_exponential_of_a_matrix(name, theta):
@@ -265,6 +266,7 @@ def cubic_bound(D, theta):
     return U * (16 + (2 + abs(theta) * root) * kappa) * (1.0 + grown * terms)
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("theta", ANGLES)
 @pytest.mark.parametrize("base", ["so(3)", "sl(2)"])
 def test_exponential_of_cubic_blocks_in_random_bases(base, theta):

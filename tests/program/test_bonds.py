@@ -55,6 +55,7 @@ SYSTEMS = list(systems())
 COUNTS = [None, None, 1, 1, 3, 1]
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("system", "count"), list(zip(SYSTEMS, COUNTS, strict=True)))
 def test_the_parts_add_up_to_the_energy_and_converge_to_its_motion(system, count):
     rng = np.random.default_rng(4)
@@ -121,6 +122,7 @@ def signed_permutations():
             yield np.diag(signs)[list(order)]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, 2.0), (2.0, 2.0), (-1.0, 1.0), (-0.5, -0.5)])
 def test_a_bond_is_a_multiple_of_the_identity_between_momenta_of_one_scale(factors):
     """Of all couplings by signed permutations of the axes, in bases e -> f e of the factors f of the two spins."""

@@ -53,6 +53,7 @@ def chain(count):
 NAMES = list(systems())
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_parts_add_up_to_the_shifted_hamiltonian(name):
     system = systems()[name]
@@ -66,6 +67,7 @@ def test_parts_add_up_to_the_shifted_hamiltonian(name):
     assert np.abs(gradient - expected).max() <= 16 * system.dim * U * max(1.0, np.abs(x).max()) * 8
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_momentum_moves_as_without_a_shift(name):
     system = systems()[name]
@@ -114,6 +116,7 @@ def test_second_order_term_of_the_rigid_body():
     np.testing.assert_allclose(found, expected, rtol=0, atol=200 * U * np.abs(x).max() ** 4)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_energy_error_is_the_second_order_term(name):
     """H + h^2 H2 is kept to O(h^4): halving h divides its largest change by 16, that of H by 4."""

@@ -88,6 +88,7 @@ def commuting_groups(rng, algebra):
     return [sorted(own) for own in groups]
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", ALGEBRAS)
 @pytest.mark.parametrize("seed", range(3))
 def test_blocks_and_work_of_each_part(name, seed):

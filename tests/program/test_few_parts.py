@@ -74,6 +74,7 @@ COVERS = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", COVERS)
 def test_as_few_parts_as_commuting_sets_that_cover_the_coordinates(name):
     count, parameters = COVERS[name]

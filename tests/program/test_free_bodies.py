@@ -63,7 +63,7 @@ def systems():
 SYSTEMS = list(systems())
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("system", SYSTEMS, ids=lambda system: system.name)
 def test_the_parts_add_up_to_the_energy_and_converge_to_its_motion(system):
     rng = np.random.default_rng(4)
@@ -183,6 +183,7 @@ def test_the_modified_hamiltonian_is_the_bracket_of_body_and_gravity():
     assert drifts[1] < drifts[0] / 100 and drifts[2] < drifts[1] / 30
 
 
+@pytest.mark.long
 def test_a_step_as_a_power_series_is_that_of_the_modified_field():
     top = co.systems.heavy_top((1.0, 2.0, 2.5), (0.0, 0.5, 1.0))
     x = np.array([0.5, 0.3, -0.2, 0.6, 0.0, 0.8])

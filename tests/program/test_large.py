@@ -79,7 +79,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("choice", ["auto", "coordinates"])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_action_is_that_of_a_plain_construction(name, choice):
@@ -89,6 +89,7 @@ def test_the_action_is_that_of_a_plain_construction(name, choice):
         assert getattr(program.state, column).tolist() == expected, column
 
 
+@pytest.mark.long
 def test_first_fit_is_greedy_whatever_the_number_of_groups():
     random = np.random.default_rng(7)
     for count, pairs in ((30, 40), (90, 3000), (150, 10_500)):

@@ -95,6 +95,7 @@ def perturbed(read, x, direction, scale, h):
     return (right - left) / (2 * scale)
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_poisson_condition_with_the_exact_tangent(name, order):

@@ -146,7 +146,7 @@ def test_the_forms_of_a_part_commute(name, choice):
             assert all(bracket_is_zero(algebra, f, g) for g in part.forms[:a])
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("choice", ["auto", "coordinates"])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_pieces_add_up_to_the_hamiltonian(name, choice):

@@ -101,7 +101,7 @@ def check_step(system, choice, x, h):
     assert np.abs(co.stepper(system, method, h)(x) - wanted).max() <= tolerance
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(15)
 @pytest.mark.parametrize(
     ("seed", "choice"), [(0, "coordinates"), (1, "coordinates"), (2, "coordinates"), (3, "auto"), (4, "auto")]
 )

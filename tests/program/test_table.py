@@ -81,6 +81,7 @@ def test_only_timed_parts_are_kept_apart():
     assert len(finish) == 1 and [row[0] for row in step] == [0, 1, 2, 1]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("timed", [(3,), (4,), (5,), (3, 5), (0, 4)])
 def test_a_part_is_timed_if_any_of_its_functions_is(timed):
     """The functions of p1, p2, p3 are one part, wherever the one of time stands among them."""
@@ -115,6 +116,7 @@ def test_one_part_is_one_row():
         assert abs(step[0][1] - 1.0) <= 8 * 2.0**-53
 
 
+@pytest.mark.long
 def test_step_after_step_is_the_same_as_single_steps():
     """The merged table against one step at a time, each begun and finished: rounding of 50 steps of 5 flows."""
     for s in (top(), driven()):

@@ -66,7 +66,7 @@ def shifted(monomials, y):
     return {e: float(c) for e, c in total.monomials.items() if sum(e)}
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("hessian", [True, False])
 @pytest.mark.parametrize("size", [0.3, 1.0, 20.0])
 @pytest.mark.parametrize(("m", "highest"), [(1, 1), (1, 2), (1, 5), (2, 2), (2, 4), (3, 2)])

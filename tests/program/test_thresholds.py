@@ -244,6 +244,7 @@ def test_a_small_square_that_a_shift_leaves_acts(power):
     assert np.abs(A - expected).max() <= 8 * U * h
 
 
+@pytest.mark.long
 def test_squares_that_a_shift_leaves_by_rounding_are_no_parts():
     rng = np.random.default_rng(7)
     for _ in range(60):

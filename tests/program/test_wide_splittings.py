@@ -30,6 +30,7 @@ def symmetric(rng, n, density):
     return M + M.T + np.diag(rng.normal(size=n))
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", ALGEBRAS)
 @pytest.mark.parametrize("density", [0.05, 0.3, 1.0])
 def test_clashes_are_those_of_all_products(name, density, monkeypatch):
@@ -148,6 +149,7 @@ def test_lattices_are_not_too_wide():
         check_products(np.full(270, 60_000), "H")
 
 
+@pytest.mark.long
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
     from coadjoint.program.modified_energy import modified_series, sweep_logarithm
@@ -202,6 +204,7 @@ def test_terms_that_would_take_days_are_refused_at_once():
     assert list(co.modified_hamiltonian(system, co.Splitting(order=2), order=2).terms) == [0]
 
 
+@pytest.mark.long
 def test_the_action_of_a_large_splitting_is_made_once(monkeypatch):
     """For all schemes and steps of a system, and for no other one."""
     made = []

@@ -312,6 +312,7 @@ def case(monkeypatch, tmp_path):
     return found
 
 
+@pytest.mark.thinned(26)
 @pytest.mark.parametrize(("name", "given", "way"), CALLS)
 def test_arguments_have_their_effects_in_pairs(case, capsys, name, given, way):
     """Effects are detected of the given arguments, and of no others."""

@@ -106,7 +106,7 @@ def test_random_events_match_the_closed_form(method):
     assert pairs_at_the_end > DRAWS // 8
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("steps", [1, 2, 9])

@@ -43,6 +43,7 @@ def test_random_ends_equal_those_of_runs():
     assert ended > 100
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.Taylor(6), Interpreted()], ids=str)
 def test_calls_are_independent(method, monkeypatch):
     """Compensation, stage guesses and initial invariants are those of the call."""

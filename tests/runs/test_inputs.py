@@ -77,7 +77,7 @@ PAIRS = [
 ]
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize(("scheme", "name"), PAIRS)
 def test_run_with_inputs_equals_run_of_a_new_system(scheme, name):
     method = schemes()[scheme]
@@ -144,6 +144,7 @@ def kinds():
     yield co.Separable({0: well, 2: well}), co.SplitHamiltonian([first, third, *fields])
 
 
+@pytest.mark.long
 def test_hamiltonians_of_all_kinds_with_linear_terms():
     x, new = np.array([0.4, -0.3, 0.5]), np.array([0.6, -0.7])
     for H, changed in kinds():

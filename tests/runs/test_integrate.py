@@ -50,6 +50,7 @@ def e3_and_start():
 # Bits
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_saving_and_watching_do_not_change_bits(name, scheme):
@@ -64,6 +65,7 @@ def test_saving_and_watching_do_not_change_bits(name, scheme):
     assert np.array_equal(co.integrate(s, start_of(s), (0, 1.25), 0.0625, method).x, every.x)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_members_and_threads_do_not_change_bits(name, scheme):
@@ -80,6 +82,7 @@ def test_members_and_threads_do_not_change_bits(name, scheme):
             assert drift == one.drift()[key].members[member]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_pauses_do_not_change_bits(name, scheme, monkeypatch, capfd):

@@ -74,6 +74,7 @@ def test_events_end_members_at_their_own_times(way):
             assert whole.drift()["energy"].members[m] == alone.drift()["energy"]
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("m", [1, 4, 6])
 def test_failed_crossing_does_not_affect_other_members(monkeypatch, m, way):
@@ -117,6 +118,7 @@ def test_interrupt_returns_finished_members(monkeypatch, done):
             assert np.isnan(found.x[:, m]).all() and np.isnan(found.energy[:, m]).all()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("resumed", [False, True])

@@ -39,6 +39,7 @@ def run(method, members, times, watching, state=None, attitude=True):
     return found
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("watching", [True, False])
 @pytest.mark.parametrize("members", [1, 35])
 @pytest.mark.parametrize("method", METHODS, ids=str)
@@ -61,6 +62,7 @@ def test_marked_steps_have_the_bits_of_all_steps(method, members, watching):
             assert some.state[name].tobytes() == every.state[name].tobytes(), name
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_run_resumes_between_marked_steps(method):
     times = Times(0.5, STEP, STEPS, 1).with_saved_steps(MARKS["some"])

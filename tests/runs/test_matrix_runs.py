@@ -244,6 +244,7 @@ CALLABLES = {
 }
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("name", CALLABLES)
 @pytest.mark.parametrize("kind", ["gl", "so", "u"])
 def test_callable_objects_as_streams(name, kind):

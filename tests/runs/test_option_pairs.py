@@ -73,6 +73,7 @@ def test_choices_refuse_schemes_without_the_attitude():
 OPTIONS = {"order": 1, "compensated": True, "rotation": "rational", "scheme": "strang", "adjoint": True}
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("pair", pairs(OPTIONS), ids=lambda pair: " and ".join(sorted(pair)))
 def test_options_of_tuned_splittings(pair):
     """Options that exclude each other are named."""
@@ -106,6 +107,7 @@ def driven():
 STEPPED = {"g": True, "t": 2.5, "attitude": "coadjoint", "inputs": np.array([0.4, -0.3, 0.6, 0.2, 0.1, -0.5])}
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("pair", pairs(STEPPED), ids=lambda pair: " and ".join(sorted(pair)))
 def test_options_of_steppers(pair):
     """The motion is x' = J(x) (grad H + inputs) from the given time, with constant spatial momentum."""
@@ -159,6 +161,7 @@ def crossings(name):
     return [solve_ivp(lambda t, x: world.system.vector_field(x), SPAN, x0, **given).t_events[0] for x0 in world.x0]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("pair", pairs(CROSSED), ids=lambda pair: " and ".join(sorted(pair)))
 def test_options_of_sections(threads, capsys, pair):
     assert optional(co.section, "system", "x0s", "event", "t_span", "step") == set(CROSSED)
@@ -189,6 +192,7 @@ EXPONENTS = {
 }
 
 
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("pair", pairs(EXPONENTS), ids=lambda pair: " and ".join(sorted(pair)))
 def test_options_of_lyapunov_exponents(monkeypatch, threads, pair):
     """Against products of tangent maps, from the end of the transient on."""

@@ -39,7 +39,7 @@ def pickled(value):
     return cloudpickle.loads(cloudpickle.dumps(value))
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     ("name", "span"),
     [(name, (0.0, 2.0)) for name in CASES] + [(name, (1.0, -1.0)) for name in CASES if "noise" not in name],
@@ -113,6 +113,7 @@ print(len(cases))
 """
 
 
+@pytest.mark.long
 def test_all_pickles_have_the_same_bits_elsewhere(tmp_path):
     cases = {}
     for name, (system, method, attitude, x0) in PICKLED.items():

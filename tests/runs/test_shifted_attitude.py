@@ -119,7 +119,7 @@ def initial_elements(system, attitude, members=None):
     return np.asfortranarray(g), g
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("kind", ["representation", "coadjoint"])
 @pytest.mark.parametrize("span", [(0.0, 0.5), (0.5, 0.0), (1e6, 1e6 + 0.5)], ids=str)
 @pytest.mark.parametrize("name", list(SHIFTED))
@@ -267,6 +267,7 @@ EVENT_STEP = 1 / 32
 EVENT_ERROR = EVENT_STEP**4
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("t0", [0.0, 3.0, -40.0])
 @pytest.mark.parametrize("name", list(SHIFTED))

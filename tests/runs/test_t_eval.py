@@ -396,6 +396,7 @@ def test_accuracy_holds_between_steps():
 class TestAt:
     """`Solution.at`."""
 
+    @pytest.mark.thinned(3)
     @pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0)])
     @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
     def test_at_equals_t_eval(self, span, method):

@@ -66,7 +66,7 @@ PAIRS = [
 ]
 
 
-@pytest.mark.thinned(11)
+@pytest.mark.thinned(33)
 @pytest.mark.parametrize(("scheme", "name"), PAIRS)
 def test_run_with_torques_equals_run_of_a_new_system(scheme, name):
     method = schemes()[scheme]

@@ -74,6 +74,7 @@ def test_slope_group_and_invariants(name, seed):
         np.testing.assert_allclose(values, values[3], rtol=0, atol=1e-12 * (1 + size) ** 4)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_shapes_of_times_and_kinds_of_input(name):
     system, element = SYSTEMS[name]

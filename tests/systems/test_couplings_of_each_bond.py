@@ -63,6 +63,7 @@ def assert_by_hand(system, seed, edges, J, T, D, K, B):
     assert abs(system.energy(x) - energy) <= system.dim * tolerance
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("lattice", LATTICES)
 @pytest.mark.parametrize("seed", range(4))
 def test_entries_that_the_first_bond_lacks(lattice, seed):
@@ -107,6 +108,7 @@ def test_kitaev_honeycomb(strengths):
     assert system.integrals == {} and system.closed_form is None
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("lattice", LATTICES)
 @pytest.mark.parametrize("kind", ["none", "J", "T", "D", "K", "B"])
 @pytest.mark.parametrize("place", ["first", "last"])

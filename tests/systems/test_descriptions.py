@@ -25,6 +25,7 @@ def value_of(formula, names, x):
     return eval(code, {"__builtins__": {}}, {"x": x})
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_formulas_are_those_of_the_system(name):
     system, found = co.systems.get(name), description(name)

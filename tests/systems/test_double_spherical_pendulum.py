@@ -83,6 +83,7 @@ def test_velocities_accelerations_and_energy(seed):
     assert difference < 1e-7 * np.abs(system.jacobian(scaled)).max()
 
 
+@pytest.mark.long
 def test_against_newtons_equations():
     u1, u2 = np.array([0.6, 0.0, -0.8]), np.array([0.0, -1.0, 0.0])
     v1, v2 = np.cross([0.1, 0.5, 0.3], u1), np.cross([-0.4, 0.2, 0.3], u2)

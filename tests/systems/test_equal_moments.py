@@ -42,6 +42,7 @@ def along_an_axis(integrals, moments, vector, dim):
     return bool(names)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("moments", PATTERNS)
 def test_heavy_tops(moments):
     for lever in VECTORS:
@@ -52,6 +53,7 @@ def test_heavy_tops(moments):
         assert ("K" in integrals) == kovalevskaya, lever
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("moments", PATTERNS)
 def test_gyrostats(moments):
     x0, h = np.array([0.6, -0.3, 0.9]), 2.0**-17

@@ -17,6 +17,7 @@ def example(name):
     return co.systems.get(name, **gallery_entry.parameters), gallery_entry
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", co.systems.names())
 def test_starts_and_names_fit_the_system(name):
     system, gallery_entry = example(name)

@@ -82,7 +82,7 @@ DEGENERATE = {
 }
 
 
-@pytest.mark.thinned(19)
+@pytest.mark.thinned(57)
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3))), ids=str)
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_degenerate_cases_and_permuted_axes(name, order):

@@ -32,6 +32,7 @@ def test_without_rotors_it_is_the_rigid_body():
     )
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     ("inertia", "rotors"), [((2, 2, 3), (0, 0, 0.7)), ((2, 2, 2), (0.3, -0.4, 0.8)), ((2, 2, 1), (0, 0, 0))]

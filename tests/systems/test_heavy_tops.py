@@ -55,6 +55,7 @@ def test_a_top_that_swings_in_a_plane_is_a_pendulum():
     assert_order(top, state(0.0, 2 * rate * k), state(theta, speed), t, 0.05)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("up", [1.0, -1.0])
 def test_steady_precession_of_lagranges_top(order, up):

@@ -165,7 +165,7 @@ def by_differences(system, x):
     return field
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.filterwarnings("ignore:.*no body has")
 @pytest.mark.parametrize("name", [n for n in NAMES if isinstance(co.systems.get(n), co.LiePoissonSystem)])
 def test_couplings_of_either_sign_move_as_their_energy_says(name):
@@ -216,7 +216,7 @@ def edges_of(lattice, shape):
     return down + [(i * m + j, i * m + j + 1) for i in range(n) for j in range(m - 1)]
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(
     ("lattice", "sites"),
     [("chain", 2), ("chain", 8), ("chain", 9), ("chain", 65), ("ring", 3), ("ring", 64), ("ring", 129), ("square", 33)],
@@ -256,7 +256,7 @@ def test_lattices_of_every_size_with_couplings_of_either_sign(lattice, sites):
     assert max(np.abs(end - ends[-1]).max() for end in ends) <= 1e-11
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("sites", [3, 8, 9, 63, 64, 65, 129])
 def test_rings_of_every_size(sites):
     """b_k' and a_k' of a Toda ring by Flaschka's formulas, and its invariants along a run."""
@@ -279,7 +279,7 @@ def test_rings_of_every_size(sites):
     assert np.abs(np.linalg.eigvalsh(L) - np.linalg.eigvalsh(start)).max() <= sites * 2.0**-48
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("N", [2, 3, 15, 16, 17, 31, 32, 33, 63, 64, 65, 129])
 def test_matrices_of_every_size(N):
     """Across the blocks in which products of matrices are computed: a compiled step, and the same one in NumPy."""

@@ -31,7 +31,7 @@ def test_against_24_digits(case):
         assert np.abs(A - floats(case["A"])).max() <= 2.0**6 * U
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("case", [c for c in CASES if np.ndim(c["m"]) == 1], ids=lambda c: f"{c['name']} t={c['t']}")
 def test_every_order_and_sign_of_the_axes(case):
     """y = P x has y' = det(P) y cross (m' y): the same motion, or the one backwards in time."""

@@ -49,6 +49,7 @@ def assert_plain(value):
         assert value is None or type(value) in (int, float, bool, str), repr(value)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", systems.names())
 def test_parameters_are_plain_numbers_whatever_holds_them(name):
     """So they can be written to a file, and an array that changes later does not change them."""

@@ -105,7 +105,7 @@ def bound(H):
     return co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
 def test_every_kind_and_every_other(first, second):
@@ -234,6 +234,7 @@ def test_ready_made_systems_give_their_hamiltonians():
         assert np.isclose(twice.energy(x), 2 * system.energy(x) + 1.0, rtol=1e-14)
 
 
+@pytest.mark.long
 def test_driven_ones():
     from coadjoint.systems.hamiltonians.driven import Driven
 

@@ -181,6 +181,7 @@ def test_a_long_ring_follows_the_logarithm_of_the_product():
     assert run.drift()["log of the product of a"] < 1e-14 * np.abs(np.log(x[1000:])).sum()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("n", [5, 64, 65, 80])
 def test_rings_with_a_of_either_sign(n):
     """The product, or from 65 sites on the logarithm of its magnitude: value, derivatives, and along a run."""

@@ -47,6 +47,7 @@ def test_forty_digits(N):
     assert np.abs(found - system.from_modes(last_modes(N))).max() < 1e-14
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("N", [3, 5, 9, 15, 45, 59, 77, 167])
 def test_the_stream_of_the_kernels(N):
     """One step by Fourier transforms of every kind, of small primes, products, and primes by convolutions."""

@@ -12,7 +12,7 @@ from thresholds import (  # noqa: F401
 from thresholds.probing import PROBES
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize("probe", PROBES.values(), ids=lambda probe: probe.name)
 def test_a_decision_on_both_sides_of_its_threshold(probe):
     assert probe.decision(probe.below), f"not so for {probe.below}"

@@ -51,6 +51,7 @@ def splitting_extrapolated(system, x0, times, direction, steps):
 FAMILIES = {"GaussLegendre 6": gauss(6), "GaussLegendre 8": gauss(8), "Splitting 4": splitting_extrapolated}
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -68,7 +68,7 @@ def test_splittings_alone_reach_the_accuracy(name, accuracy):
         assert error <= accuracy and not is_wasteful(error, choice, case.time), f"{error:.1e} by {choice}"
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("accuracy", (1e-3, 1e-6, 1e-9))
 @pytest.mark.parametrize("methods", (None, SPLITTINGS), ids=("any", "splittings"))
 @pytest.mark.parametrize("x0", ((1.0, 0.2, 0.5), (0.05, 1.0, 0.02), (0.3, -0.4, 1.5)))
@@ -213,7 +213,7 @@ def dying_motion(seed, spans):
 SPANS, LONGER = (5, 50, 500), (3, 15, 100, 250, 1000, 3000)
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize(
     ("seed", "spans"),

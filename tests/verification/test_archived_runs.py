@@ -131,7 +131,7 @@ def assert_same(found, whole, same_work=True):
     assert not same_work or (one.evaluations, one.iterations) == (other.evaluations, other.iterations)
 
 
-@pytest.mark.thinned(67)
+@pytest.mark.thinned(134)
 @pytest.mark.parametrize(
     ("method", "name", "cuts", "every", "threads", "members", "direction", "attitude"), list(cases())
 )

@@ -58,6 +58,7 @@ def test_orthogonal_representations_stay_orthogonal(case, scheme):
         assert np.max(np.abs(g.T @ g - np.eye(d))) <= group_bound(run, d)
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("scheme", SPLITTINGS)
 @pytest.mark.parametrize("case", REPRESENTED)
 def test_representation_agrees_with_the_coadjoint_matrix(case, scheme):
@@ -101,6 +102,7 @@ def test_initial_attitude_multiplies_from_the_left(scheme):
     assert np.max(np.abs(from_A0.attitude - A0 @ from_one.attitude)) <= group_bound(from_one, 3.0)
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
 @pytest.mark.parametrize("case", ["so(3), full, axes turned", "so(4), diagonal", "e(3), heavy top", "A3,7, full"])
 def test_first_element_is_the_given_one_bitwise(case, scheme):

@@ -34,6 +34,7 @@ def follows_the_law(walk):
     return walk.growth <= MOST_GROWTH and abs(walk.bias) <= MOST_BIAS
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(["so(4), full"], SYSTEMS))
 def test_casimirs_of_compensated_splitting_follow_the_law(name):
     walks = round_off(ensemble(name, COMPENSATED))

@@ -117,6 +117,7 @@ def test_all_algebras_have_parameters():
     assert set(EXAMPLES) == {name for name in NAMES if parameters_of(name)}
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", NAMES)
 def test_parts_do_not_exceed_the_squares(name):
     system = case_of(name).system
@@ -130,7 +131,7 @@ def test_commuting_forms_share_parts():
     assert len(fewer) > 40, fewer
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("name", NAMES)
 def test_order_of_splittings(name, order):
@@ -138,7 +139,7 @@ def test_order_of_splittings(name, order):
     assert found.agrees_with(order), found
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(20)
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("name", NAMES)
 def test_splittings_are_poisson_maps(name, order):

@@ -42,6 +42,7 @@ def declared_names(method, system):
 KEEPING = [p for p in pairs(all_cases()) if declared_names(schemes()[p[0]], all_cases()[p[1]].system)]
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize(("scheme", "case"), KEEPING)
 def test_declared_invariants_are_preserved(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]

@@ -66,7 +66,7 @@ def same_motion(one, other):
     assert (one.stats.steps, one.stats.evaluations) == (other.stats.steps, other.stats.evaluations)
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(40)
 @pytest.mark.parametrize("name", [*GROWING, *SHIFTED])
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_backward_equals_forward_in_the_mirrored_system(scheme, name):
@@ -183,7 +183,7 @@ DRIVEN = ("so(3)", "A3,5", "A3,7", "sl(2)")
 CLOCKED = [(s, name) for name in DRIVEN for s in SCHEMES if serves(schemes()[s], driven_system(name, "plain"))]
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize(("scheme", "name"), CLOCKED)
 def test_shifted_and_mirrored_clocks(scheme, name):
     """From 7.25 as with a clock 7.25 ahead from 0, and backward as mirrored."""

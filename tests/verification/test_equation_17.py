@@ -45,7 +45,7 @@ def test_splitting_is_refused(scheme):
         co.integrate(without_jacobi().system, without_jacobi().x0, (0, 1), 0.1, schemes()[scheme])
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("scheme", SERVING)
 def test_energy_and_order_of_supporting_schemes(scheme):
     case, method = without_jacobi(), schemes()[scheme]

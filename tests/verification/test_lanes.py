@@ -48,7 +48,7 @@ def serves(method, system, x0):
 PAIRS = [(m, c) for m in METHODS for c in cases() if serves(METHODS[m], *cases()[c][:2])]
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(32)
 @pytest.mark.parametrize(("method", "case"), PAIRS)
 @pytest.mark.parametrize("watch", [True, False])
 def test_member_in_lanes_equals_its_single_run(method, case, watch):

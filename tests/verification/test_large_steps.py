@@ -30,6 +30,7 @@ def test_two_shears_are_elliptic():
     assert np.max(np.abs(np.linalg.eigvals(generator).real)) < 1e-7
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("h", [0.3, 0.9, 1.2, 1.7, 3.1])
 @pytest.mark.parametrize("name", list(systems()))

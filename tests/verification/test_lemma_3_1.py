@@ -16,6 +16,7 @@ CHOICES = [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 2)]
 FREEZES = ("structure", "gradient")
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("freeze", FREEZES)
 @pytest.mark.parametrize(("s", "m"), CHOICES)
 @pytest.mark.parametrize("case", WITNESSES)

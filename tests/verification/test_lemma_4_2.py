@@ -16,7 +16,7 @@ pytestmark = pytest.mark.thinned(3)
 SPLITTINGS = [name for name in schemes() if name.startswith("Splitting") and "free body" not in name]
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("scheme", SPLITTINGS)
 @pytest.mark.parametrize("case", list(cases()))
 def test_every_casimir_is_preserved(case, scheme):

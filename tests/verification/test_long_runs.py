@@ -56,6 +56,7 @@ def test_casimirs_of_compensated_splitting_follow_brouwer(case):
         assert run.drift()[name] <= allowed[name], (name, float(run.drift()[name]), allowed[name])
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("case", LONG)
 def test_plain_splitting_stays_within_the_linear_bound(case):
     system, x0, _ = cases()[case]
@@ -78,6 +79,7 @@ def test_quadratic_invariants_of_gauss_follow_brouwer(case, stages):
         assert run.drift()[name] <= walk(run, size, 16 * system.dim * stages), name
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(3), full, axes turned"])
 def test_rotations_follow_brouwer(case, method):

@@ -45,7 +45,7 @@ def test_time_dependent_observables_of_members(members, span):
     np.testing.assert_allclose(whole.observed["clock"], whole.x[..., 0] + 10.0 * whole.t[:, None], rtol=0, atol=1e-13)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["so(3)", "so(4)", "e(3)"])
 @pytest.mark.parametrize("members", [2, 5, 9])
 def test_variable_steps_in_pieces(tmp_path, name, members):
@@ -85,7 +85,7 @@ class Euler(co.methods.StepMethod):
         return x + h * system.vector_field(x, t)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("members", [1, 3, 9])
 @pytest.mark.parametrize(
     ("method", "step"), [(Euler(), 0.25), (co.Taylor(order=2), 0.5), (co.GaussLegendre(1), 0.5)], ids=str

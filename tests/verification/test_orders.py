@@ -52,7 +52,7 @@ def test_declared_order_matches_the_literature(name):
 EXACT = {(f"Splitting {order} free body", case) for order in (2, 4) for case in all_cases() if case.startswith("so(3)")}
 
 
-@pytest.mark.thinned(26)
+@pytest.mark.thinned(182)
 @pytest.mark.parametrize(("scheme", "case"), [pair for pair in pairs(all_cases()) if pair not in EXACT])
 def test_measured_order_is_the_declared_one(scheme, case):
     found = measured_order(schemes()[scheme], case)

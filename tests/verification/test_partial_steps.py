@@ -30,7 +30,7 @@ def rows_at(ready, step, crowd):
     return start.momenta, ready.loops(step).initial_groups(start.groups) * np.ones((len(crowd), 1))
 
 
-@pytest.mark.thinned(18)
+@pytest.mark.thinned(36)
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(("scheme", "case"), SOME)
 def test_partial_step_equals_a_step_of_its_length(scheme, case, direction):

@@ -29,7 +29,7 @@ def test_splitting_is_declared_poisson_on_every_system():
     assert {type(schemes()[s]).__name__ for s in everywhere} == {"Splitting", "Composition"}
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(14)
 @pytest.mark.parametrize(("scheme", "case"), POISSON)
 def test_poisson_where_declared(scheme, case):
     x0 = WHERE[case].x0
@@ -47,7 +47,7 @@ def test_not_poisson_where_not_declared(scheme):
     assert found.value > 1000 * found.bound, found
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize(("scheme", "case"), [p for p in pairs(all_cases()) if "separable" not in p[1]])
 def test_tangent_is_the_derivative_of_the_compiled_step(scheme, case):
     """Central differences with one Richardson extrapolation: error O(d^4) plus round-off u/d."""

@@ -66,7 +66,7 @@ def parts_of(solution):
     return found if solution.attitude is None else {**found, "attitude": solution.attitude}
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("method", "name", "attitude", "members"), list(cases()))
 def test_resumed_run_has_the_bits_of_the_whole_run(method, name, attitude, members):
     system, x = SYSTEMS[name]

@@ -82,7 +82,7 @@ def read_plainly(method, system, x, h, count, number=float):
     return point
 
 
-@pytest.mark.thinned(13)
+@pytest.mark.thinned(52)
 @pytest.mark.parametrize(("scheme", "case"), pairs(all_cases()))
 def test_interpreter_agrees_with_the_compiled_loop(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]

@@ -183,6 +183,7 @@ def test_other_sign_equals_backward_run(scheme, algebra):
 CARRIED = [(s, a) for s, a in pairs() if SCHEMES[s].properties(system_for(s, a, 1)[0]).attitude != "none"]
 
 
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize(("scheme", "algebra"), CARRIED)
 def test_group_elements_for_both_signs_and_directions(scheme, algebra):
     """K x is constant, and g^-1 rho(e_i) g = sum_j K_ij rho(e_j), from any initial element and any t0."""

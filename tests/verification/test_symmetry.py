@@ -25,7 +25,7 @@ SYMMETRIC = [p for p in pairs(all_cases()) if schemes()[p[0]].symmetric]
 LOPSIDED = [s for s, m in schemes().items() if not m.symmetric]
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("scheme", "case"), SYMMETRIC)
 def test_symmetric_where_declared(scheme, case):
     method, there = schemes()[scheme], all_cases()[case]

@@ -67,7 +67,7 @@ def carrying():
     return found
 
 
-@pytest.mark.thinned(28)
+@pytest.mark.thinned(112)
 @pytest.mark.parametrize(("scheme", "case"), carrying())
 def test_tangents_of_every_scheme_and_system(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]

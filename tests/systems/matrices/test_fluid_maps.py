@@ -27,7 +27,7 @@ def defect(name: str, N: int, method: co.methods.Method) -> float:
     return poisson_defect(co.stepper(system, method, h), W).defect
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(10)
 @pytest.mark.parametrize("N", [5, 7])
 @pytest.mark.parametrize(("name", "method"), MAPS, ids=lambda value: str(value))
 def test_a_step_is_a_poisson_map(name: str, N: int, method: co.methods.Method) -> None:

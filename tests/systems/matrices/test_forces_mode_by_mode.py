@@ -57,6 +57,7 @@ def forces(layer, surface):
     ]
 
 
+@pytest.mark.thinned(3)
 @on_fields
 @pytest.mark.parametrize("tau", [0.75, -0.5])
 def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s, surface, layer, tau):
@@ -88,7 +89,7 @@ BANDS = {  # the eigenvalues of all real modes inside, by hand
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @on_fields
 @pytest.mark.parametrize("rate", [0.6, 2.5])
 def test_the_noise_feeds_in_its_rate_and_each_mode_has_the_same_share(s, surface, layer, rate, monkeypatch):

@@ -42,6 +42,7 @@ def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
     assert np.abs(other - W).max() > 0.1 * np.abs(s.relative(W)).max()
 
 
+@pytest.mark.thinned(4)
 @fluids
 @pytest.mark.parametrize("lead", [(0,), (1,), (2, 3), (2, 0)])
 def test_stacks_of_any_size(s, lead):
@@ -305,6 +306,7 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
         TURNING.from_file(tmp_path / "field.nc", select={"level": 0})
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("ways", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
 def test_fields_of_the_torus_in_netcdf(ways, tmp_path):
     """From other places than zero along both axes, in either direction, in radians or degrees."""

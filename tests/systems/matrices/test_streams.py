@@ -31,6 +31,7 @@ def random_matrices(N, lead=()):
     return co.MatrixAlgebra("su", N).projected(drawn[0] + 1j * drawn[1])
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", STREAMS)
 @pytest.mark.parametrize("N", [3, 5, 7])
 def test_each_mode_is_multiplied_by_its_value(name, N):

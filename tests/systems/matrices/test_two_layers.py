@@ -28,6 +28,7 @@ def last(s, X, t, h, method):
     return co.integrate(s, X, (0, t), h, method, save_every=10**6).x[-1]
 
 
+@pytest.mark.thinned(3)
 @ALL
 @pytest.mark.parametrize("stages", [1, 2])
 def test_it_is_compiled_as_it_is_read(s, stages):
@@ -60,6 +61,7 @@ def test_the_equation(s):
     assert seen == pytest.approx(slope @ e, rel=1e-12)
 
 
+@pytest.mark.thinned(2)
 @ALL
 def test_invariants(s):
     X = random_state(s)
@@ -91,6 +93,7 @@ def test_the_casimirs_that_there_are():
     assert np.ptp(square) > 0.1 * square[0]  # the field acts back
 
 
+@pytest.mark.thinned(3)
 @ALL
 @pytest.mark.parametrize("stages", [1, 2])
 def test_the_order(s, stages):
@@ -102,6 +105,7 @@ def test_the_order(s, stages):
     assert np.all(np.abs(slopes - 2 * stages) < 0.3), (errors, slopes)
 
 
+@pytest.mark.thinned(2)
 @ALL
 def test_back_to_the_start(s):
     X = random_state(s)
@@ -252,6 +256,7 @@ def test_members_and_what_is_refused():
         TwoLayerSystem(co.MatrixAlgebra("su", 4), Weights(np.ones((4, 4))), "none")
 
 
+@pytest.mark.long
 def test_a_step_is_a_poisson_map():
     """Its derivative carries the structure matrix of the start to that of the end, on the algebra."""
     s, method = co.systems.reduced_mhd(N=3), co.IsospectralGauss(2)
