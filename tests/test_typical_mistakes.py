@@ -42,7 +42,10 @@ MISTAKES = {
     "solver": (lambda: full(solver="rk4"), "integrate has no solver; give method=, such as Splitting(order=4)"),
     "verbose": (lambda: full(verbose=1), "integrate has no verbose; give progress=True"),
     "saveat": (lambda: full(saveat=[0.5]), "integrate has no saveat; give t_eval=, the times at which states are"),
-    "workers": (lambda: full(workers=2), "integrate has no workers; give threads=, or processes to co.ensemble(..., "),
+    "workers": (
+        lambda: full(workers=2),
+        "integrate has no workers; give threads=, or processes to co.integrate_ensemble(",
+    ),
     "misspelt": (lambda: full(save_evry=2), "integrate has no save_evry; did you mean save_every=?"),
     "choose with tol": (lambda: co.choose(BODY, X0, SPAN, tol=1e-8), "choose has no tol; give accuracy="),
     "prepare with dt": (lambda: co.prepare(BODY, co.Splitting(), dt=0.1), "prepare has no dt; give step="),
@@ -283,7 +286,7 @@ def test_missing_polynomial_casimirs_are_explained():
 
 def test_broken_solution_raises_attribute_error():
     broken = co.integrate(BODY, X0, SPAN, 0.1)
-    del broken.__dict__["_times"]
-    with pytest.raises(AttributeError, match="_times"):
+    del broken.record.__dict__["times"]
+    with pytest.raises(AttributeError, match="times"):
         _ = broken.t
     assert not hasattr(RUN, "_ipython_display_") and not hasattr(RUN, "__array__")

@@ -38,7 +38,7 @@ def finished_vectors(run: Run, vectors: np.ndarray) -> np.ndarray:
     """Return the vectors (n, k) after the last step of a run of one member, completed by the interpreter."""
     count, size = vectors.shape
     found = vectors_in(run.state["memory"], count, size)[0].T.copy()
-    method = run.method.whole if isinstance(run.method, co.Composition) else run.method
+    method = run.method.expanded if isinstance(run.method, co.Composition) else run.method
     if isinstance(method, FlowMethod):
         read, times = Interpreter(method.program(run.system)), run.times
         rows, last = read.program.rows.section, times.t0 + (times.steps - 1) * times.h
